@@ -1,0 +1,1 @@
+"""The estimator: odometry and sightings in, the network and corrections out."""

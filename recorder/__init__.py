@@ -1,0 +1,1 @@
+"""The recorder: everything to MCAP and to rerun."""

@@ -1,0 +1,1 @@
+"""The bridge of a robot: serial port on one side, odometry and corrections on the other."""

@@ -1,0 +1,6 @@
+"""Trigpoint surveys the cameras of a building by driving a robot past them."""
+
+__version__ = "0.1.0"
+
+CONTRACT = 1
+"""Version of the bus and file contract; nodes announce it and name a peer that speaks another one."""

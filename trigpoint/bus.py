@@ -1,0 +1,134 @@
+"""What every part sees of the bus; `bus_zenoh` and `bus_memory` implement it.
+
+Nothing runs on the bus's own threads but putting a sample into a bounded queue of ours: whoever
+subscribes takes samples out on a thread of its own. Closing the bus closes what it declared.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+from .topics import Topic
+
+COMMAND_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One payload that arrived.
+
+    `published_ns`: the sender's Zenoh timestamp as Unix time; `received_ns`: when it came here;
+    `sender`: the Zenoh id of the publishing session, "" where it is not known.
+    """
+
+    key: str
+    payload: bytes
+    encoding: str
+    published_ns: int
+    received_ns: int
+    attachment: bytes = b""
+    sender: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer to a query; `error` is one line where the other side refused, else ""."""
+
+    key: str
+    payload: bytes
+    error: str = ""
+
+
+class Subscription(Protocol):
+    """Samples of one key expression, in the order in which they came."""
+
+    def take(self, timeout_s: float) -> Sample | None:
+        """The next sample, or None when the time is over or the subscription is closed."""
+        ...
+
+    @property
+    def depth(self) -> int:
+        """How many samples wait."""
+        ...
+
+    @property
+    def received(self) -> int:
+        """How many samples came."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """How many samples were lost: dropped from the full queue, or missed on the way."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Publisher(Protocol):
+    """Sends on one key."""
+
+    def put(self, payload: bytes, *, attachment: bytes = b"") -> None: ...
+
+    @property
+    def has_listener(self) -> bool:
+        """Whether anyone subscribes to the key now (pictures are only made where it is so)."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Closable(Protocol):
+    """A declaration that can be taken back."""
+
+    def close(self) -> None: ...
+
+
+class Bus(Protocol):
+    """An open session."""
+
+    @property
+    def identity(self) -> str:
+        """The session's Zenoh id, as samples name it in `sender`."""
+        ...
+
+    def publisher(self, topic: Topic, key: str) -> Publisher:
+        """Declare a publisher with the topic's delivery."""
+        ...
+
+    def subscribe(self, topic: Topic, expression: str) -> Subscription:
+        """Subscribe with the topic's delivery and queue."""
+        ...
+
+    def declare_alive(self, key: str) -> Closable:
+        """Declare a liveliness token."""
+        ...
+
+    def alive(self, expression: str, *, timeout_s: float = 1.0) -> list[str]:
+        """The tokens that are alive now."""
+        ...
+
+    def serve(self, key: str, answer: Callable[[bytes], bytes]) -> Closable:
+        """Answer queries on `key` on a thread of ours.
+
+        `answer` gets the request's payload and returns the reply's; a TrigpointError that it raises
+        becomes an error reply with its text, any other error one that says so.
+        """
+        ...
+
+    def query(
+        self, key: str, payload: bytes = b"", *, timeout_s: float = COMMAND_TIMEOUT_S
+    ) -> list[Reply]:
+        """Ask everyone who serves `key`; an empty list where nobody answered in time."""
+        ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...

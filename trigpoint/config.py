@@ -1,0 +1,219 @@
+"""site.toml: one frozen configuration for a whole site; each node reads its own part of it."""
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from msgspec import Meta, Struct
+
+from .errors import ConfigError
+from .geometry import CameraModel
+from .toml_file import load_toml, parse_toml
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Count = Annotated[int, Meta(gt=0)]
+
+_Item = TypeVar("_Item")
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
+
+
+class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the nodes find each other; without it, this machine alone."""
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    scouting: bool = False
+
+
+class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """One camera: where its pictures come from and what is known of its lens."""
+
+    source: str
+    width: Count = 640
+    height: Count = 480
+    rate: Positive = 10.0
+    intrinsics: str | None = None
+    horizontal_fov: Annotated[float, Meta(gt=0, lt=180)] = 60.0
+    focal_sigma: Positive = 0.2
+    centre_sigma: Positive = 0.05
+    distortion_sigma: Positive = 0.5
+    time_offset_sigma: NotNegative = 0.0
+    picture_rate: Positive = 2.0
+    picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80
+
+    def __post_init__(self) -> None:
+        scheme, separator, _ = self.source.partition("://")
+        if not separator or not scheme:
+            known = ", ".join(f"{name}://" for name in PICTURE_SCHEMES)
+            raise ValueError(f"source «{self.source}» is no URL; write one of {known}")
+
+    @property
+    def estimates_intrinsics(self) -> bool:
+        """Whether the lens is worked out from the robot's target."""
+        return self.intrinsics == "estimate"
+
+    def nominal(self) -> CameraModel:
+        """The lens without distortion at the configured field of view."""
+        fov_rad = math.radians(self.horizontal_fov)
+        return CameraModel.from_field_of_view(self.width, self.height, fov_rad)
+
+
+class OdometryNoise(Struct, frozen=True, forbid_unknown_fields=True):
+    """Random walk of the odometry: standard deviation per root of metres or radians travelled."""
+
+    distance: NotNegative = 0.006
+    lateral: NotNegative = 0.002
+    heading_drive: NotNegative = 0.004
+    heading_turn: NotNegative = 0.006
+    vertical: NotNegative = 0.0
+    tilt: NotNegative = 0.0
+    tilt_turn: NotNegative = 0.0
+    distance_scale: NotNegative = 0.0
+    heading_scale: NotNegative = 0.0
+
+
+class SafetyConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which corrections the bridge hands to the robot."""
+
+    max_age: Positive = 1.0
+    max_jump: Positive = 1.0
+    max_turn: Positive = 0.5
+    max_sigma: Positive = 0.2
+    max_heading_sigma: Positive = 0.2
+
+
+class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """One robot: its port, its target, how its odometry drifts."""
+
+    port: str
+    baud: Count = 115200
+    protocol: str = "trigpoint"
+    target: str | None = None
+    planar: bool = True
+    odometry: OdometryNoise = OdometryNoise()
+    safety: SafetyConfig = SafetyConfig()
+
+
+class FusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The estimator."""
+
+    estimator: Literal["smoother", "particle", "ekf"] = "smoother"
+    late: Positive = 1.0
+    correction_rate: Positive = 10.0
+    seed: int = 0
+    target_translation: NotNegative = 0.0
+    target_rotation: NotNegative = 0.0
+
+
+class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The recording."""
+
+    directory: str = "sessions"
+    pictures: bool = False
+
+
+class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
+    site: str
+    cameras: dict[str, CameraConfig]
+    robots: dict[str, RobotConfig]
+    target: str | None = None
+    bus: BusConfig = BusConfig()
+    fusion: FusionConfig = FusionConfig()
+    recorder: RecorderConfig = RecorderConfig()
+
+    def __post_init__(self) -> None:
+        for what, name in [
+            ("site", self.site),
+            *(("camera", name) for name in self.cameras),
+            *(("robot", name) for name in self.robots),
+        ]:
+            _check_name(what, name)
+        if not self.cameras or not self.robots:
+            raise ValueError("a site needs at least one camera and one robot; add them")
+        for name, robot in self.robots.items():
+            if robot.target is None and self.target is None:
+                raise ValueError(
+                    f'robot «{name}» has no target; write target = "target.toml"'
+                )
+
+
+class Site(Struct, frozen=True):
+    """A whole site. `directory` is the folder that the file's relative paths start from."""
+
+    name: str
+    cameras: dict[str, CameraConfig]
+    robots: dict[str, RobotConfig]
+    bus: BusConfig
+    fusion: FusionConfig
+    recorder: RecorderConfig
+    directory: Path
+    text: str
+    default_target: str | None = None
+
+    def camera(self, name: str) -> CameraConfig:
+        """A camera by name; raise ConfigError that lists the known ones."""
+        return _pick(self.cameras, name, "camera")
+
+    def robot(self, name: str) -> RobotConfig:
+        """A robot by name; raise ConfigError that lists the known ones."""
+        return _pick(self.robots, name, "robot")
+
+    def target_name(self, robot: str) -> str:
+        """The path of a robot's target file as the site file writes it."""
+        name = self.robot(robot).target or self.default_target
+        assert name is not None  # held by the file's own check
+        return name
+
+    def path(self, relative: str) -> Path:
+        """A path in the file, made absolute or relative to the working folder."""
+        return self.directory / relative
+
+    @property
+    def first_robot(self) -> str:
+        """The robot whose odometry frame is the map's origin."""
+        return next(iter(self.robots))
+
+
+def load_site(path: Path) -> Site:
+    """Read site.toml; raise ConfigError that names file, line and key."""
+    file = load_toml(path, _SiteFile, "site file", ConfigError)
+    return _site(file, path.parent, path.read_text(encoding="utf-8"))
+
+
+def parse_site(text: str, *, directory: Path, file: str = "site.toml") -> Site:
+    """Like `load_site`, from text (a recording's attachment)."""
+    return _site(parse_toml(text, _SiteFile, file, ConfigError), directory, text)
+
+
+def _site(file: _SiteFile, directory: Path, text: str) -> Site:
+    return Site(
+        name=file.site,
+        cameras=file.cameras,
+        robots=file.robots,
+        bus=file.bus,
+        fusion=file.fusion,
+        recorder=file.recorder,
+        directory=directory,
+        text=text,
+        default_target=file.target,
+    )
+
+
+def _check_name(what: str, name: str) -> None:
+    if not _NAME.fullmatch(name) or "__" in name:
+        raise ValueError(
+            f"the {what}'s name «{name}» must match [a-z][a-z0-9_]* without «__»; rename it"
+        )
+
+
+def _pick(items: dict[str, _Item], name: str, kind: str) -> _Item:
+    if name not in items:
+        known = ", ".join(items)
+        raise ConfigError(
+            f"there is no {kind} «{name}» in the site file; it has {known}"
+        )
+    return items[name]

@@ -1,0 +1,82 @@
+"""Every error that Trigpoint raises on purpose.
+
+    TrigpointError
+    ├── InputError      what the user gave is wrong: exit status 2
+    │   ├── ConfigError     site.toml
+    │   ├── TargetError     target.toml
+    │   ├── MessageError    a payload or a serial frame that does not decode
+    │   └── RecordingError  an MCAP file that cannot be read
+    └── OperationError  the world did not play along: exit status 1
+        ├── BusError        Zenoh
+        ├── PortError       serial port
+        ├── FrameError      picture source
+        └── MissingExtraError  a part that is not installed here
+
+A message says what, where, and what to do, in one line.
+"""
+
+from pathlib import Path
+
+
+class TrigpointError(Exception):
+    """Root of the tree; `str()` is one line for a person."""
+
+    exit_status = 1
+
+
+class InputError(TrigpointError):
+    """Something that the user gave is wrong."""
+
+    exit_status = 2
+
+
+class ConfigError(InputError):
+    """A site file is wrong."""
+
+
+class TargetError(InputError):
+    """A target file is wrong."""
+
+
+class MessageError(InputError):
+    """Bytes from outside that do not decode to what they should be."""
+
+
+class RecordingError(InputError):
+    """A session that cannot be read."""
+
+
+class OperationError(TrigpointError):
+    """Something failed while running."""
+
+
+class BusError(OperationError):
+    """The bus could not be opened or used."""
+
+
+class PortError(OperationError):
+    """A serial port could not be opened or used."""
+
+
+class FrameError(OperationError):
+    """A picture source could not be opened or read."""
+
+
+class MissingExtraError(OperationError):
+    """A part of Trigpoint is not installed on this machine."""
+
+
+def read_text(path: Path, kind: str, error: type[InputError]) -> str:
+    """Return the file's text; raise `error` with one clear line where that cannot be done."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise error(f"{path}: there is no such {kind}; check the path") from None
+    except UnicodeDecodeError:
+        raise error(
+            f"{path}: this is not text, so it is no {kind}; check the path"
+        ) from None
+    except OSError as reason:
+        raise error(
+            f"{path}: the {kind} cannot be read ({reason.strerror}); check it"
+        ) from None

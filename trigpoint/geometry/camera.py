@@ -1,0 +1,231 @@
+"""Camera models by the names of ROS: plumb_bob, rational_polynomial and equidistant.
+
+Pixels have (0, 0) at the centre of the top-left pixel. Formulae: OpenCV's documentation of
+`calib3d` and of `fisheye`.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .rotation import Array
+
+
+class LensModel(StrEnum):
+    """Distortion model, with the coefficients' order of ROS and OpenCV."""
+
+    PLUMB_BOB = "plumb_bob"  # k1 k2 p1 p2 k3
+    RATIONAL_POLYNOMIAL = "rational_polynomial"  # k1 k2 p1 p2 k3 k4 k5 k6
+    EQUIDISTANT = "equidistant"  # k1 k2 k3 k4
+
+    @property
+    def coefficients(self) -> int:
+        """How many distortion coefficients the model has."""
+        return {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[self.value]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """A camera's intrinsics: from a direction to a raw (distorted) pixel.
+
+    `distortion` has as many numbers as the model; fewer are filled up with zeros.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    model: LensModel = LensModel.PLUMB_BOB
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0 or not (self.fx > 0 and self.fy > 0):
+            raise ValueError("a camera needs a positive width, height and focal length")
+        if not np.all(
+            np.isfinite([self.fx, self.fy, self.cx, self.cy, *self.distortion])
+        ):
+            raise ValueError("a camera's intrinsics must be finite numbers")
+        missing = self.model.coefficients - len(self.distortion)
+        if missing < 0:
+            raise ValueError(
+                f"{self.model.value} has {self.model.coefficients} coefficients"
+            )
+        padded = (*(float(value) for value in self.distortion), *([0.0] * missing))
+        object.__setattr__(self, "distortion", padded)
+
+    @classmethod
+    def from_field_of_view(
+        cls, width: int, height: int, horizontal_rad: float
+    ) -> "CameraModel":
+        """A nominal camera without distortion, its principal point in the middle."""
+        focal = width / (2 * np.tan(horizontal_rad / 2))
+        return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+    @property
+    def matrix(self) -> Array:
+        """K, (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def parameters(self) -> Array:
+        """fx, fy, cx, cy and the distortion coefficients; (4 + coefficients,)."""
+        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
+
+    def with_parameters(self, parameters: ArrayLike) -> "CameraModel":
+        """The same camera with other `parameters` (inverse of the property)."""
+        p = [float(value) for value in np.asarray(parameters, dtype=float)]
+        return CameraModel(self.width, self.height, *p[:4], tuple(p[4:]), self.model)
+
+    def project(self, points: ArrayLike) -> Array:
+        """Pixels (…, 2) of points (…, 3) in the optical frame; points behind it give nonsense."""
+        return self._project(np.asarray(points, dtype=float))[0]
+
+    def project_jacobians(self, points: ArrayLike) -> tuple[Array, Array, Array]:
+        """Pixels (…, 2), their derivatives by the point (…, 2, 3) and by `parameters` (…, 2, p)."""
+        p = np.asarray(points, dtype=float)
+        pixels, distorted, by_normalised, by_distortion = self._project(p)
+        inverse_depth = 1 / p[..., 2]
+        normalised = p[..., :2] * inverse_depth[..., None]
+        by_point_normalised = np.zeros((*p.shape[:-1], 2, 3))
+        by_point_normalised[..., 0, 0] = by_point_normalised[..., 1, 1] = inverse_depth
+        by_point_normalised[..., :, 2] = -normalised * inverse_depth[..., None]
+        focal = np.array([self.fx, self.fy])
+        by_point = focal[:, None] * (by_normalised @ by_point_normalised)
+        by_parameters = np.zeros((*p.shape[:-1], 2, 4 + len(self.distortion)))
+        by_parameters[..., 0, 0] = distorted[..., 0]
+        by_parameters[..., 1, 1] = distorted[..., 1]
+        by_parameters[..., 0, 2] = by_parameters[..., 1, 3] = 1
+        by_parameters[..., :, 4:] = focal[:, None] * by_distortion
+        return pixels, by_point, by_parameters
+
+    def sees(self, points: ArrayLike) -> np.ndarray:
+        """Which points (…, 3) in the optical frame fall into the picture; (…) bool.
+
+        A direction beyond the angle at which the lens model folds back is not seen.
+        """
+        p = np.asarray(points, dtype=float)
+        ahead = p[..., 2] > 1e-6
+        safe = np.where(ahead[..., None], p, [0.0, 0.0, 1.0])
+        u, v = np.moveaxis(self.project(safe), -1, 0)
+        inside = (
+            (u >= -0.5)
+            & (u <= self.width - 0.5)
+            & (v >= -0.5)
+            & (v <= self.height - 0.5)
+        )
+        return ahead & inside & (self._determinant(safe) > 0)
+
+    def directions(self, pixels: ArrayLike) -> Array:
+        """Normalised coordinates (…, 2) = (x/z, y/z) that project to pixels (…, 2).
+
+        Newton's method from the undistorted guess; NaN where it does not converge to 1e-9.
+        """
+        target = (np.asarray(pixels, dtype=float) - [self.cx, self.cy]) / [
+            self.fx,
+            self.fy,
+        ]
+        if self.model is LensModel.EQUIDISTANT:
+            return self._directions_equidistant(target)
+        guess = target.copy()
+        for _ in range(20):
+            distorted, jacobian, _ = self._distort(guess)
+            error = target - distorted
+            if np.nanmax(np.abs(error), initial=0.0) < 1e-12:
+                break
+            guess = guess + np.linalg.solve(jacobian, error[..., None])[..., 0]
+        error = np.linalg.norm(self._distort(guess)[0] - target, axis=-1, keepdims=True)
+        return np.where(error < 1e-9, guess, np.nan)
+
+    def _project(self, points: Array) -> tuple[Array, Array, Array, Array]:
+        normalised = points[..., :2] / points[..., 2:]
+        distorted, jacobian, by_distortion = self._distort(normalised)
+        pixels = distorted * [self.fx, self.fy] + [self.cx, self.cy]
+        return pixels, distorted, jacobian, by_distortion
+
+    def _distort(self, normalised: Array) -> tuple[Array, Array, Array]:
+        """Distorted coordinates, their derivative by the undistorted ones and by `distortion`."""
+        if self.model is LensModel.EQUIDISTANT:
+            return _distort_equidistant(normalised, self.distortion)
+        return _distort_polynomial(normalised, self.distortion)
+
+    def _determinant(self, points: Array) -> Array:
+        return np.linalg.det(self._distort(points[..., :2] / points[..., 2:])[1])
+
+    def _directions_equidistant(self, target: Array) -> Array:
+        radius = np.linalg.norm(target, axis=-1)
+        k1, k2, k3, k4 = self.distortion
+        angle = radius.copy()
+        for _ in range(20):
+            s = angle * angle
+            value = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+            slope = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
+            angle = angle - (value - radius) / slope
+        scale = np.where(
+            radius > 1e-12, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0
+        )
+        return np.where(
+            (angle < np.pi / 2)[..., None], target * scale[..., None], np.nan
+        )
+
+
+def _distort_polynomial(
+    n: Array, coefficients: tuple[float, ...]
+) -> tuple[Array, Array, Array]:
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
+    x, y = n[..., 0], n[..., 1]
+    r2 = x * x + y * y
+    r4, r6 = r2 * r2, r2 * r2 * r2
+    above, below = 1 + k1 * r2 + k2 * r4 + k3 * r6, 1 + k4 * r2 + k5 * r4 + k6 * r6
+    radial = above / below
+    slope = (
+        (k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)
+    ) / below
+    distorted = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+    jacobian = np.empty((*x.shape, 2, 2))
+    jacobian[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = (
+        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    )
+    jacobian[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    radial_terms = [r2 / below, r4 / below, None, None, r6 / below]
+    radial_terms += [-radial * r2 / below, -radial * r4 / below, -radial * r6 / below]
+    by_coefficients = np.empty((*x.shape, 2, len(coefficients)))
+    for column, term in enumerate(radial_terms[: len(coefficients)]):
+        if term is not None:
+            by_coefficients[..., 0, column] = x * term
+            by_coefficients[..., 1, column] = y * term
+    by_coefficients[..., 0, 2] = by_coefficients[..., 1, 3] = 2 * x * y
+    by_coefficients[..., 1, 2] = r2 + 2 * y * y
+    by_coefficients[..., 0, 3] = r2 + 2 * x * x
+    return distorted, jacobian, by_coefficients
+
+
+def _distort_equidistant(
+    n: Array, coefficients: tuple[float, ...]
+) -> tuple[Array, Array, Array]:
+    k1, k2, k3, k4 = coefficients
+    radius = np.linalg.norm(n, axis=-1)
+    safe = np.where(radius > 1e-9, radius, 1.0)
+    angle = np.arctan(radius)
+    s = angle * angle
+    bent = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+    slope = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
+    scale = np.where(radius > 1e-9, bent / safe, 1.0)
+    by_radius = np.where(radius > 1e-9, (slope / (1 + radius**2) - scale) / safe, 0.0)
+    unit = n / safe[..., None]
+    jacobian = scale[..., None, None] * np.eye(2) + (
+        (by_radius * radius)[..., None, None] * unit[..., :, None] * unit[..., None, :]
+    )
+    powers = np.stack([angle**3, angle**5, angle**7, angle**9], axis=-1)
+    by_coefficients = unit[..., :, None] * powers[..., None, :]
+    return n * scale[..., None], jacobian, by_coefficients

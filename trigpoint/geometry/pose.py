@@ -1,0 +1,102 @@
+"""Rigid transforms, named `a_from_b`: they take coordinates in b to coordinates in a."""
+
+from dataclasses import dataclass
+from typing import Self, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import rotation as so3
+from .rotation import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """One rigid transform, or many: `rotation` (…, 3, 3), `translation` (…, 3), metres."""
+
+    rotation: Array
+    translation: Array
+
+    @classmethod
+    def identity(cls) -> Self:
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quaternion(cls, translation: ArrayLike, quaternion: ArrayLike) -> Self:
+        """From a translation and a quaternion x, y, z, w."""
+        return cls(so3.from_quaternion(quaternion), np.array(translation, dtype=float))
+
+    @classmethod
+    def from_vector(cls, vector: ArrayLike) -> Self:
+        """From x, y, z and a rotation vector; (…, 6)."""
+        v = np.asarray(vector, dtype=float)
+        return cls(so3.exp(v[..., 3:]), v[..., :3].copy())
+
+    @classmethod
+    def planar(cls, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike) -> Self:
+        """A pose in the plane z = 0."""
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        return cls(
+            so3.about_z(heading_rad), np.stack([x, y, np.zeros_like(x)], axis=-1)
+        )
+
+    @classmethod
+    def stack(cls, poses: "list[Pose]") -> Self:
+        """Many poses as one with a leading dimension."""
+        return cls(
+            np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
+            np.array([pose.translation for pose in poses]).reshape(-1, 3),
+        )
+
+    @property
+    def quaternion(self) -> Array:
+        """Unit quaternion x, y, z, w with w ≥ 0; (…, 4)."""
+        return so3.to_quaternion(self.rotation)
+
+    @property
+    def heading(self) -> Array:
+        """Direction of the x axis in the parent's xy plane, radians."""
+        return np.arctan2(self.rotation[..., 1, 0], self.rotation[..., 0, 0])
+
+    def __len__(self) -> int:
+        return len(self.translation) if self.translation.ndim > 1 else 1
+
+    def __getitem__(self, index: object) -> "Pose":
+        return Pose(self.rotation[index], self.translation[index])  # pyright: ignore[reportArgumentType]
+
+    @overload
+    def __matmul__(self, other: "Pose") -> "Pose": ...
+    @overload
+    def __matmul__(self, other: Array) -> Array: ...
+    def __matmul__(self, other: "Pose | Array") -> "Pose | Array":
+        """a_from_b @ b_from_c, or a_from_b @ points in b; one point (3,) or points (…, n, 3)."""
+        if isinstance(other, Pose):
+            moved = (self.rotation @ other.translation[..., None])[..., 0]
+            return Pose(self.rotation @ other.rotation, moved + self.translation)
+        if other.ndim == 1:
+            return self.rotation @ other + self.translation
+        return (
+            other @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :]
+        )
+
+    def inverse(self) -> "Pose":
+        """b_from_a."""
+        transposed = np.swapaxes(self.rotation, -1, -2)
+        return Pose(transposed, -(transposed @ self.translation[..., None])[..., 0])
+
+    def disturbed(self, disturbance: ArrayLike) -> "Pose":
+        """The contract's disturbance (…, 6): t' = t + δt, R' = Exp(δθ) R, in the parent's axes."""
+        d = np.asarray(disturbance, dtype=float)
+        return Pose(so3.exp(d[..., 3:]) @ self.rotation, self.translation + d[..., :3])
+
+    def difference(self, other: "Pose") -> Array:
+        """The disturbance d (…, 6) with `other.disturbed(d) == self`."""
+        turn = so3.log(self.rotation @ np.swapaxes(other.rotation, -1, -2))
+        return np.concatenate([self.translation - other.translation, turn], axis=-1)
+
+
+def angle_between(first: Pose, second: Pose) -> Array:
+    """Angle of the rotation between two poses, radians."""
+    return np.linalg.norm(
+        so3.log(np.swapaxes(first.rotation, -1, -2) @ second.rotation), axis=-1
+    )

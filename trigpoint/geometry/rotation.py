@@ -1,0 +1,98 @@
+"""Rotations in space: matrices, rotation vectors, quaternions (x, y, z, w).
+
+Every function takes any number of leading dimensions. Formulae: Solà, Deray and Atchuthan,
+«A micro Lie theory for state estimation in robotics» (2018), section on SO(3).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_SMALL_SQUARED = 1e-8
+
+
+def hat(vector: ArrayLike) -> Array:
+    """Return the matrix of the cross product: `hat(a) @ b == cross(a, b)`; (…, 3) -> (…, 3, 3)."""
+    v = np.asarray(vector, dtype=float)
+    matrix = np.zeros((*v.shape[:-1], 3, 3))
+    matrix[..., 0, 1] = -v[..., 2]
+    matrix[..., 0, 2] = v[..., 1]
+    matrix[..., 1, 0] = v[..., 2]
+    matrix[..., 1, 2] = -v[..., 0]
+    matrix[..., 2, 0] = -v[..., 1]
+    matrix[..., 2, 1] = v[..., 0]
+    return matrix
+
+
+def exp(rotation_vector: ArrayLike) -> Array:
+    """Rotation matrix of a rotation vector, radians; (…, 3) -> (…, 3, 3) (Rodrigues)."""
+    v = np.asarray(rotation_vector, dtype=float)
+    squared = np.sum(v * v, axis=-1)[..., None, None]
+    small = squared < _SMALL_SQUARED
+    angle = np.sqrt(np.where(small, 1.0, squared))
+    sine = np.where(small, 1 - squared / 6, np.sin(angle) / angle)
+    versine = np.where(small, 0.5 - squared / 24, (1 - np.cos(angle)) / angle**2)
+    cross = hat(v)
+    return np.eye(3) + sine * cross + versine * (cross @ cross)
+
+
+def log(matrix: ArrayLike) -> Array:
+    """Rotation vector of a rotation matrix, of length at most π; (…, 3, 3) -> (…, 3)."""
+    quaternion = to_quaternion(matrix)
+    vector, scalar = quaternion[..., :3], quaternion[..., 3:]
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    small = length < 1e-9
+    angle = 2 * np.arctan2(length, scalar)
+    return vector * np.where(small, 2.0, angle / np.where(small, 1.0, length))
+
+
+def left_jacobian(rotation_vector: ArrayLike) -> Array:
+    """J with Exp(v + δ) ≈ Exp(J δ) Exp(v); (…, 3) -> (…, 3, 3) (Solà et al., eq. 145)."""
+    v = np.asarray(rotation_vector, dtype=float)
+    squared = np.sum(v * v, axis=-1)[..., None, None]
+    small = squared < _SMALL_SQUARED
+    angle = np.sqrt(np.where(small, 1.0, squared))
+    first = np.where(small, 0.5 - squared / 24, (1 - np.cos(angle)) / angle**2)
+    second = np.where(small, 1 / 6 - squared / 120, (angle - np.sin(angle)) / angle**3)
+    cross = hat(v)
+    return np.eye(3) + first * cross + second * (cross @ cross)
+
+
+def from_quaternion(quaternion: ArrayLike) -> Array:
+    """Rotation matrix of a quaternion x, y, z, w of any length but 0; (…, 4) -> (…, 3, 3)."""
+    q = np.asarray(quaternion, dtype=float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    cross = hat(q[..., :3])
+    return np.eye(3) + 2 * q[..., 3][..., None, None] * cross + 2 * (cross @ cross)
+
+
+def to_quaternion(matrix: ArrayLike) -> Array:
+    """Unit quaternion x, y, z, w with w ≥ 0; (…, 3, 3) -> (…, 4) (Bar-Itzhack, well-conditioned)."""
+    m = np.asarray(matrix, dtype=float)
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    # Row i holds 4·q_i·q; the row of the largest element is the accurate one (Shepperd's method).
+    outer = np.empty((*m.shape[:-2], 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        outer[..., i, i] = 1 + 2 * m[..., i, i] - trace
+        outer[..., i, j] = outer[..., j, i] = m[..., i, j] + m[..., j, i]
+        outer[..., i, 3] = outer[..., 3, i] = m[..., k, j] - m[..., j, k]
+    outer[..., 3, 3] = 1 + trace
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    row = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    row = row / np.linalg.norm(row, axis=-1, keepdims=True)
+    return np.where(row[..., 3:] < 0, -row, row)
+
+
+def about_z(heading_rad: ArrayLike) -> Array:
+    """Rotation about z; (…) -> (…, 3, 3)."""
+    heading = np.asarray(heading_rad, dtype=float)
+    return exp(
+        np.stack([np.zeros_like(heading), np.zeros_like(heading), heading], axis=-1)
+    )
+
+
+def wrap(angle_rad: ArrayLike) -> Array:
+    """The same angle in [-π, π)."""
+    return (np.asarray(angle_rad, dtype=float) + np.pi) % (2 * np.pi) - np.pi

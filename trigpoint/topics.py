@@ -1,0 +1,171 @@
+"""Every key of the contract: its expression, type, delivery, and whether it is recorded."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from . import messages
+
+
+class Delivery(Enum):
+    """How a key's samples travel; `bus_zenoh` turns each into Zenoh's settings."""
+
+    NEWEST = "best effort, newest wins, low priority"
+    RECOVERED = "reliable, recovered after a break"
+    LAST_VALUE = "reliable, last value kept for late joiners"
+    RELIABLE = "reliable"
+    URGENT = "reliable, highest priority, express"
+    BEST_EFFORT = "best effort"
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether every sample must arrive."""
+        return self not in (Delivery.NEWEST, Delivery.BEST_EFFORT)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row: `path` below the site with `{id}` for the camera or robot.
+
+    `queue`: how many samples a subscriber holds; where it is full, the oldest is dropped and
+    counted. `cache`: how many a publisher keeps for those who come late or were away.
+    """
+
+    name: str
+    path: str
+    type_name: str
+    delivery: Delivery
+    queue: int
+    cache: int = 0
+    recorded: bool = True
+
+    @property
+    def encoding(self) -> str:
+        """The sample's encoding, with the type's name as its schema."""
+        return f"application/cdr;{self.type_name}"
+
+    def key(self, site: str, node: str = "") -> str:
+        """The key of one camera or robot."""
+        return f"{site}/{self.path.format(id=node)}"
+
+    def expression(self, site: str) -> str:
+        """The key expression of all cameras or robots."""
+        return f"{site}/{self.path.format(id='*')}"
+
+    def match(self, key: str) -> tuple[str, str] | None:
+        """(site, camera or robot) of a key of this row, else None; "" where the row has no id."""
+        site, _, rest = key.partition("/")
+        parts, pattern = rest.split("/"), self.path.split("/")
+        if not site or len(parts) != len(pattern):
+            return None
+        node = ""
+        for part, expected in zip(parts, pattern, strict=True):
+            if expected == "{id}":
+                node = part
+            elif part != expected:
+                return None
+        return site, node
+
+
+IMAGE = Topic(
+    "image", "camera/{id}/image/compressed", messages.PICTURE, Delivery.NEWEST, queue=4
+)
+CAMERA_INFO = Topic(
+    "camera_info",
+    "camera/{id}/camera_info",
+    messages.CAMERA_INFO,
+    Delivery.LAST_VALUE,
+    64,
+    cache=1,
+)
+SIGHTINGS = Topic(
+    "sightings",
+    "camera/{id}/sightings",
+    messages.SIGHTINGS,
+    Delivery.RECOVERED,
+    4096,
+    cache=1024,
+)
+CAMERA_POSE = Topic(
+    "camera_pose",
+    "camera/{id}/pose",
+    messages.POSE_ESTIMATE,
+    Delivery.LAST_VALUE,
+    256,
+    cache=1,
+)
+ODOMETRY = Topic(
+    "odom", "robot/{id}/odom", messages.ODOMETRY, Delivery.RECOVERED, 8192, cache=1024
+)
+ROBOT_POSE = Topic(
+    "robot_pose", "robot/{id}/pose", messages.POSE_ESTIMATE, Delivery.RELIABLE, 1024
+)
+CORRECTION = Topic(
+    "correction",
+    "robot/{id}/correction",
+    messages.POSE_ESTIMATE,
+    Delivery.URGENT,
+    queue=64,
+)
+SUGGESTION = Topic(
+    "suggestion",
+    "robot/{id}/suggestion",
+    messages.POSE_STAMPED,
+    Delivery.BEST_EFFORT,
+    queue=16,
+)
+PARTICLES = Topic(
+    "particles",
+    "robot/{id}/particles",
+    messages.POSE_ARRAY,
+    Delivery.BEST_EFFORT,
+    queue=4,
+)
+TF = Topic("tf", "tf", messages.TRANSFORMS, Delivery.RELIABLE, queue=1024)
+COVERAGE = Topic(
+    "coverage",
+    "coverage/{id}",
+    messages.POLYGON,
+    Delivery.LAST_VALUE,
+    queue=256,
+    cache=1,
+)
+DIAGNOSTICS = Topic(
+    "diagnostics", "diagnostics", messages.DIAGNOSTICS, Delivery.BEST_EFFORT, queue=256
+)
+
+TOPICS = (
+    IMAGE,
+    CAMERA_INFO,
+    SIGHTINGS,
+    CAMERA_POSE,
+    ODOMETRY,
+    ROBOT_POSE,
+    CORRECTION,
+    SUGGESTION,
+    PARTICLES,
+    TF,
+    COVERAGE,
+    DIAGNOSTICS,
+)
+
+
+def topic_of(key: str) -> Topic | None:
+    """The row of a key, or None where the contract has none."""
+    return next((topic for topic in TOPICS if topic.match(key)), None)
+
+
+def node_of(key: str) -> str:
+    """The camera or robot that a key names, "" where it names none."""
+    topic = topic_of(key)
+    match = topic.match(key) if topic else None
+    return match[1] if match else ""
+
+
+def alive_key(site: str, kind: str, node: str) -> str:
+    """The liveliness token of a node."""
+    return f"{site}/alive/{kind}/{node}"
+
+
+def command_key(site: str, path: str) -> str:
+    """The queryable of a command: `camera/c1/snapshot`, `fusion/network`, `fusion/reset`, `clock` …"""
+    return f"{site}/{path}"
