@@ -99,9 +99,7 @@ def warm_up() -> None:
         definition(codec.type_name)
     pose = Pose.identity()
     camera = CameraModel(1, 1, 1.0, 1.0, 0.0, 0.0)
-    face = FaceSighting(
-        "", 0, np.zeros(1, np.uint16), np.zeros((1, 2), np.float32), 1.0
-    )
+    face = FaceSighting("", 0, np.zeros(1, np.uint16), np.zeros((1, 2), np.float32), 1.0)
     status = DiagnosticStatus(0, "", "", "", {"a": "b"})
     for message in (
         Sightings(0, "", 1, 1, (face,)),
@@ -121,9 +119,7 @@ def warm_up() -> None:
 @cache
 def _store() -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(
-        get_types_from_msg(_FACE_SIGHTING_DEFINITION, "trigpoint_msgs/msg/FaceSighting")
-    )
+    store.register(get_types_from_msg(_FACE_SIGHTING_DEFINITION, "trigpoint_msgs/msg/FaceSighting"))
     store.register(get_types_from_msg(_SIGHTINGS_DEFINITION, SIGHTINGS))
     return store
 
@@ -137,9 +133,7 @@ class _Builder:
 
     def header(self, stamp_ns: int, frame_id: str) -> Any:
         if stamp_ns < 0:
-            raise MessageError(
-                f"a stamp of {stamp_ns} ns lies before 1970; check the clock"
-            )
+            raise MessageError(f"a stamp of {stamp_ns} ns lies before 1970; check the clock")
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         time = self("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
         return self("std_msgs/Header", stamp=time, frame_id=frame_id)
@@ -219,9 +213,7 @@ def _sightings_to_ros(ros: _Builder, m: Sightings) -> Any:
 
 def _sightings_from_ros(ros: Any) -> Sightings:
     faces = tuple(_face_from_ros(face) for face in ros.faces)
-    return Sightings(
-        _stamp(ros.header), ros.header.frame_id, ros.width, ros.height, faces
-    )
+    return Sightings(_stamp(ros.header), ros.header.frame_id, ros.width, ros.height, faces)
 
 
 def _face_from_ros(face: Any) -> FaceSighting:
@@ -249,9 +241,7 @@ def _odometry_to_ros(ros: _Builder, m: Odometry) -> Any:
         "nav_msgs/Odometry",
         header=ros.header(m.stamp_ns, m.frame_id),
         child_frame_id=m.child_frame_id,
-        pose=ros(
-            "geometry_msgs/PoseWithCovariance", pose=ros.pose(m.pose), covariance=none
-        ),
+        pose=ros("geometry_msgs/PoseWithCovariance", pose=ros.pose(m.pose), covariance=none),
         twist=ros("geometry_msgs/TwistWithCovariance", twist=twist, covariance=none),
     )
 
@@ -282,9 +272,7 @@ def _estimate_to_ros(ros: _Builder, m: PoseEstimate) -> Any:
 
 def _estimate_from_ros(ros: Any) -> PoseEstimate:
     covariance = _finite(ros.pose.covariance, "a covariance").reshape(6, 6)
-    return PoseEstimate(
-        _stamp(ros.header), ros.header.frame_id, _pose(ros.pose.pose), covariance
-    )
+    return PoseEstimate(_stamp(ros.header), ros.header.frame_id, _pose(ros.pose.pose), covariance)
 
 
 def _pose_stamped_to_ros(ros: _Builder, m: PoseStamped) -> Any:
@@ -320,9 +308,7 @@ def _picture_to_ros(ros: _Builder, m: Picture) -> Any:
 
 
 def _picture_from_ros(ros: Any) -> Picture:
-    return Picture(
-        _stamp(ros.header), ros.header.frame_id, ros.format, ros.data.tobytes()
-    )
+    return Picture(_stamp(ros.header), ros.header.frame_id, ros.format, ros.data.tobytes())
 
 
 def _camera_info_to_ros(ros: _Builder, m: CameraInfo) -> Any:
@@ -364,9 +350,7 @@ def _camera_info_from_ros(ros: Any) -> CameraInfo:
             LensModel(ros.distortion_model),
         )
     except ValueError as reason:
-        raise MessageError(
-            f"the camera_info of {ros.header.frame_id}: {reason}"
-        ) from None
+        raise MessageError(f"the camera_info of {ros.header.frame_id}: {reason}") from None
     return CameraInfo(_stamp(ros.header), ros.header.frame_id, camera)
 
 
@@ -402,8 +386,7 @@ def _transform_from_ros(t: Any) -> Transform:
 
 def _polygon_to_ros(ros: _Builder, m: Polygon) -> Any:
     points = [
-        ros("geometry_msgs/Point32", x=float(x), y=float(y), z=float(z))
-        for x, y, z in m.points
+        ros("geometry_msgs/Point32", x=float(x), y=float(y), z=float(z)) for x, y, z in m.points
     ]
     return ros(
         "geometry_msgs/PolygonStamped",

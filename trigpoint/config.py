@@ -136,9 +136,7 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("a site needs at least one camera and one robot; add them")
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
-                raise ValueError(
-                    f'robot «{name}» has no target; write target = "target.toml"'
-                )
+                raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
 
 
 class Site(Struct, frozen=True):
@@ -213,7 +211,5 @@ def _check_name(what: str, name: str) -> None:
 def _pick(items: dict[str, _Item], name: str, kind: str) -> _Item:
     if name not in items:
         known = ", ".join(items)
-        raise ConfigError(
-            f"there is no {kind} «{name}» in the site file; it has {known}"
-        )
+        raise ConfigError(f"there is no {kind} «{name}» in the site file; it has {known}")
     return items[name]

@@ -73,10 +73,6 @@ def read_text(path: Path, kind: str, error: type[InputError]) -> str:
     except FileNotFoundError:
         raise error(f"{path}: there is no such {kind}; check the path") from None
     except UnicodeDecodeError:
-        raise error(
-            f"{path}: this is not text, so it is no {kind}; check the path"
-        ) from None
+        raise error(f"{path}: this is not text, so it is no {kind}; check the path") from None
     except OSError as reason:
-        raise error(
-            f"{path}: the {kind} cannot be read ({reason.strerror}); check it"
-        ) from None
+        raise error(f"{path}: the {kind} cannot be read ({reason.strerror}); check it") from None

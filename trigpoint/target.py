@@ -54,9 +54,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     def _check_checkerboard(self) -> None:
         if min(self.columns, self.rows) < 3:
-            raise ValueError(
-                "a checkerboard needs at least 3 columns and 3 rows of squares"
-            )
+            raise ValueError("a checkerboard needs at least 3 columns and 3 rows of squares")
         if self.columns == self.rows:
             raise ValueError(
                 "a checkerboard with as many columns as rows reads the same from four sides; "
@@ -65,18 +63,12 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     def _check_marked(self) -> None:
         if self.pattern is Pattern.CHARUCO and min(self.columns, self.rows) < 2:
-            raise ValueError(
-                "a charuco board needs at least 2 columns and 2 rows of squares"
-            )
+            raise ValueError("a charuco board needs at least 2 columns and 2 rows of squares")
         for key in ("marker", "dictionary"):
             if getattr(self, key) is None:
-                raise ValueError(
-                    f"a {self.pattern.value} face needs the key «{key}»; add it"
-                )
+                raise ValueError(f"a {self.pattern.value} face needs the key «{key}»; add it")
         if self.marker is not None and self.marker >= self.square:
-            raise ValueError(
-                "the marker must be smaller than the square (or the pitch)"
-            )
+            raise ValueError("the marker must be smaller than the square (or the pitch)")
 
     @property
     def base_from_face(self) -> Pose:
@@ -110,9 +102,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     def _tag_corners(self) -> Array:
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        tags = (
-            np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 1, 3) * self.square
-        )
+        tags = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 1, 3) * self.square
         around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
         return (tags + around * (self.marker or 0.0)).reshape(-1, 3)
 
@@ -141,9 +131,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def reads_from_both_ends(self) -> bool:
         """Whether a half turn leaves the pattern as it is (the contract's «half turn»)."""
-        return (
-            self.pattern is Pattern.CHECKERBOARD and (self.columns + self.rows) % 2 == 0
-        )
+        return self.pattern is Pattern.CHECKERBOARD and (self.columns + self.rows) % 2 == 0
 
     @property
     def appearance(self) -> tuple[object, ...]:

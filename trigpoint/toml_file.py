@@ -15,9 +15,7 @@ Struct = TypeVar("Struct", bound=msgspec.Struct)
 KeyPath = tuple[str | int, ...]
 
 
-def parse_toml(
-    text: str, struct: type[Struct], file: str, error: type[InputError]
-) -> Struct:
+def parse_toml(text: str, struct: type[Struct], file: str, error: type[InputError]) -> Struct:
     """The struct in TOML `text`; raise `error` with «file:line: what, what to do»."""
     try:
         document = tomllib.loads(text)
@@ -32,9 +30,7 @@ def parse_toml(
         raise error(f"{where}: {_dotted(problem.path)}{problem.text}") from None
 
 
-def load_toml(
-    path: Path, struct: type[Struct], kind: str, error: type[InputError]
-) -> Struct:
+def load_toml(path: Path, struct: type[Struct], kind: str, error: type[InputError]) -> Struct:
     """The struct in a TOML file; `kind` names the file to people («site file»)."""
     return parse_toml(read_text(path, kind, error), struct, str(path), error)
 
@@ -63,25 +59,17 @@ def _convert(value: Any, kind: Any, path: KeyPath) -> Any:
         raise _Problem(path, f": {_plain(reason)}; correct it") from None
 
 
-def _convert_struct(
-    value: Any, struct: type[msgspec.Struct], path: KeyPath
-) -> msgspec.Struct:
+def _convert_struct(value: Any, struct: type[msgspec.Struct], path: KeyPath) -> msgspec.Struct:
     if not isinstance(value, dict):
         raise _Problem(path, " must be a table")
     kinds = get_type_hints(struct, include_extras=True)
     for key in value:
         if key not in kinds:
-            raise _Problem(
-                (*path, key), f" is not a known key{_nearest(key, list(kinds))}"
-            )
+            raise _Problem((*path, key), f" is not a known key{_nearest(key, list(kinds))}")
     for field in msgspec.structs.fields(struct):
         if field.required and field.name not in value:
-            raise _Problem(
-                path, f"{' ' if path else ''}needs the key «{field.name}»; add it"
-            )
-    fields = {
-        key: _convert(item, kinds[key], (*path, key)) for key, item in value.items()
-    }
+            raise _Problem(path, f"{' ' if path else ''}needs the key «{field.name}»; add it")
+    fields = {key: _convert(item, kinds[key], (*path, key)) for key, item in value.items()}
     try:
         return struct(**fields)
     except ValueError as reason:

@@ -66,9 +66,7 @@ class Topic:
         return site, node
 
 
-IMAGE = Topic(
-    "image", "camera/{id}/image/compressed", messages.PICTURE, Delivery.NEWEST, queue=4
-)
+IMAGE = Topic("image", "camera/{id}/image/compressed", messages.PICTURE, Delivery.NEWEST, queue=4)
 CAMERA_INFO = Topic(
     "camera_info",
     "camera/{id}/camera_info",
@@ -93,12 +91,8 @@ CAMERA_POSE = Topic(
     256,
     cache=1,
 )
-ODOMETRY = Topic(
-    "odom", "robot/{id}/odom", messages.ODOMETRY, Delivery.RECOVERED, 8192, cache=1024
-)
-ROBOT_POSE = Topic(
-    "robot_pose", "robot/{id}/pose", messages.POSE_ESTIMATE, Delivery.RELIABLE, 1024
-)
+ODOMETRY = Topic("odom", "robot/{id}/odom", messages.ODOMETRY, Delivery.RECOVERED, 8192, cache=1024)
+ROBOT_POSE = Topic("robot_pose", "robot/{id}/pose", messages.POSE_ESTIMATE, Delivery.RELIABLE, 1024)
 CORRECTION = Topic(
     "correction",
     "robot/{id}/correction",

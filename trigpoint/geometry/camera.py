@@ -45,22 +45,16 @@ class CameraModel:
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0 or not (self.fx > 0 and self.fy > 0):
             raise ValueError("a camera needs a positive width, height and focal length")
-        if not np.all(
-            np.isfinite([self.fx, self.fy, self.cx, self.cy, *self.distortion])
-        ):
+        if not np.all(np.isfinite([self.fx, self.fy, self.cx, self.cy, *self.distortion])):
             raise ValueError("a camera's intrinsics must be finite numbers")
         missing = self.model.coefficients - len(self.distortion)
         if missing < 0:
-            raise ValueError(
-                f"{self.model.value} has {self.model.coefficients} coefficients"
-            )
+            raise ValueError(f"{self.model.value} has {self.model.coefficients} coefficients")
         padded = (*(float(value) for value in self.distortion), *([0.0] * missing))
         object.__setattr__(self, "distortion", padded)
 
     @classmethod
-    def from_field_of_view(
-        cls, width: int, height: int, horizontal_rad: float
-    ) -> "CameraModel":
+    def from_field_of_view(cls, width: int, height: int, horizontal_rad: float) -> "CameraModel":
         """A nominal camera without distortion, its principal point in the middle."""
         focal = width / (2 * np.tan(horizontal_rad / 2))
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -111,12 +105,7 @@ class CameraModel:
         ahead = p[..., 2] > 1e-6
         safe = np.where(ahead[..., None], p, [0.0, 0.0, 1.0])
         u, v = np.moveaxis(self.project(safe), -1, 0)
-        inside = (
-            (u >= -0.5)
-            & (u <= self.width - 0.5)
-            & (v >= -0.5)
-            & (v <= self.height - 0.5)
-        )
+        inside = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
         return ahead & inside & (self._determinant(safe) > 0)
 
     def directions(self, pixels: ArrayLike) -> Array:
@@ -164,26 +153,18 @@ class CameraModel:
             value = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
             slope = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
             angle = angle - (value - radius) / slope
-        scale = np.where(
-            radius > 1e-12, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0
-        )
-        return np.where(
-            (angle < np.pi / 2)[..., None], target * scale[..., None], np.nan
-        )
+        scale = np.where(radius > 1e-12, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0)
+        return np.where((angle < np.pi / 2)[..., None], target * scale[..., None], np.nan)
 
 
-def _distort_polynomial(
-    n: Array, coefficients: tuple[float, ...]
-) -> tuple[Array, Array, Array]:
+def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
     x, y = n[..., 0], n[..., 1]
     r2 = x * x + y * y
     r4, r6 = r2 * r2, r2 * r2 * r2
     above, below = 1 + k1 * r2 + k2 * r4 + k3 * r6, 1 + k4 * r2 + k5 * r4 + k6 * r6
     radial = above / below
-    slope = (
-        (k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)
-    ) / below
+    slope = ((k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)) / below
     distorted = np.stack(
         [
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
@@ -193,9 +174,7 @@ def _distort_polynomial(
     )
     jacobian = np.empty((*x.shape, 2, 2))
     jacobian[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-    jacobian[..., 0, 1] = jacobian[..., 1, 0] = (
-        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    )
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     jacobian[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
     radial_terms = [r2 / below, r4 / below, None, None, r6 / below]
     radial_terms += [-radial * r2 / below, -radial * r4 / below, -radial * r6 / below]
@@ -210,9 +189,7 @@ def _distort_polynomial(
     return distorted, jacobian, by_coefficients
 
 
-def _distort_equidistant(
-    n: Array, coefficients: tuple[float, ...]
-) -> tuple[Array, Array, Array]:
+def _distort_equidistant(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:
     k1, k2, k3, k4 = coefficients
     radius = np.linalg.norm(n, axis=-1)
     safe = np.where(radius > 1e-9, radius, 1.0)

@@ -36,9 +36,7 @@ class Pose:
     def planar(cls, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike) -> Self:
         """A pose in the plane z = 0."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        return cls(
-            so3.about_z(heading_rad), np.stack([x, y, np.zeros_like(x)], axis=-1)
-        )
+        return cls(so3.about_z(heading_rad), np.stack([x, y, np.zeros_like(x)], axis=-1))
 
     @classmethod
     def stack(cls, poses: "list[Pose]") -> Self:
@@ -75,9 +73,7 @@ class Pose:
             return Pose(self.rotation @ other.rotation, moved + self.translation)
         if other.ndim == 1:
             return self.rotation @ other + self.translation
-        return (
-            other @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :]
-        )
+        return other @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :]
 
     def inverse(self) -> "Pose":
         """b_from_a."""
@@ -97,6 +93,4 @@ class Pose:
 
 def angle_between(first: Pose, second: Pose) -> Array:
     """Angle of the rotation between two poses, radians."""
-    return np.linalg.norm(
-        so3.log(np.swapaxes(first.rotation, -1, -2) @ second.rotation), axis=-1
-    )
+    return np.linalg.norm(so3.log(np.swapaxes(first.rotation, -1, -2) @ second.rotation), axis=-1)

@@ -88,9 +88,7 @@ def to_quaternion(matrix: ArrayLike) -> Array:
 def about_z(heading_rad: ArrayLike) -> Array:
     """Rotation about z; (…) -> (…, 3, 3)."""
     heading = np.asarray(heading_rad, dtype=float)
-    return exp(
-        np.stack([np.zeros_like(heading), np.zeros_like(heading), heading], axis=-1)
-    )
+    return exp(np.stack([np.zeros_like(heading), np.zeros_like(heading), heading], axis=-1))
 
 
 def wrap(angle_rad: ArrayLike) -> Array:
