@@ -47,7 +47,7 @@ def format_camera_info(camera: CameraModel, name: str) -> str:
         "projection_matrix": _matrix(projection),
     }
     text = io.StringIO()
-    yaml = YAML(typ="safe")
+    yaml = YAML()  # unlike the safe one it keeps the keys' order
     yaml.default_flow_style = None
     yaml.dump(document, text)
     return text.getvalue()
