@@ -1,0 +1,220 @@
+"""One robot's odometry, and the motion between any two moments of it with its uncertainty.
+
+The noise is the contract's random walk (section 2, «Odometry noise»). Between two messages the
+robot is taken to move with a constant twist, so a part of an increment is the same part of its
+twist, and its variance the same part of the increment's.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.config import OdometryNoise
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+# What no robot of this kind does: a larger step means that its counters restarted or that it was
+# carried, and says nothing about where it is.
+MAXIMUM_SPEED = 5.0  # m/s
+MAXIMUM_TURN_RATE = 20.0  # rad/s
+_ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
+_UNKNOWN_VARIANCE = 100.0**2
+# 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
+_FLOOR_VARIANCE = 1e-13
+
+
+class Added(Enum):
+    """What became of an odometry message."""
+
+    TAKEN = "taken"
+    STALE = "not newer than the last one"
+    JUMP = "taken, but it jumps: the motion before it is unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion between consecutive moments; leading dimension n.
+
+    `earlier_from_later`: the scaled reported motion; `covariance`: (n, 6, 6) of its disturbance in
+    the earlier frame's axes; `by_scale`: (n, 6, 2), that disturbance by the distance and heading
+    scale errors; `is_still`: (n,) whether the robot did not move at all.
+    """
+
+    earlier_from_later: Pose
+    covariance: Array
+    by_scale: Array
+    is_still: np.ndarray
+
+
+class OdometryTrack:
+    """The odometry of one robot so far. Not thread-safe."""
+
+    def __init__(self, noise: OdometryNoise, *, planar: bool) -> None:
+        self.noise = noise
+        self.planar = planar
+        self._count = 0
+        self._stamps = np.zeros(1024, dtype=np.int64)
+        self._rotations = np.zeros((1024, 3, 3))
+        self._translations = np.zeros((1024, 3))
+        self._twists = np.zeros((1024, 6))  # of the increment that ends at the row
+        self._jumps = np.zeros(1024, dtype=bool)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def stamps_ns(self) -> np.ndarray:
+        """(n,) int64."""
+        return self._stamps[: self._count]
+
+    @property
+    def odom_from_base(self) -> Pose:
+        """The reported poses, n."""
+        return Pose(self._rotations[: self._count], self._translations[: self._count])
+
+    @property
+    def first_ns(self) -> int:
+        return int(self._stamps[0])
+
+    @property
+    def last_ns(self) -> int:
+        return int(self._stamps[self._count - 1])
+
+    def covers(self, stamp_ns: int) -> bool:
+        """Whether the robot's motion is known at this moment."""
+        return self._count > 0 and self.first_ns <= stamp_ns <= self.last_ns
+
+    def add(self, stamp_ns: int, odom_from_base: Pose) -> Added:
+        """Append a message; one that is not newer than the last is refused."""
+        if self._count and stamp_ns <= self.last_ns:
+            return Added.STALE
+        if self.planar:
+            x, y, _ = odom_from_base.translation
+            odom_from_base = Pose.planar(x, y, odom_from_base.heading)
+        self._grow()
+        row = self._count
+        self._stamps[row] = stamp_ns
+        self._rotations[row] = odom_from_base.rotation
+        self._translations[row] = odom_from_base.translation
+        self._count += 1
+        if row == 0:
+            return Added.TAKEN
+        return self._add_twist(row)
+
+    def _add_twist(self, row: int) -> Added:
+        before = Pose(self._rotations[row - 1], self._translations[row - 1])
+        step = before.inverse() @ Pose(self._rotations[row], self._translations[row])
+        turn = so3.log(step.rotation)
+        seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
+        far = np.linalg.norm(step.translation) > MAXIMUM_SPEED * seconds + _ALLOWANCE
+        if far or np.linalg.norm(turn) > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
+            self._jumps[row] = True
+            return Added.JUMP
+        self._twists[row, :3] = np.linalg.solve(so3.left_jacobian(turn), step.translation)
+        self._twists[row, 3:] = turn
+        return Added.TAKEN
+
+    def _grow(self) -> None:
+        if self._count < len(self._stamps):
+            return
+        for name in ("_stamps", "_rotations", "_translations", "_twists", "_jumps"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+
+    def velocity(self, stamps_ns: np.ndarray, scales: Array) -> Array:
+        """Twist in the base frame at moments, (n, 6): m/s and rad/s."""
+        rows = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
+        seconds = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
+        return self._twists[rows] * _both(1 + scales) / seconds[:, None]
+
+    def motion(self, stamps_ns: np.ndarray, scales: Array) -> Motion:
+        """Motion between consecutive moments (n + 1, ascending, covered by the odometry).
+
+        `scales`: (2,) constant scale errors of distance and heading; true = (1 + error) · reported.
+        """
+        first = max(int(np.searchsorted(self.stamps_ns, stamps_ns[0], "right")) - 1, 0)
+        last = int(np.searchsorted(self.stamps_ns, stamps_ns[-1], "left"))
+        inner = self._stamps[first + 1 : last]
+        fine = np.concatenate([stamps_ns, inner])
+        order = np.argsort(fine, kind="stable")
+        fine = fine[order]
+        # Row of the odometry message that ends the increment in which each fine step lies.
+        rows = np.clip(np.searchsorted(self.stamps_ns, fine[1:], "left"), 1, self._count - 1)
+        part = np.diff(fine) / (self._stamps[rows] - self._stamps[rows - 1])
+        is_moment = order < len(stamps_ns)
+        segment = np.cumsum(is_moment)[:-1] - 1
+        return _compose(
+            self._twists[rows] * part[:, None],
+            self._step_covariance(rows, part),
+            segment,
+            np.cumsum(np.bincount(segment, minlength=len(stamps_ns) - 1)),
+            scales,
+        )
+
+    def _step_covariance(self, rows: np.ndarray, part: Array) -> Array:
+        """Covariance (n, 6, 6) of each fine step, in the axes of the frame it starts from."""
+        noise, twists = self.noise, self._twists[rows]
+        length = np.linalg.norm(twists[:, :3], axis=1) * part
+        turned = np.linalg.norm(twists[:, 3:], axis=1) * part
+        middle = so3.exp(0.5 * part[:, None] * twists[:, 3:])
+        along = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2])
+        covariance = np.zeros((len(rows), 6, 6))
+        covariance[:, :3, :3] = (middle * along) @ np.swapaxes(middle, 1, 2)
+        covariance[:, :3, :3] *= length[:, None, None]
+        tilt = noise.tilt**2 * length + noise.tilt_turn**2 * turned
+        heading = noise.heading_drive**2 * length + noise.heading_turn**2 * turned
+        covariance[:, [3, 4], [3, 4]] = tilt[:, None]
+        covariance[:, 5, 5] = heading
+        covariance[self._jumps[rows]] = _UNKNOWN_VARIANCE * np.eye(6)
+        return covariance
+
+
+def _both(scale: Array) -> Array:
+    return np.repeat(scale, 3)
+
+
+def _compose(
+    twists: Array, covariance: Array, segment: np.ndarray, ends: np.ndarray, scales: Array
+) -> Motion:
+    """Compose steps into one motion a segment; `ends`: the step after each segment's last."""
+    starts = np.concatenate([[0], ends[:-1]])
+    scaled = twists * _both(1 + scales)
+    steps = Pose(
+        so3.exp(scaled[:, 3:]),
+        (so3.left_jacobian(scaled[:, 3:]) @ scaled[:, :3, None])[..., 0],
+    )
+    path = _path(steps)
+    begin, end = path[starts], path[ends]
+    whole = begin.inverse() @ end
+    # Each step's frame, and what still lies ahead of its end, in the axes of its segment's start.
+    start_rotation = np.swapaxes(begin.rotation[segment], 1, 2)
+    frame = start_rotation @ path.rotation[:-1]
+    ahead = end.translation[segment] - path.translation[1:]
+    lever = -so3.hat((start_rotation @ ahead[..., None])[..., 0]) @ frame
+    spread = np.zeros((len(twists), 6, 6))
+    spread[:, :3, :3] = spread[:, 3:, 3:] = frame
+    spread[:, :3, 3:] = lever
+    total = np.add.reduceat(spread @ covariance @ np.swapaxes(spread, 1, 2), starts, axis=0)
+    total += _FLOOR_VARIANCE * np.eye(6)
+    turning = spread[:, :, 3:] @ twists[:, 3:, None]
+    by_scale = np.zeros((len(starts), 6, 2))
+    by_scale[:, :3, 0] = whole.translation / (1 + scales[0])
+    by_scale[:, :, 1] = np.add.reduceat(turning[..., 0], starts, axis=0)
+    moved = np.maximum.reduceat(np.abs(twists).max(axis=1), starts, axis=0)
+    unknown = np.maximum.reduceat(covariance[:, 0, 0], starts, axis=0) >= _UNKNOWN_VARIANCE
+    return Motion(whole, total, by_scale, (moved < 1e-9) & ~unknown)
+
+
+def _path(steps: Pose) -> Pose:
+    """Poses after 0, 1, … n steps, by a doubling scan over the rotations."""
+    rotations = steps.rotation.copy()
+    reach = 1
+    while reach < len(rotations):
+        rotations[reach:] = rotations[:-reach] @ rotations[reach:]
+        reach *= 2
+    frames = np.concatenate([np.eye(3)[None], rotations])
+    moved = (frames[:-1] @ steps.translation[..., None])[..., 0]
+    return Pose(frames, np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)]))

@@ -1,0 +1,209 @@
+"""Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains.
+
+The chains' block-tridiagonal matrix is factorised as a band (LAPACK's pbtrf), so a step costs time
+linear in the number of nodes. What remains is S = C - BᵀA⁻¹B, the information of the dense part,
+and S⁻¹ its covariance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
+
+from .problem import (
+    CameraState,
+    ChainEquations,
+    Layout,
+    NormalEquations,
+    Problem,
+    RobotState,
+    State,
+    inner_nodes,
+    linearise,
+)
+
+_DAMPING_START = 1e-9
+_DAMPING_END = 1e8
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """The dense part after the chains are eliminated: information and gradient at a state."""
+
+    layout: Layout
+    information: Array
+    gradient: Array
+
+    def covariance(self) -> Array:
+        """Joint covariance of the dense part; infinite where nothing determines it."""
+        return covariance_of(self.information)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A state at the minimum, and what is known there."""
+
+    state: State
+    reduced: Reduced
+    cost: float
+    iterations: int
+    has_converged: bool
+
+
+class _Elimination:
+    """One robot's chain, factorised."""
+
+    def __init__(self, equations: ChainEquations, damping: float) -> None:
+        n, d, size = equations.coupling.shape
+        self.shape = (n, d)
+        band = np.zeros((2 * d, n * d))
+        rows, columns = np.tril_indices(d)
+        for i, j in zip(rows, columns, strict=True):
+            band[i - j, j::d] = equations.diagonal[:, i, j]
+        for i in range(d):
+            for j in range(d):
+                band[d + i - j, j::d] += equations.lower[:, i, j]
+        band[0] *= 1 + damping
+        self.coupling = equations.coupling.reshape(n * d, size)
+        right = np.column_stack([equations.gradient.reshape(-1), self.coupling])
+        self.solved = cho_solve_banded((cholesky_banded(band, lower=True), True), right)
+
+    def nodes(self, dense_step: Array) -> Array:
+        """The nodes' step (n, d) that belongs to a step of the dense part."""
+        return -(self.solved[:, 0] + self.solved[:, 1:] @ dense_step).reshape(self.shape)
+
+
+def solve(
+    problem: Problem,
+    start: State,
+    *,
+    huber: float = np.inf,
+    tolerance: float = 1e-6,
+    most_iterations: int = 50,
+) -> Solution:
+    """The state of least cost near `start`.
+
+    Ends when a step promises to lower the cost, which is in units of χ², by less than `tolerance`.
+    """
+    state, damping = start, _DAMPING_START
+    equations = linearise(problem, state, huber=huber)
+    iterations, has_converged = 0, False
+    while iterations < most_iterations and damping < _DAMPING_END:
+        iterations += 1
+        try:
+            step, promised, chains = _step(equations, damping)
+        except LinAlgError:
+            damping = max(damping * 100, 1e-6)
+            continue
+        if promised < tolerance:
+            has_converged = True
+            break
+        moved = moved_state(problem, state, step, chains)
+        candidate = linearise(problem, moved, huber=huber)
+        if np.isfinite(candidate.cost) and candidate.cost <= equations.cost:
+            state, equations = moved, candidate
+            damping = max(damping / 30, _DAMPING_START)
+        else:
+            damping = max(damping * 30, 1e-6)
+    reduced = reduce(problem, equations)
+    return Solution(state, reduced, equations.cost, iterations, has_converged)
+
+
+def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
+    """Eliminate the chains."""
+    information, gradient, _ = _eliminate(equations, 0.0)
+    return Reduced(problem.layout, information, gradient)
+
+
+def covariance_of(information: Array) -> Array:
+    """Inverse of an information matrix after scaling its diagonal to 1; raise LinAlgError where it
+    is not positive definite."""
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    scaled = symmetric(information) * scale[:, None] * scale
+    inverse = cho_solve(cho_factor(scaled, lower=True), np.eye(len(scaled)))
+    return symmetric(inverse) * scale[:, None] * scale
+
+
+def _eliminate(
+    equations: NormalEquations, damping: float
+) -> tuple[Array, Array, dict[str, _Elimination]]:
+    information, gradient = equations.dense.copy(), equations.gradient.copy()
+    chains = {}
+    for name, chain in equations.chains.items():
+        if len(chain.diagonal) == 0:
+            continue
+        eliminated = _Elimination(chain, damping)
+        reduction = eliminated.coupling.T @ eliminated.solved
+        gradient -= reduction[:, 0]
+        information -= reduction[:, 1:]
+        chains[name] = eliminated
+    return symmetric(information), gradient, chains
+
+
+def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dict[str, Array]]:
+    """The damped step of the dense part, the decrease of χ² it promises, the chains' steps."""
+    information, gradient, chains = _eliminate(equations, damping)
+    diagonal = np.diagonal(information).copy()
+    damped = information + np.diag(damping * np.abs(diagonal))
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(damped), 1e-300))
+    factor = cho_factor(damped * scale[:, None] * scale, lower=True)
+    step = -scale * cho_solve(factor, scale * gradient)
+    nodes = {name: chain.nodes(step) for name, chain in chains.items()}
+    promised = -float(equations.gradient @ step)
+    for name, moves in nodes.items():
+        promised -= float(np.sum(equations.chains[name].gradient * moves))
+    return step, promised, nodes
+
+
+def moved_state(
+    problem: Problem, state: State, step: Array, chain_steps: dict[str, Array]
+) -> State:
+    """The state after a step of the dense part and of the chains' inner nodes."""
+    layout = problem.layout
+    cameras = dict(state.cameras)
+    for name in layout.pose:
+        cameras[name] = _moved_camera(state.cameras[name], layout, name, step)
+    robots = dict(state.robots)
+    for name in problem.chains:
+        robots[name] = _moved_robot(problem, state.robots[name], name, step, chain_steps.get(name))
+    return State(cameras, robots)
+
+
+def _moved_camera(camera: CameraState, layout: Layout, name: str, step: Array) -> CameraState:
+    pose = camera.map_from_camera.disturbed(step[layout.pose[name]])
+    lens, offset = camera.lens, camera.time_offset_s
+    if name in layout.lens:
+        parameters = lens.parameters + step[layout.lens[name]]
+        parameters[:2] = np.maximum(parameters[:2], 1.0)  # a focal length stays positive
+        lens = lens.with_parameters(parameters)
+    if name in layout.time_offset:
+        offset += float(step[layout.time_offset[name]][0])
+    return CameraState(pose, lens, offset)
+
+
+def _moved_robot(
+    problem: Problem, robot: RobotState, name: str, step: Array, moves: Array | None
+) -> RobotState:
+    layout, chain = problem.layout, problem.chains[name]
+    disturbance = np.zeros((len(chain), 6))
+    if moves is not None:
+        inner = inner_nodes(chain)
+        disturbance[inner.start : inner.stop, chain.tangent] = moves
+    if name in layout.last:
+        disturbance[-1, chain.tangent] = step[layout.last[name]]
+    moved = replace(robot, map_from_base=robot.map_from_base.disturbed(disturbance))
+    if name in layout.scales:
+        moved = replace(moved, scales=robot.scales + step[layout.scales[name]])
+    if name in layout.faces:
+        faces = robot.base_from_face.disturbed(step[layout.faces[name]].reshape(-1, 6))
+        moved = replace(moved, base_from_face=faces)
+    return moved
+
+
+def pose_of(state: State, robot: str, node: int) -> Pose:
+    """map_from_base at a node."""
+    return state.robots[robot].map_from_base[node]
