@@ -1,0 +1,33 @@
+"""The attachment of a correction: which map it is in, and its place in the order of sending."""
+
+import struct
+from dataclasses import dataclass
+from uuid import UUID
+
+from .errors import MessageError
+
+_SEQUENCE = struct.Struct("<Q")
+_LENGTH = 16 + _SEQUENCE.size
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionMark:
+    """`map_id`: the map's UUID; `sequence`: counts one robot's corrections, from 0 up to 2⁶⁴ - 1."""
+
+    map_id: UUID
+    sequence: int
+
+
+def encode_mark(mark: CorrectionMark) -> bytes:
+    """24 bytes: the UUID's 16 in the order of its text, then the sequence, little-endian uint64."""
+    return mark.map_id.bytes + _SEQUENCE.pack(mark.sequence)
+
+
+def decode_mark(attachment: bytes) -> CorrectionMark:
+    """The mark in an attachment; raise MessageError where it is none."""
+    if len(attachment) != _LENGTH:
+        raise MessageError(
+            f"a correction's attachment has {len(attachment)} bytes; it needs {_LENGTH}: "
+            "the map's UUID and a sequence number"
+        )
+    return CorrectionMark(UUID(bytes=attachment[:16]), _SEQUENCE.unpack(attachment[16:])[0])
