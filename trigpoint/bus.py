@@ -92,6 +92,16 @@ class Bus(Protocol):
         """The session's Zenoh id, as samples name it in `sender`."""
         ...
 
+    @property
+    def locators(self) -> tuple[str, ...]:
+        """Where this session listens, as others may write it into `bus.connect`."""
+        ...
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        """The ids of the sessions that this one is connected to."""
+        ...
+
     def publisher(self, topic: Topic, key: str) -> Publisher:
         """Declare a publisher with the topic's delivery."""
         ...

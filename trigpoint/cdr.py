@@ -345,7 +345,10 @@ def _camera_info_from_ros(ros: Any) -> CameraInfo:
         camera = CameraModel(
             ros.width,
             ros.height,
-            *(float(k[i]) for i in (0, 4, 2, 5)),
+            float(k[0]),
+            float(k[4]),
+            float(k[2]),
+            float(k[5]),
             distortion,
             LensModel(ros.distortion_model),
         )

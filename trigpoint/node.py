@@ -3,75 +3,214 @@
 A part's `node.py` reads:
 
     with open_bus(site) as bus, Node(bus, site=site.name, kind="edge", name=camera) as node:
-        ...threads that watch node.stopping...
-        node.wait()   # until SIGINT, SIGTERM or node.stop()
+        stop_on_signals([node])
+        ...node.thread("detect", run) for threads that watch node.stopping...
+        node.wait()   # until SIGINT, SIGTERM, node.stop() or an error in one of the threads
 """
 
+import logging
+import os
+import signal
+import socket
 import threading
+import time
+import uuid
 from collections.abc import Callable
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Self
 
+from . import CONTRACT, __version__
 from .bus import Bus
-from .clock import Clock, SystemClock
+from .cdr import decode, encode
+from .clock import NANOSECONDS, Clock, SystemClock
+from .errors import MessageError, OperationError
+from .health import Health, Level
+from .messages import Diagnostics, DiagnosticStatus
+from .peers import Peers
+from .topics import DIAGNOSTICS, alive_key
 
+__all__ = ["Health", "Node", "stop_on_signals"]
 
-class Health:
-    """What a node knows of its own work; every method may be called from any thread.
+_log = logging.getLogger(__name__)
 
-    `count` adds to a counter that diagnostics show as total and rate; `lose` does the same for lost
-    data, which makes the status a warning; `gauge` names a value that is read once a second (a
-    queue's depth); `fail` keeps the last error's text, which makes the status an error for a while.
-    """
-
-    def count(self, name: str, amount: int = 1) -> None: ...
-
-    def lose(self, name: str, amount: int = 1) -> None: ...
-
-    def gauge(self, name: str, read: Callable[[], float]) -> None: ...
-
-    def fail(self, text: str) -> None: ...
-
-    def total(self, name: str) -> int:
-        """A counter's value, 0 where it was never counted."""
-        ...
+STOP_S = 2.0
+_TAKEOVER_S = 2.0
+_NEWCOMER_S = 5.0
 
 
 class Node:
-    """One node on the bus. Several may share a bus and a process (an agent with two cameras)."""
+    """One node on the bus. Several may share a bus and a process (an agent with two cameras).
+
+    Nodes that share a process may share `stopping`, so that the end of one is the end of all.
+    """
 
     health: Health
     stopping: threading.Event
 
     def __init__(
-        self, bus: Bus, *, site: str, kind: str, name: str, clock: Clock | None = None
-    ) -> None: ...
+        self,
+        bus: Bus,
+        *,
+        site: str,
+        kind: str,
+        name: str,
+        clock: Clock | None = None,
+        stopping: threading.Event | None = None,
+        period_s: float = 1.0,
+    ) -> None:
+        self._clock = clock or SystemClock()
+        self.health = Health(self._clock)
+        self.stopping = stopping or threading.Event()
+        self.label = f"{kind}/{name}"
+        self._bus, self._site, self._period_s = bus, site, period_s
+        self._token_key = alive_key(site, kind, name)
+        self._unique = uuid.uuid4().hex
+        self._started_ns = self._clock.elapsed_ns()
+        self._peers = Peers(self.label, self._unique)
+        self._threads: list[threading.Thread] = []
+        self._error: BaseException | None = None
+        self._logged_error = ""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        self._refuse_second()
+        key = DIAGNOSTICS.key(self._site)
+        self._publisher = self._bus.publisher(DIAGNOSTICS, key)
+        self._others = self._bus.subscribe(DIAGNOSTICS, key)
+        self._token = self._bus.declare_alive(self._token_key)
+        self.thread("diagnostics", self._report)
+        _log.info("%s runs on site %s (session %s)", self.label, self._site, self._bus.identity)
+        return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.stop()
+        self._join()
+        for declared in (self._token, self._others, self._publisher):
+            declared.close()
+        _log.info("%s stopped", self.label)
+        if error is None:
+            self._raise_error()
 
     def thread(self, name: str, run: Callable[[], None]) -> None:
         """Start a thread that is joined at the node's end; an error in it stops the node.
 
         `run` must return within a second of `stopping` being set.
         """
-        ...
+        title = f"{self.label} {name}"
+        thread = threading.Thread(target=self._guard, args=(run,), name=title, daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def stop(self) -> None:
         """Ask the node to end."""
-        ...
+        self.stopping.set()
 
     def wait(self) -> None:
         """Return when the node is asked to end; raise what ended one of its threads."""
-        ...
+        self.stopping.wait()
+        self._raise_error()
+
+    def _guard(self, run: Callable[[], None]) -> None:
+        try:
+            run()
+        except BaseException as error:  # noqa: BLE001 - handed to `wait`, which raises it
+            self._error = self._error or error
+            self.stop()
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _join(self) -> None:
+        deadline = time.monotonic() + STOP_S
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+            if thread.is_alive():
+                _log.error("thread «%s» did not stop in %.0f s", thread.name, STOP_S)
+
+    def _refuse_second(self) -> None:
+        """Raise OperationError where this identity is taken; a killed one's token goes in time."""
+        deadline = time.monotonic() + _TAKEOVER_S
+        while self._bus.alive(self._token_key):
+            if self.stopping.wait(0.2) or time.monotonic() > deadline:
+                raise OperationError(self._second)
+
+    @property
+    def _second(self) -> str:
+        return (
+            f"{self.label} already runs on site {self._site}; "
+            "stop that one first, or give this one another name"
+        )
+
+    def _report(self) -> None:
+        due = time.monotonic()
+        while not self.stopping.is_set():
+            self._listen()
+            self._publisher.put(encode(self.diagnostics()))
+            due = max(due + self._period_s, time.monotonic())
+            self.stopping.wait(due - time.monotonic())
+
+    def diagnostics(self) -> Diagnostics:
+        """What the node says of itself now. Called on the diagnostics thread."""
+        report = self.health.report()
+        if self.health.last_error not in ("", self._logged_error):
+            self._logged_error = self.health.last_error
+            _log.error("%s: %s", self.label, self._logged_error)
+        level, message = report.level, report.message
+        if complaint := self._peers.complaint():
+            level, message = Level.ERROR, complaint
+        values = self._identity() | report.values
+        status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)
+        return Diagnostics(self._clock.now_ns(), (status,))
+
+    def _identity(self) -> dict[str, str]:
+        return {
+            "version": __version__,
+            "contract": str(CONTRACT),
+            "session": self._bus.identity,
+            "node": self._unique,
+            "process": str(os.getpid()),
+            "uptime": f"{self._uptime_s:.1f}",
+        }
+
+    @property
+    def _uptime_s(self) -> float:
+        return (self._clock.elapsed_ns() - self._started_ns) / NANOSECONDS
+
+    def _listen(self) -> None:
+        """Read what the others say of themselves."""
+        while (sample := self._others.take(0.0)) is not None:
+            try:
+                message = decode(DIAGNOSTICS.type_name, sample.payload)
+            except MessageError as reason:
+                self.health.reject(sample, reason)
+                continue
+            assert isinstance(message, Diagnostics)
+            for status in message.statuses:
+                self._meet(status)
+
+    def _meet(self, status: DiagnosticStatus) -> None:
+        is_elder = self._peers.meet(status, self._uptime_s)
+        if is_elder and self._uptime_s < _NEWCOMER_S:
+            raise OperationError(self._second)
 
 
 def stop_on_signals(nodes: list[Node]) -> None:
-    """SIGINT and SIGTERM stop these nodes; call it on the main thread."""
-    ...
+    """SIGINT and SIGTERM stop these nodes; call it on the main thread. A second one interrupts."""
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        signal.signal(number, signal.default_int_handler)
+        # Event.set takes a lock that the interrupted main thread may hold; so on another thread.
+        threading.Thread(target=stop_all, name="stop", daemon=True).start()
+
+    def stop_all() -> None:
+        for node in nodes:
+            node.stop()
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)

@@ -161,5 +161,20 @@ def alive_key(site: str, kind: str, node: str) -> str:
 
 
 def command_key(site: str, path: str) -> str:
-    """The queryable of a command: `camera/c1/snapshot`, `fusion/network`, `fusion/reset`, `clock` …"""
+    """The queryable of a command: `camera/c1/snapshot`, `fusion/network`, `clock` …"""
     return f"{site}/{path}"
+
+
+def key_matches(expression: str, key: str) -> bool:
+    """Whether a key belongs to a key expression: `*` is one chunk, `**` any number of them."""
+    return _chunks_match(expression.split("/"), key.split("/"))
+
+
+def _chunks_match(expression: list[str], key: list[str]) -> bool:
+    if not expression:
+        return not key
+    if expression[0] == "**":
+        return any(_chunks_match(expression[1:], key[i:]) for i in range(len(key) + 1))
+    if not key or expression[0] not in ("*", key[0]):
+        return False
+    return _chunks_match(expression[1:], key[1:])

@@ -4,10 +4,12 @@ Every function takes any number of leading dimensions. Formulae: Solà, Deray an
 «A micro Lie theory for state estimation in robotics» (2018), section on SO(3).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 _SMALL_SQUARED = 1e-8
 
@@ -68,7 +70,7 @@ def from_quaternion(quaternion: ArrayLike) -> Array:
 
 
 def to_quaternion(matrix: ArrayLike) -> Array:
-    """Unit quaternion x, y, z, w with w ≥ 0; (…, 3, 3) -> (…, 4) (Bar-Itzhack, well-conditioned)."""
+    """Unit quaternion x, y, z, w with w ≥ 0; (…, 3, 3) -> (…, 4), near π too."""
     m = np.asarray(matrix, dtype=float)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     # Row i holds 4·q_i·q; the row of the largest element is the accurate one (Shepperd's method).

@@ -1,0 +1,140 @@
+"""What a node knows of its own work, and how its diagnostics say it."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from .bus import Sample, Subscription
+from .clock import Clock, SystemClock, to_ns, to_seconds
+from .errors import MessageError
+
+_MEMORY_NS = to_ns(10.0)
+
+
+class Level(IntEnum):
+    """Levels of diagnostic_msgs/msg/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One reading of a node's health; `values` in the form of the diagnostics.
+
+    Keys: `NAME.total` and `NAME.rate` (a second) of a counter, `NAME.lost` of lost data,
+    `NAME.depth` of a watched queue, and `NAME` alone of a gauge.
+    """
+
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class Health:
+    """What a node knows of its own work; every method may be called from any thread.
+
+    `count` adds to a counter that diagnostics show as total and rate; `lose` does the same for lost
+    data, which makes the status a warning; `gauge` names a value that is read once a second (a
+    queue's depth); `fail` keeps the last error's text, which makes the status an error for a while.
+    """
+
+    def __init__(self, clock: Clock | None = None) -> None:
+        self._clock = clock or SystemClock()
+        self._lock = threading.Lock()
+        self._totals: Counter[str] = Counter()
+        self._losses: Counter[str] = Counter()
+        self._gauges: dict[str, Callable[[], float]] = {}
+        self._watched: dict[str, Subscription] = {}
+        self._last_error = ""
+        self._failed_ns: int | None = None
+        self._lost_ns: int | None = None
+        self._read_ns = self._clock.elapsed_ns()
+        self._read_totals: dict[str, int] = {}
+        self._read_losses: dict[str, int] = {}
+
+    def count(self, name: str, amount: int = 1) -> None:
+        """Add to a counter."""
+        with self._lock:
+            self._totals[name] += amount
+
+    def lose(self, name: str, amount: int = 1) -> None:
+        """Count lost data."""
+        with self._lock:
+            self._losses[name] += amount
+
+    def gauge(self, name: str, read: Callable[[], float]) -> None:
+        """Show what `read` returns; it is called on the diagnostics thread."""
+        with self._lock:
+            self._gauges[name] = read
+
+    def watch(self, name: str, subscription: Subscription) -> None:
+        """Show a subscription's total, rate, depth and losses."""
+        with self._lock:
+            self._watched[name] = subscription
+
+    def fail(self, text: str) -> None:
+        """Keep the last error's text."""
+        with self._lock:
+            self._last_error, self._failed_ns = text, self._clock.elapsed_ns()
+
+    def reject(self, sample: Sample, reason: MessageError) -> None:
+        """Count a sample that does not decode as `rejected`, and name its sender."""
+        sender = f"session {sample.sender}" if sample.sender else "an unknown session"
+        self.count("rejected")
+        self.fail(f"rejected a sample on {sample.key} from {sender}: {reason}")
+
+    def total(self, name: str) -> int:
+        """A counter's value, 0 where it was never counted."""
+        with self._lock:
+            return self._totals[name]
+
+    def lost(self, name: str) -> int:
+        """How much was counted as lost, 0 where nothing was."""
+        with self._lock:
+            return self._losses[name]
+
+    @property
+    def last_error(self) -> str:
+        """The text of the last failure, "" where there was none."""
+        return self._last_error
+
+    def report(self) -> Report:
+        """Read everything; rates are since the last report. Called by one thread."""
+        now_ns = self._clock.elapsed_ns()
+        with self._lock:
+            totals, losses = dict(self._totals), dict(self._losses)
+            watched, gauges = dict(self._watched), dict(self._gauges)
+        values = {name: _number(read()) for name, read in gauges.items()}
+        for name, subscription in watched.items():
+            totals[name] = totals.get(name, 0) + subscription.received
+            losses[name] = losses.get(name, 0) + subscription.dropped
+            values[f"{name}.depth"] = str(subscription.depth)
+        elapsed_s = max(to_seconds(now_ns - self._read_ns), 1e-3)
+        for name, total in totals.items():
+            values[f"{name}.total"] = str(total)
+            rate = (total - self._read_totals.get(name, 0)) / elapsed_s
+            values[f"{name}.rate"] = f"{rate:.1f}"
+        values |= {f"{name}.lost": str(loss) for name, loss in losses.items()}
+        values["last_error"] = self._last_error
+        level, message = self._judge(losses, now_ns)
+        self._read_ns, self._read_totals, self._read_losses = now_ns, totals, losses
+        return Report(level, message, dict(sorted(values.items())))
+
+    def _judge(self, losses: dict[str, int], now_ns: int) -> tuple[Level, str]:
+        if losses != self._read_losses and any(losses.values()):
+            self._lost_ns = now_ns
+        if self._failed_ns is not None and now_ns - self._failed_ns < _MEMORY_NS:
+            return Level.ERROR, self._last_error
+        if self._lost_ns is not None and now_ns - self._lost_ns < _MEMORY_NS:
+            lost = ", ".join(f"{count} {name}" for name, count in losses.items() if count)
+            return Level.WARN, f"lost so far: {lost}"
+        return Level.OK, "running"
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}"

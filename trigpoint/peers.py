@@ -1,0 +1,53 @@
+"""What a node learns of the others from their diagnostics: its double, another contract."""
+
+import logging
+import time
+
+from . import CONTRACT
+from .messages import DiagnosticStatus
+
+_log = logging.getLogger(__name__)
+
+_MEMORY_S = 5.0
+
+
+class Peers:
+    """The complaints about others; used by one thread."""
+
+    def __init__(self, label: str, unique: str) -> None:
+        self._label, self._unique = label, unique
+        self._complaints: dict[str, float] = {}
+
+    def meet(self, status: DiagnosticStatus, uptime_s: float) -> bool:
+        """Take note of another node; return whether it has this node's name and is the elder."""
+        unique = status.values.get("node", "")
+        if not unique or unique == self._unique:
+            return False
+        where = f"{status.name} (host {status.hardware_id}, process {status.values.get('process')})"
+        if status.values.get("contract") != str(CONTRACT):
+            theirs = status.values.get("contract")
+            self._complain(f"{where} speaks contract {theirs}, this node {CONTRACT}; update one")
+        if status.name != self._label:
+            return False
+        self._complain(f"a second {where} is on the site; stop one of the two")
+        return (_seconds(status.values.get("uptime", "")), unique) > (uptime_s, self._unique)
+
+    def complaint(self) -> str:
+        """What is wrong with the others now, "" where nothing is."""
+        now_s = time.monotonic()
+        for text, last_s in list(self._complaints.items()):
+            if now_s - last_s > _MEMORY_S:
+                del self._complaints[text]
+        return "; ".join(self._complaints)
+
+    def _complain(self, text: str) -> None:
+        if text not in self._complaints:
+            _log.error("%s: %s", self._label, text)
+        self._complaints[text] = time.monotonic()
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
