@@ -1,0 +1,61 @@
+"""The odometry that a simulated robot reports of its true way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.config import OdometryNoise
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, wrap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryLog:
+    """Every message: `stamps_s` (n,) world time, `poses` (n) odom_from_base."""
+
+    stamps_s: Array
+    poses: Pose
+
+
+def increments(poses: Pose) -> Array:
+    """Motion from pose to pose in the frame of the earlier one; (n - 1, 3) x, y, heading."""
+    steps = poses[:-1].inverse() @ poses[1:]
+    return np.column_stack([steps.translation[:, :2], steps.heading])
+
+
+def chained(start: Pose, steps: Array) -> Pose:
+    """The poses (n + 1) that `steps` (n, 3) lead to from `start`; the inverse of `increments`."""
+    headings = start.heading + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    cosine, sine = np.cos(headings[:-1]), np.sin(headings[:-1])
+    moves = np.column_stack(
+        [cosine * steps[:, 0] - sine * steps[:, 1], sine * steps[:, 0] + cosine * steps[:, 1]]
+    )
+    positions = start.translation[:2] + np.vstack([np.zeros(2), np.cumsum(moves, axis=0)])
+    return Pose.planar(positions[:, 0], positions[:, 1], wrap(headings))
+
+
+def reported(truth: Array, noise: OdometryNoise, random: np.random.Generator) -> Array:
+    """The increments (n, 3) that a robot reports of its true ones, by the contract's noise model.
+
+    The model speaks of the truth given the report: truth = (1 + scale error) × report + noise, with
+    variances from the report's length L and turn H. Here the truth comes first, so the report is
+    truth minus noise, over 1 + scale error. L and H are taken before the noise: drawn from their own
+    noisy values, the noise would have a mean (k²/2 a step), which the model does not have; the
+    variances agree up to the square of the relative noise of one step, which is below a percent.
+    """
+    scale = 1 + random.standard_normal(2) * [noise.distance_scale, noise.heading_scale]
+    clean = truth / [scale[0], scale[0], scale[1]]
+    length, turn = np.hypot(clean[:, 0], clean[:, 1]), np.abs(clean[:, 2])
+    draw = random.standard_normal(truth.shape)
+    along = noise.distance * np.sqrt(length) * draw[:, 0]
+    across = noise.lateral * np.sqrt(length) * draw[:, 1]
+    spread = np.sqrt(noise.heading_drive**2 * length + noise.heading_turn**2 * turn)
+    cosine, sine = np.cos(clean[:, 2] / 2), np.sin(clean[:, 2] / 2)
+    disturbed = np.column_stack(
+        [
+            truth[:, 0] - (cosine * along - sine * across),
+            truth[:, 1] - (sine * along + cosine * across),
+            truth[:, 2] - spread * draw[:, 2],
+        ]
+    )
+    return disturbed / [scale[0], scale[0], scale[1]]

@@ -1,0 +1,126 @@
+"""Which corners of a target a camera sees: front side, in the picture, nothing in between."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Target
+
+from .targets import panel
+
+PICTURE_MARGIN_PX = 5.0
+STEEPEST_COSINE = 0.26  # of the angle between a face's normal and the line of sight: 75°
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wall:
+    """An upright rectangle from the floor up; `start`, `end`: (2,) in the map, metres."""
+
+    start: Array
+    end: Array
+    height: float
+    shade: float = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFace:
+    """What can be seen of one face: `corners` (n,) ids and their true `pixels` (n, 2)."""
+
+    face: Face
+    corners: np.ndarray
+    pixels: Array
+    smallest_square_px: float
+
+
+def seen_faces(
+    target: Target,
+    map_from_base: Pose,
+    map_from_camera: Pose,
+    model: CameraModel,
+    walls: tuple[Wall, ...],
+) -> list[SeenFace]:
+    """Every face that shows its front, with the corners that nothing hides; it may have none."""
+    eye = map_from_camera.translation
+    camera_from_map = map_from_camera.inverse()
+    faces = []
+    for face in target.faces:
+        map_from_face = map_from_base @ face.base_from_face
+        corners = map_from_face @ face.corners
+        if not _shows_front(map_from_face, corners, eye):
+            continue
+        points = camera_from_map @ corners
+        seen = _well_inside(model, points) & ~_hidden_by_walls(eye, corners, walls)
+        seen &= ~_hidden_by_faces(eye, corners, target, face, map_from_base)
+        pixels = model.project(np.where(seen[:, None], points, [0.0, 0.0, 1.0]))
+        square = _smallest_square(face, model.project(points)) if np.any(seen) else 0.0
+        ids = np.flatnonzero(seen).astype(np.uint16)
+        faces.append(SeenFace(face, ids, pixels[seen], square))
+    return faces
+
+
+def _shows_front(map_from_face: Pose, corners: Array, eye: Array) -> bool:
+    sight = eye - corners.mean(axis=0)
+    cosine = -float(map_from_face.rotation[:, 2] @ sight) / float(np.linalg.norm(sight))
+    return cosine > STEEPEST_COSINE
+
+
+def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
+    inside = model.sees(points)
+    u, v = np.moveaxis(model.project(np.where(inside[:, None], points, [0.0, 0.0, 1.0])), -1, 0)
+    margin = PICTURE_MARGIN_PX
+    inside &= (u > margin) & (u < model.width - 1 - margin)
+    return inside & (v > margin) & (v < model.height - 1 - margin)
+
+
+def _smallest_square(face: Face, pixels: Array) -> float:
+    """The shortest side of a square in the picture, pixels."""
+    grid = pixels.reshape(face.rows - 1, face.columns - 1, 2)
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1) for axis in (0, 1)]
+    return min(float(side.min()) for side in sides if side.size)
+
+
+def _hidden_by_faces(
+    eye: Array, points: Array, target: Target, own: Face, map_from_base: Pose
+) -> np.ndarray:
+    hidden = np.zeros(len(points), dtype=bool)
+    for face in target.faces:
+        if face.id != own.id:
+            face_from_map = (map_from_base @ face.base_from_face).inverse()
+            hidden |= _crosses_panel(face_from_map @ eye, face_from_map @ points, panel(face))
+    return hidden
+
+
+def _crosses_panel(eye: Array, points: Array, outline: Array) -> np.ndarray:
+    """Whether the lines from `eye` to `points` (n, 3), in a face's frame, go through its sheet."""
+    fall = eye[2] - points[:, 2]
+    share = np.divide(eye[2], fall, out=np.full(len(points), -1.0), where=np.abs(fall) > 1e-12)
+    crossing = eye[:2] + share[:, None] * (points[:, :2] - eye[:2])
+    low, high = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
+    inside = np.all((crossing > low) & (crossing < high), axis=1)
+    return inside & (share > 1e-6) & (share < 1 - 1e-6)
+
+
+def _hidden_by_walls(eye: Array, points: Array, walls: tuple[Wall, ...]) -> np.ndarray:
+    hidden = np.zeros(len(points), dtype=bool)
+    for wall in walls:
+        hidden |= crosses_wall(eye, points, wall)
+    return hidden
+
+
+def crosses_wall(eye: Array, points: Array, wall: Wall) -> np.ndarray:
+    """Whether the lines from `eye` (3,) to `points` (n, 3) go through a wall; (n,) bool."""
+    sight = points - eye
+    run = wall.end - wall.start
+    determinant = sight[:, 0] * -run[1] + sight[:, 1] * run[0]
+    parallel = np.abs(determinant) < 1e-12
+    safe = np.where(parallel, 1.0, determinant)
+    offset = wall.start - eye[:2]
+    share = (offset[0] * -run[1] + offset[1] * run[0]) / safe
+    place = (sight[:, 0] * offset[1] - sight[:, 1] * offset[0]) / safe
+    height = eye[2] + share * sight[:, 2]
+    # The camera hangs on its own wall: what lies within a centimetre before the eye hides nothing.
+    near = share * np.linalg.norm(sight, axis=1) < 0.01
+    crosses = (share > 0) & (share < 1) & (place >= 0) & (place <= 1) & ~near & ~parallel
+    return crosses & (height >= 0) & (height <= wall.height)

@@ -1,0 +1,260 @@
+"""A simulated world: where everything truly is, as a pure function of the file and the seed.
+
+World time starts at 0 and is in seconds. The map is the first robot's odometry frame: at its first
+message the truth is what the odometry says. Every random number comes from a stream of its own,
+named by the seed, by what it is for and by whom, so that nothing depends on the order of calls.
+"""
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trigpoint.config import OdometryNoise
+from trigpoint.errors import InputError
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array, exp
+from trigpoint.messages import FaceSighting
+from trigpoint.target import Pattern, Target
+
+from .odometry import OdometryLog, chained, increments, reported
+from .path import Drive, rounded_path
+from .targets import target_of
+from .visibility import SeenFace, Wall, seen_faces
+from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
+
+_Item = TypeVar("_Item")
+
+FEWEST_CORNERS = 6  # of a board that may be seen in part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedCamera:
+    """One camera. It takes picture k at `phase + k / rate` seconds; `noise`: sigma of a grey value
+    (of 255); `sigma`: of a coordinate in sightings that are simulated without pictures, pixels."""
+
+    name: str
+    map_from_camera: Pose
+    model: CameraModel
+    rate: float
+    phase: float
+    exposure_s: float
+    noise: float
+    sigma: float
+
+    def time_of(self, index: ArrayLike) -> Array:
+        """World time of picture `index`: the middle of its exposure, seconds."""
+        return self.phase + np.asarray(index, dtype=float) / self.rate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedRobot:
+    """One robot: its true drive in the map, and how it reports it."""
+
+    name: str
+    target: Target
+    drive: Drive
+    map_from_plan: Pose
+    odometry_rate: float
+    odometry_start: Pose
+    noise: OdometryNoise
+
+    def map_from_base(self, t_s: ArrayLike) -> Pose:
+        """The true pose at world time `t_s`, one or (n,)."""
+        return self.map_from_plan @ self.drive.at(t_s)
+
+
+class World:
+    """A loaded world; see `load_world`."""
+
+    def __init__(self, name: str, file: WorldFile, *, seed: int, target: str | None) -> None:
+        self.name, self.seed = name, seed
+        self.site_name = file.site or name
+        self.smallest_square_px = file.smallest_square
+        self._file = file
+        drives = {robot: _drive(spec, file.hold_first) for robot, spec in file.robots.items()}
+        self.duration_s = max(drive.end_s for drive in drives.values()) + file.hold_last
+        first = next(iter(file.robots))
+        start = Pose.planar(*file.robots[first].odometry_start)
+        self.map_from_plan = start @ drives[first].at(0.0).inverse()
+        self.walls = _walls(file, self.map_from_plan)
+        self.cameras = {
+            camera: _camera(camera, spec, self.map_from_plan, file.picture_rate)
+            for camera, spec in file.cameras.items()
+        }
+        self.robots = {
+            robot: _robot(robot, spec, drives[robot], self.map_from_plan, target)
+            for robot, spec in file.robots.items()
+        }
+
+    def camera(self, name: str) -> SimulatedCamera:
+        """A camera by name; raise InputError that lists the known ones."""
+        return _pick(self.cameras, name, "camera", self.name)
+
+    def robot(self, name: str) -> SimulatedRobot:
+        """A robot by name; raise InputError that lists the known ones."""
+        return _pick(self.robots, name, "robot", self.name)
+
+    def target(self, robot: str) -> Target:
+        """What a robot carries."""
+        return self.robot(robot).target
+
+    def map_from_base(self, robot: str, t_s: ArrayLike) -> Pose:
+        """A robot's true pose at world time `t_s` (one, or (n,)); it stands before and after."""
+        return self.robot(robot).map_from_base(t_s)
+
+    def odometry(self, robot: str) -> OdometryLog:
+        """Everything that a robot's odometry reports, in its own odometry frame."""
+        return self._odometry[self.robot(robot).name]
+
+    def seen(self, camera: str, robot: str, t_s: float) -> list[SeenFace]:
+        """The faces of a robot that show a camera their front, with the corners in sight."""
+        eye = self.camera(camera)
+        return seen_faces(
+            self.target(robot),
+            self.map_from_base(robot, t_s),
+            eye.map_from_camera,
+            eye.model,
+            self.walls,
+        )
+
+    def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:
+        """What a good detector finds at world time `t_s`, simulated without a picture."""
+        random = self.random("sightings", camera, round(t_s * 1e6))
+        found = []
+        for robot in self.robots:
+            for face in self.seen(camera, robot, t_s):
+                sighting = self._sighting(face, robot, self.camera(camera).sigma, random)
+                if sighting is not None:
+                    found.append(sighting)
+        return tuple(found)
+
+    def random(self, purpose: str, owner: str, index: int = 0) -> np.random.Generator:
+        """The random stream of a purpose."""
+        names = [zlib.crc32(text.encode()) for text in (purpose, owner)]
+        return np.random.default_rng([self.seed, *names, index])
+
+    @cached_property
+    def _odometry(self) -> dict[str, OdometryLog]:
+        return {name: self._reported(robot) for name, robot in self.robots.items()}
+
+    def _reported(self, robot: SimulatedRobot) -> OdometryLog:
+        count = int(np.floor(self.duration_s * robot.odometry_rate)) + 1
+        stamps_s = np.arange(count) / robot.odometry_rate
+        steps = increments(robot.map_from_base(stamps_s))
+        noisy = reported(steps, robot.noise, self.random("odometry", robot.name))
+        return OdometryLog(stamps_s, chained(robot.odometry_start, noisy))
+
+    def _sighting(
+        self, seen: SeenFace, robot: str, sigma: float, random: np.random.Generator
+    ) -> FaceSighting | None:
+        face = seen.face
+        whole = face.pattern is Pattern.CHECKERBOARD
+        needed = face.corner_count if whole else min(FEWEST_CORNERS, face.corner_count)
+        # Drawn in any case, so that one face's fate does not move another's noise.
+        noise = random.normal(0.0, sigma, (face.corner_count, 2))
+        turned = face.reads_from_both_ends and random.random() < 0.5
+        if len(seen.corners) < needed or seen.smallest_square_px < self.smallest_square_px:
+            return None
+        pixels = (seen.pixels + noise[seen.corners]).astype(np.float32)
+        if turned:
+            pixels = pixels[::-1].copy()
+        target = self.target(robot)
+        number = face.id if len(target.look_alikes(face.appearance)) == 1 else -1
+        return FaceSighting(self._shown_name(robot), number, seen.corners, pixels, sigma)
+
+    def _shown_name(self, robot: str) -> str:
+        """The target's name, or "" where another robot carries the same pattern."""
+        own = {face.appearance for face in self.target(robot).faces}
+        others = (self.target(other).faces for other in self.robots if other != robot)
+        alike = any(face.appearance in own for faces in others for face in faces)
+        return "" if alike else self.target(robot).name
+
+
+def load_world(name_or_path: str, *, seed: int, target: str | None = None) -> World:
+    """A named world (`lab`, `drive`, `loop`, `dance`) or a world file.
+
+    `target` (`charuco` or `checkerboard`) replaces what the file lets the robots carry. Raises
+    InputError in one line.
+    """
+    if target not in (None, "charuco", "checkerboard"):
+        raise InputError(f"there is no target «{target}»; choose charuco or checkerboard")
+    if seed < 0:
+        raise InputError(f"the seed is {seed}; it must be 0 or more")
+    file = load_world_file(name_or_path)
+    try:
+        return World(name_or_path, file, seed=seed, target=target)
+    except ValueError as reason:
+        raise InputError(f"the world «{name_or_path}»: {reason}") from None
+
+
+def _drive(spec: RobotSpec, start_s: float) -> Drive:
+    path = rounded_path(spec.waypoints, spec.corner_radius)
+    return Drive(path, spec.speed, spec.acceleration, start_s)
+
+
+def _robot(
+    name: str, spec: RobotSpec, drive: Drive, map_from_plan: Pose, target: str | None
+) -> SimulatedRobot:
+    return SimulatedRobot(
+        name=name,
+        target=target_of(target or spec.target),
+        drive=drive,
+        map_from_plan=map_from_plan,
+        odometry_rate=spec.odometry_rate,
+        odometry_start=Pose.planar(*spec.odometry_start),
+        noise=spec.odometry,
+    )
+
+
+def _camera(
+    name: str, spec: CameraSpec, map_from_plan: Pose, picture_rate: float | None
+) -> SimulatedCamera:
+    plan_from_camera = Pose(_looking(spec.yaw, spec.pitch, spec.roll), np.array(spec.position))
+    return SimulatedCamera(
+        name=name,
+        map_from_camera=map_from_plan @ plan_from_camera,
+        model=_model(spec),
+        rate=picture_rate or spec.rate,
+        phase=spec.phase,
+        exposure_s=spec.exposure,
+        noise=spec.noise,
+        sigma=spec.sigma,
+    )
+
+
+def _looking(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
+    """Axes of a camera that looks to azimuth `yaw`, `pitch` below the horizon, then rolls."""
+    yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
+    level = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    forward = np.cos(pitch) * level - np.sin(pitch) * np.array([0.0, 0.0, 1.0])
+    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    upright = np.column_stack([right, np.cross(forward, right), forward])
+    return upright @ exp([0.0, 0.0, roll])
+
+
+def _model(spec: CameraSpec) -> CameraModel:
+    fov_rad = np.radians(spec.horizontal_fov)
+    plain = CameraModel.from_field_of_view(spec.width, spec.height, float(fov_rad))
+    cx, cy = plain.cx + spec.centre_offset[0], plain.cy + spec.centre_offset[1]
+    return CameraModel(spec.width, spec.height, plain.fx, plain.fy, cx, cy, spec.distortion)
+
+
+def _walls(file: WorldFile, map_from_plan: Pose) -> tuple[Wall, ...]:
+    walls = []
+    for spec in file.walls:
+        points = np.array([[x, y, 0.0] for x, y in spec.points])
+        corners = (map_from_plan @ points)[:, :2]
+        for start, end in zip(corners[:-1], corners[1:], strict=True):
+            walls.append(Wall(start, end, spec.height, spec.shade))
+    return tuple(walls)
+
+
+def _pick(items: dict[str, _Item], name: str, kind: str, world: str) -> _Item:
+    if name not in items:
+        known = ", ".join(items)
+        raise InputError(f"there is no {kind} «{name}» in the world «{world}»; it has {known}")
+    return items[name]
