@@ -1,0 +1,5 @@
+"""`python -m trigpoint` is the program `trigpoint`."""
+
+from .cli import main
+
+main()

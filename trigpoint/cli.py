@@ -1,0 +1,200 @@
+"""The program: a table of commands, of which only the chosen one is imported."""
+
+import importlib
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+from . import __version__, log
+from .errors import MissingExtraError, TrigpointError
+
+PROGRAM = "trigpoint"
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One row. `place`: «module:function»; `extra`: what must be installed for it; a `service` runs
+    until it is told to stop, so that being told is a success."""
+
+    place: str
+    help: str
+    extra: str = ""
+    service: bool = False
+
+    def load(self) -> Callable[..., None]:
+        """Import the function."""
+        module, _, function = self.place.partition(":")
+        return getattr(importlib.import_module(module), function)
+
+
+COMMANDS: dict[str, Command] = {
+    "demo": Command("trigpoint.tools.demo:main", "The whole system around a simulated lab.", "all"),
+    "init": Command("trigpoint.tools.init:main", "Write a first site.toml and target.toml."),
+    "doctor": Command("trigpoint.tools.doctor:main", "Say what is wrong on this machine."),
+    "status": Command("trigpoint.tools.status:main", "Show the live site."),
+    "edge": Command(
+        "trigpoint.edge.command:main", "The agent of one or several cameras.", "edge", service=True
+    ),
+    "robot": Command(
+        "trigpoint.robot.command:main", "The serial bridge of one robot.", "robot", service=True
+    ),
+    "fusion": Command(
+        "trigpoint.fusion.command:main", "The live estimator.", "fusion", service=True
+    ),
+    "record": Command(
+        "trigpoint.recorder.commands:record", "Record the site to MCAP.", "recorder", service=True
+    ),
+    "view": Command(
+        "trigpoint.recorder.commands:view", "The live site in rerun.", "recorder", service=True
+    ),
+    "review": Command(
+        "trigpoint.recorder.commands:review", "A recorded session in rerun.", "recorder"
+    ),
+    "replay": Command(
+        "trigpoint.recorder.commands:replay", "Put a session back on the bus.", "recorder"
+    ),
+    "calibrate": Command(
+        "trigpoint.tools.calibrate:main", "The estimator over a session.", "fusion,recorder"
+    ),
+    "detect": Command("trigpoint.tools.detect:main", "The sightings in pictures.", "edge"),
+    "target draw": Command(
+        "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge"
+    ),
+    "target check": Command(
+        "trigpoint.tools.target_files:check", "What is wrong with a target file.", "edge"
+    ),
+    "simulate": Command(
+        "trigpoint.tools.simulate:main", "A session of a simulated lab, with its truth.", "all"
+    ),
+}
+
+GROUPS = {"target": "Draw and check targets."}
+
+EXTRAS: dict[str, str] = {
+    "cv2": "edge",
+    "serial": "robot",
+    "cobs": "robot",
+    "scipy": "fusion",
+    "mcap": "recorder",
+    "rerun": "recorder",
+    "pyarrow": "recorder",
+}
+"""Package -> the extra that brings it, where the command's own row names none."""
+
+
+def main() -> NoReturn:
+    """Entry point of the program `trigpoint`."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line; return its exit status."""
+    chosen = chosen_command(arguments)
+    _exit_on_termination(chosen)
+    try:
+        status = _app(chosen)(
+            args=list(arguments) or ["--help"], prog_name=PROGRAM, standalone_mode=False
+        )
+    except TrigpointError as error:
+        return _fail(str(error), error.exit_status)
+    except typer.TyperException as error:
+        shown = " ".join(filter(None, [PROGRAM, chosen, "--help"]))
+        return _fail(f"{error.format_message().rstrip('.')}; see `{shown}`", 2)
+    except ModuleNotFoundError as error:
+        missing = _missing_extra(error, chosen)
+        if missing is None:
+            raise
+        return _fail(str(missing), missing.exit_status)
+    except typer.Abort:
+        return 130
+    if not arguments:
+        return 2
+    return status if isinstance(status, int) else 0
+
+
+def chosen_command(arguments: Sequence[str]) -> str:
+    """The row that a command line names, "" where it names none."""
+    words = [word for word in arguments if not word.startswith("-")]
+    for length in (2, 1):
+        for start in range(min(2, len(words))):  # an option's value may stand before it
+            name = " ".join(words[start : start + length])
+            if name in COMMANDS:
+                return name
+    return ""
+
+
+def _app(chosen: str) -> typer.Typer:
+    """The program with the chosen command as it is and the others as names with a line of help."""
+    settings = {
+        "add_completion": False,
+        "rich_markup_mode": None,
+        "pretty_exceptions_enable": False,
+    }
+    app = typer.Typer(help="Survey the cameras of a building by driving a robot.", **settings)
+    app.callback()(_options)
+    groups = {name: typer.Typer(help=text, **settings) for name, text in GROUPS.items()}
+    for name, command in COMMANDS.items():
+        group, _, last = name.rpartition(" ")
+        function = command.load() if name == chosen else _placeholder
+        summary = None if name == chosen else command.help
+        (groups[group] if group else app).command(last, help=summary)(function)
+    for name, group in groups.items():
+        app.add_typer(group, name=name)
+    return app
+
+
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo(f"{PROGRAM} {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
+    log_level: Annotated[
+        log.Level, typer.Option(help="Least level of the log lines on standard error.")
+    ] = log.Level.INFO,
+) -> None:
+    del version  # its callback has done the work
+    log.set_up(log_level)
+
+
+def _placeholder() -> None:
+    raise AssertionError("a command was run that was not loaded")
+
+
+def _exit_on_termination(chosen: str) -> None:
+    """SIGTERM unwinds like an error, so that everything is closed, until a node handles it."""
+    status = 0 if chosen and COMMANDS[chosen].service else 128 + signal.SIGTERM
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(status)
+
+    signal.signal(signal.SIGTERM, stop)
+
+
+def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:
+    """What to tell of a third-party package that is not there; None for any other import error."""
+    package = (error.name or "").partition(".")[0]
+    if package not in EXTRAS:
+        return None
+    extra = (COMMANDS[chosen].extra if chosen else "") or EXTRAS[package]
+    return MissingExtraError(
+        f"`{PROGRAM} {chosen}` needs the package «{package}», which is not installed here; "
+        f"run: pip install 'trigpoint[{extra}]'"
+    )
+
+
+def _fail(text: str, status: int) -> int:
+    typer.echo(f"{PROGRAM}: {' '.join(text.split())}", err=True)
+    return status
