@@ -5,7 +5,7 @@ robot is taken to move with a constant twist, so a part of an increment is the s
 twist, and its variance the same part of the increment's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -20,6 +20,9 @@ from trigpoint.geometry.rotation import Array
 # carried, and says nothing about where it is.
 MAXIMUM_SPEED = 5.0  # m/s
 MAXIMUM_TURN_RATE = 20.0  # rad/s
+PLANAR = [0, 1, 5]
+SPATIAL = [0, 1, 2, 3, 4, 5]
+
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 _UNKNOWN_VARIANCE = 100.0**2
 # 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
@@ -48,6 +51,23 @@ class Motion:
     by_scale: Array
     is_still: np.ndarray
 
+    def where(self, chosen: np.ndarray) -> "Motion":
+        """Only the chosen (n,) bool ones."""
+        return Motion(
+            self.earlier_from_later[chosen],
+            self.covariance[chosen],
+            self.by_scale[chosen],
+            self.is_still[chosen],
+        )
+
+    def rescaled(self, change: Array) -> "Motion":
+        """The motion after a small change (2,) of the scale errors, to first order."""
+        if not np.any(change):
+            return self
+        return replace(
+            self, earlier_from_later=self.earlier_from_later.disturbed(self.by_scale @ change)
+        )
+
 
 class OdometryTrack:
     """The odometry of one robot so far. Not thread-safe."""
@@ -64,6 +84,11 @@ class OdometryTrack:
 
     def __len__(self) -> int:
         return self._count
+
+    @property
+    def tangent(self) -> list[int]:
+        """Which of a pose's six disturbances are free."""
+        return PLANAR if self.planar else SPATIAL
 
     @property
     def stamps_ns(self) -> np.ndarray:

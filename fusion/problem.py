@@ -20,10 +20,7 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
-from .odometry_track import Motion
-
-PLANAR = [0, 1, 5]
-SPATIAL = [0, 1, 2, 3, 4, 5]
+from .odometry_track import PLANAR, SPATIAL, Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +54,14 @@ class Chain:
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `velocity`: (n, 6), base frame.
+    `scales`: those at which `motion` was worked out.
     """
 
     robot: str
     stamps_ns: np.ndarray
     motion: Motion | None
     velocity: Array
+    scales: Array
     planar: bool
     is_anchored: bool
 
@@ -80,7 +79,8 @@ class Batch:
     """All used observations of one robot by one camera, padded to one size K.
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
-    1/sigma, 0 for padding and outliers; `sources` (n,): index into the data set.
+    1/sigma, 0 for padding and outliers; `sources` (n,): index into the data set;
+    `time_offset_s`: the one that gave the nodes their times.
     """
 
     camera: str
@@ -91,6 +91,7 @@ class Batch:
     pixels: Array
     weights: Array
     sources: np.ndarray
+    time_offset_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ class Problem:
 
 @dataclass(slots=True)
 class ChainEquations:
-    """Normal equations of one chain's inner nodes: diagonal and lower blocks, coupling, gradient."""
+    """Normal equations of one chain's inner nodes, n of them."""
 
     diagonal: Array  # (n, d, d)
     lower: Array  # (n, d, d); [i]: node i + 1 by node i
@@ -265,6 +266,10 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
     in_base = in_face_axes + base_from_face.translation
     node = robot.map_from_base[batch.nodes]
+    # True time = stamp - offset: a larger offset looks at the robot earlier on its way.
+    twist = chain.velocity[batch.nodes].reshape(-1, 2, 3)
+    by_offset = -(twist @ np.swapaxes(node.rotation, 1, 2)).reshape(-1, 6)
+    node = node.disturbed(by_offset * (camera.time_offset_s - batch.time_offset_s))
     arm = in_base @ np.swapaxes(node.rotation, 1, 2)
     from_camera = arm + node.translation[:, None] - camera.map_from_camera.translation
     camera_rotation = camera.map_from_camera.rotation
@@ -286,12 +291,7 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
         parts.append(by_lens * weights[..., None])
         columns.append(layout.lens[batch.camera])
     if batch.camera in layout.time_offset:
-        # True time = stamp - offset: a larger offset looks at the robot earlier on its way.
-        twist = chain.velocity[batch.nodes]
-        linear = (node.rotation @ twist[:, :3, None])[..., 0]
-        angular = (node.rotation @ twist[:, 3:, None])[..., 0]
-        shift = -np.concatenate([linear, angular], axis=-1)
-        parts.append(by_node @ shift[:, None, :, None])
+        parts.append(by_node @ by_offset[:, None, :, None])
         columns.append(layout.time_offset[batch.camera])
     if batch.robot in layout.faces:
         by_base = by_map @ node.rotation[:, None]
@@ -355,7 +355,8 @@ def _add_odometry(
     if chain.motion is None:
         return
     nodes = robot.map_from_base
-    terms = odometry_terms(nodes[:-1], nodes[1:], chain.motion, chain.tangent)
+    motion = chain.motion.rescaled(robot.scales - chain.scales)
+    terms = odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent)
     equations.cost += float(np.sum(terms.residual**2))
     layout, d = problem.layout, len(chain.tangent)
     columns = np.arange(layout.size)[layout.scales.get(chain.robot, slice(0, 0))]

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
-from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
@@ -54,7 +53,7 @@ class Solution:
     has_converged: bool
 
 
-class _Elimination:
+class Elimination:
     """One robot's chain, factorised."""
 
     def __init__(self, equations: ChainEquations, damping: float) -> None:
@@ -115,7 +114,7 @@ def solve(
 
 def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
     """Eliminate the chains."""
-    information, gradient, _ = _eliminate(equations, 0.0)
+    information, gradient, _ = eliminate(equations, 0.0)
     return Reduced(problem.layout, information, gradient)
 
 
@@ -128,15 +127,16 @@ def covariance_of(information: Array) -> Array:
     return symmetric(inverse) * scale[:, None] * scale
 
 
-def _eliminate(
+def eliminate(
     equations: NormalEquations, damping: float
-) -> tuple[Array, Array, dict[str, _Elimination]]:
+) -> tuple[Array, Array, dict[str, Elimination]]:
+    """Information and gradient of the dense part once the chains are eliminated, and those."""
     information, gradient = equations.dense.copy(), equations.gradient.copy()
     chains = {}
     for name, chain in equations.chains.items():
         if len(chain.diagonal) == 0:
             continue
-        eliminated = _Elimination(chain, damping)
+        eliminated = Elimination(chain, damping)
         reduction = eliminated.coupling.T @ eliminated.solved
         gradient -= reduction[:, 0]
         information -= reduction[:, 1:]
@@ -146,7 +146,7 @@ def _eliminate(
 
 def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dict[str, Array]]:
     """The damped step of the dense part, the decrease of χ² it promises, the chains' steps."""
-    information, gradient, chains = _eliminate(equations, damping)
+    information, gradient, chains = eliminate(equations, damping)
     diagonal = np.diagonal(information).copy()
     damped = information + np.diag(damping * np.abs(diagonal))
     scale = 1 / np.sqrt(np.maximum(np.diagonal(damped), 1e-300))
@@ -202,8 +202,3 @@ def _moved_robot(
         faces = robot.base_from_face.disturbed(step[layout.faces[name]].reshape(-1, 6))
         moved = replace(moved, base_from_face=faces)
     return moved
-
-
-def pose_of(state: State, robot: str, node: int) -> Pose:
-    """map_from_base at a node."""
-    return state.robots[robot].map_from_base[node]

@@ -1,0 +1,112 @@
+"""Everything that came in: the robots' odometry and the observations, and what is held of them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trigpoint.config import Site
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.network import Network
+from trigpoint.target import Target
+
+from .observations import Observation, Verdict, base_from_faces
+from .odometry_track import OdometryTrack
+from .problem import CameraState, RobotState, State
+
+
+@dataclass(slots=True)
+class Entry:
+    """An observation and where the robot is believed to have been then (None: not known)."""
+
+    observation: Observation
+    map_from_base: Pose | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KnownCameras:
+    """Cameras known from an earlier run: poses, and their joint information (6n, 6n)."""
+
+    poses: dict[str, Pose]
+    information: Array
+
+    @classmethod
+    def none(cls) -> "KnownCameras":
+        return cls({}, np.zeros((0, 0)))
+
+
+@dataclass(slots=True)
+class DataSet:
+    """The estimator's inputs so far. Not thread-safe.
+
+    `lenses`: a camera's lens, where it is known or where its estimation starts.
+    """
+
+    site: Site
+    targets: dict[str, Target]
+    lenses: dict[str, CameraModel]
+    known: KnownCameras
+    tracks: dict[str, OdometryTrack] = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for name, robot in self.site.robots.items():
+            if name not in self.tracks:
+                self.tracks[name] = OdometryTrack(robot.odometry, planar=robot.planar)
+
+    @property
+    def anchored_robot(self) -> str | None:
+        """The robot whose first odometry pose fixes the map; none where known cameras do."""
+        return None if self.known.poses else self.site.first_robot
+
+    def of_camera(self, camera: str) -> list[Entry]:
+        return [entry for entry in self.entries if entry.observation.camera == camera]
+
+    def usable(self, cameras: Iterable[str]) -> list[int]:
+        """Indices of the accepted observations of these cameras that odometry covers."""
+        wanted = set(cameras)
+        return [
+            index
+            for index, entry in enumerate(self.entries)
+            if entry.observation.camera in wanted
+            and entry.observation.verdict is Verdict.ACCEPTED
+            and entry.map_from_base is not None
+        ]
+
+    def first_state(self) -> State:
+        """Known cameras where they are, every robot without nodes."""
+        cameras = {
+            name: CameraState(pose, self.lenses[name]) for name, pose in self.known.poses.items()
+        }
+        robots = {
+            name: RobotState(_no_poses(), np.zeros(2), base_from_faces(self.targets[name]))
+            for name in self.site.robots
+        }
+        return State(cameras, robots)
+
+
+def known_cameras(network: Network, joint: Array, names: Iterable[str]) -> KnownCameras:
+    """The cameras of an earlier network that this site has too.
+
+    `joint`: (6n, 6n) covariance over all of the network's located cameras, in its order.
+    """
+    here = set(names)
+    kept = [i for i, name in enumerate(network.located) if name in here]
+    poses = {}
+    for index in kept:
+        record = network.cameras[network.located[index]].map_from_camera
+        assert record is not None  # located cameras have a pose
+        poses[network.located[index]] = record.pose
+    if not poses:
+        return KnownCameras.none()
+    rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in kept])
+    covariance = joint[np.ix_(rows, rows)]
+    # The first network's gauge is exact, so its covariance may be near singular: a floor of
+    # 0.1 mm and 0.1 mrad keeps the information finite and is far below any camera's sigma.
+    floor = 1e-8 * np.eye(len(covariance))
+    return KnownCameras(poses, np.linalg.inv(covariance + floor))
+
+
+def _no_poses() -> Pose:
+    return Pose(np.zeros((0, 3, 3)), np.zeros((0, 3)))

@@ -1,0 +1,256 @@
+"""The live side of the smoother: what a batch solution knows, carried on sighting by sighting.
+
+The state is the dense part of the problem (cameras, lenses, scales and each robot's last pose) as
+information and gradient about a fixed point. A new sighting appends a node, odometry ties it to the
+robot's last one, and the last one is eliminated; that is exact but for the fixed point, which the
+next batch solution moves. Filters are immutable, so that going back to an earlier one, for a
+sighting that came late, costs nothing.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, hat
+
+from .dataset import DataSet
+from .observations import Observation, points_of
+from .problem import (
+    Batch,
+    Chain,
+    Priors,
+    Problem,
+    RobotState,
+    State,
+    batch_jacobian,
+    layout_of,
+    linearise,
+)
+from .solver import Reduced, covariance_of, eliminate
+
+# Information of a pose that is known exactly: 0.3 µm and µrad.
+_EXACT = 1e13
+
+
+@dataclass(frozen=True, slots=True)
+class RobotEstimate:
+    """A robot at a time: map_from_base, and the covariance (6, 6) of its disturbance."""
+
+    stamp_ns: int
+    map_from_base: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those."""
+
+    state: State
+    stamps_ns: dict[str, int]
+    reduced: Reduced
+
+    @classmethod
+    def at_origin(cls, data: DataSet) -> "Filter":
+        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        state = data.first_state()
+        stamps, robots = {}, {}
+        anchored = data.anchored_robot
+        if anchored is not None and len(data.tracks[anchored]):
+            track = data.tracks[anchored]
+            robots[anchored] = replace(
+                state.robots[anchored], map_from_base=_one(track.odom_from_base[0])
+            )
+            stamps[anchored] = track.first_ns
+        state = State(state.cameras, state.robots | robots)
+        priors = _no_priors()
+        chains = {name: _single(data, name, stamps[name]) for name in robots}
+        layout = layout_of(list(state.cameras), chains, priors, state)
+        information = np.zeros((layout.size, layout.size))
+        for name in robots:
+            last = np.arange(layout.size)[layout.last[name]]
+            information[last, last] = _EXACT
+        if data.known.poses:
+            columns = np.concatenate(
+                [np.arange(layout.size)[layout.pose[n]] for n in data.known.poses]
+            )
+            information[np.ix_(columns, columns)] = data.known.information
+        return cls(state, stamps, Reduced(layout, information, np.zeros(layout.size)))
+
+    @classmethod
+    def after(cls, state: State, problem: Problem, reduced: Reduced) -> "Filter":
+        """What a batch solution knows at its end."""
+        stamps, robots = {}, dict(state.robots)
+        for name, chain in problem.chains.items():
+            if name in reduced.layout.last:
+                robots[name] = replace(
+                    state.robots[name], map_from_base=_one(state.robots[name].map_from_base[-1])
+                )
+                stamps[name] = int(chain.stamps_ns[-1])
+        return cls(State(state.cameras, robots), stamps, reduced)
+
+    def has_robot(self, robot: str) -> bool:
+        """Whether the robot is tied to the map."""
+        return robot in self.stamps_ns
+
+    def mean_step(self) -> Array:
+        """The step (size,) from the fixed point to the estimate."""
+        information = self.reduced.information
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        factor = cho_factor(information * scale[:, None] * scale, lower=True)
+        return -scale * cho_solve(factor, scale * self.reduced.gradient)
+
+    def robot(self, data: DataSet, robot: str, stamp_ns: int | None = None) -> RobotEstimate:
+        """The robot at its last node, or later by its odometry.
+
+        Raises LinAlgError where nothing determines it.
+        """
+        step, covariance = self.mean_step(), covariance_of(self.reduced.information)
+        last = self.reduced.layout.last[robot]
+        tangent = data.tracks[robot].tangent
+        disturbance, full = np.zeros(6), np.zeros((6, 6))
+        disturbance[tangent] = step[last]
+        full[np.ix_(tangent, tangent)] = covariance[last, last]
+        pose = self.state.robots[robot].map_from_base[0].disturbed(disturbance)
+        at = self.stamps_ns[robot]
+        estimate = RobotEstimate(at, pose, full)
+        return (
+            estimate
+            if stamp_ns is None
+            else carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
+        )
+
+    def scales(self, robot: str) -> Array:
+        """The robot's scale errors at the fixed point, (2,)."""
+        return self.state.robots[robot].scales
+
+    def camera_sigma_px(self, camera: str, distance_m: float) -> float:
+        """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
+        covariance = covariance_of(self.reduced.information)
+        pose = self.reduced.layout.pose[camera]
+        variances = np.diagonal(covariance)[pose]
+        turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
+        return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
+
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
+        """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point."""
+        chain = Chain(
+            robot=robot,
+            stamps_ns=np.array([self.stamps_ns[robot], stamp_ns]),
+            motion=data.tracks[robot].motion(
+                np.array([self.stamps_ns[robot], stamp_ns]), self.scales(robot)
+            ),
+            velocity=np.zeros((2, 6)),
+            scales=self.scales(robot),
+            planar=data.tracks[robot].planar,
+            is_anchored=False,
+        )
+        before = self.state.robots[robot]
+        both = Pose.stack([before.map_from_base[0], guess])
+        state = self._with(robot, replace(before, map_from_base=both))
+        layout, last = self.reduced.layout, self.reduced.layout.last[robot]
+        problem = Problem({robot: chain}, (), _no_priors(), layout)
+        equations = linearise(problem, state)
+        # What is known of the last pose belongs to the chain's first node now.
+        information, gradient = self.reduced.information.copy(), self.reduced.gradient.copy()
+        old = equations.chains[robot]
+        old.diagonal[0] += information[last, last]
+        old.gradient[0] += gradient[last]
+        coupling = information[last].copy()
+        coupling[:, last] = 0
+        old.coupling[0] += coupling
+        information[last], information[:, last], gradient[last] = 0, 0, 0
+        equations.dense += information
+        equations.gradient += gradient
+        dense, slope, _ = eliminate(equations, 0.0)
+        return Filter(
+            self._with(robot, replace(before, map_from_base=_one(guess))),
+            self.stamps_ns | {robot: stamp_ns},
+            Reduced(layout, dense, slope),
+        )
+
+    def updated(self, data: DataSet, observation: Observation) -> tuple["Filter", float]:
+        """With an observation of the robot at its last node; also its surprise, χ² over twice the
+        corners (the normalised innovation squared)."""
+        batch = _batch(data, self.state, observation)
+        chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
+        velocity = data.tracks[observation.robot].velocity(
+            chain.stamps_ns, self.scales(observation.robot)
+        )
+        chain = replace(chain, velocity=velocity)
+        layout = self.reduced.layout
+        problem = Problem({observation.robot: chain}, (batch,), _no_priors(), layout)
+        jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
+        last = np.arange(layout.size)[layout.last[observation.robot]]
+        where = np.concatenate([last, columns])
+        flat, r = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
+        information, gradient = self.reduced.information.copy(), self.reduced.gradient.copy()
+        information[np.ix_(where, where)] += flat.T @ flat
+        gradient[where] += flat.T @ r
+        after = replace(self, reduced=Reduced(layout, information, gradient))
+        step, before = after.mean_step(), self.mean_step()
+        moved = step - before
+        surprise = moved @ self.reduced.information @ moved
+        surprise += np.sum((r + flat @ step[where]) ** 2)
+        return after, float(surprise)
+
+    def _with(self, robot: str, state: RobotState) -> State:
+        return State(self.state.cameras, self.state.robots | {robot: state})
+
+
+def carried_on(
+    data: DataSet, robot: str, estimate: RobotEstimate, stamp_ns: int, scales: Array
+) -> RobotEstimate:
+    """An estimate moved to a later time by odometry: t' = t + R Δt, R' = R ΔR.
+
+    A disturbance of the start moves the end by it and turns it about the start.
+    """
+    if stamp_ns <= estimate.stamp_ns:
+        return estimate
+    motion = data.tracks[robot].motion(np.array([estimate.stamp_ns, stamp_ns]), scales)
+    start = estimate.map_from_base
+    end = start @ motion.earlier_from_later[0]
+    arm = end.translation - start.translation
+    carry = np.eye(6)
+    carry[:3, 3:] = -hat(arm)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = start.rotation
+    covariance = carry @ estimate.covariance @ carry.T + turn @ motion.covariance[0] @ turn.T
+    return RobotEstimate(stamp_ns, end, covariance)
+
+
+def _one(pose: Pose) -> Pose:
+    return Pose(pose.rotation.reshape(1, 3, 3), pose.translation.reshape(1, 3))
+
+
+def _single(data: DataSet, robot: str, stamp_ns: int) -> Chain:
+    """A chain of the robot's last node alone."""
+    return Chain(
+        robot=robot,
+        stamps_ns=np.array([stamp_ns]),
+        motion=None,
+        velocity=np.zeros((1, 6)),
+        scales=np.zeros(2),
+        planar=data.tracks[robot].planar,
+        is_anchored=False,
+    )
+
+
+def _batch(data: DataSet, state: State, observation: Observation) -> Batch:
+    points = points_of(observation, data.targets[observation.robot])
+    return Batch(
+        camera=observation.camera,
+        robot=observation.robot,
+        nodes=np.zeros(1, dtype=int),
+        face_points=points.face_points[None],
+        faces=points.faces[None],
+        pixels=points.pixels[None],
+        weights=points.weights[None],
+        sources=np.zeros(1, dtype=int),
+        time_offset_s=state.cameras[observation.camera].time_offset_s,
+    )
+
+
+def _no_priors() -> Priors:
+    return Priors({}, {}, {}, {}, {}, np.zeros((0, 0)))
