@@ -12,7 +12,7 @@ _LENGTH = 16 + _SEQUENCE.size
 
 @dataclass(frozen=True, slots=True)
 class CorrectionMark:
-    """`map_id`: the map's UUID; `sequence`: counts one robot's corrections, from 0 up to 2⁶⁴ - 1."""
+    """`map_id`: the map's UUID; `sequence`: counts one robot's corrections, 0 … 2⁶⁴ - 1."""
 
     map_id: UUID
     sequence: int

@@ -1,0 +1,38 @@
+"""The command `robot`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.config import load_site
+from trigpoint.node import Node, stop_on_signals
+
+from .dry_run import look
+from .node import KIND, RobotNode
+from .protocol import protocol_class
+
+
+def main(
+    site: Annotated[Path, typer.Option(help="The site file.")],
+    robot: Annotated[str, typer.Option(help="The robot's name in the site file.")],
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Only look: say for five seconds what the robot sends. Nothing goes to the bus, "
+            "and to the robot only the questions who it is and what its clock reads.",
+        ),
+    ] = False,
+) -> None:
+    """The serial bridge of one robot: odometry from its port to the bus, corrections back."""
+    loaded = load_site(site)
+    protocol_class(loaded.robot(robot).protocol)  # a wrong name is told before anything is opened
+    if dry_run:
+        look(loaded, robot, typer.echo)
+        return
+    with open_bus(loaded) as bus, Node(bus, site=loaded.name, kind=KIND, name=robot) as node:
+        stop_on_signals([node])
+        RobotNode(bus, node, loaded, robot).start()
+        node.wait()

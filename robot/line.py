@@ -1,0 +1,155 @@
+"""A port with a protocol on it: reads, writes, opens the port again after it was lost.
+
+Two threads: the reader owns the port's life and hands out events; the writer asks the protocol what
+is due. Nothing queues up: a protocol holds at most one correction, the newest.
+"""
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Protocol as Interface
+
+from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.errors import PortError
+
+from .protocol import Event, Protocol, RobotCorrection
+
+_log = logging.getLogger(__name__)
+
+FIRST_PAUSE_S = 0.1
+LONGEST_PAUSE_S = 2.0
+# A port that never opens is most likely misspelt; one that did will come back.
+PATIENCE_S = 5.0
+_LONGEST_WAIT_S = 0.25
+
+
+class OpenPort(Interface):
+    """What the line needs of a port; `Port` is one."""
+
+    def read(self) -> tuple[bytes, int]: ...
+
+    def write(self, data: bytes) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Line:
+    """`handle` is called with each event, on the reader's thread and on the writer's; `failed` with
+    the text of each trouble with the port. `patience_s`: how long the first opening may fail."""
+
+    def __init__(
+        self,
+        open_port: Callable[[], OpenPort],
+        protocol: Protocol,
+        *,
+        clock: Clock,
+        handle: Callable[[Event], None],
+        failed: Callable[[str], None],
+        patience_s: float = PATIENCE_S,
+    ) -> None:
+        self._patience_s = patience_s
+        self._open_port, self._protocol, self._clock = open_port, protocol, clock
+        self._handle, self._failed = handle, failed
+        self._port: OpenPort | None = None
+        # Guards the protocol; never held while reading, writing or handling events.
+        self._changed = threading.Condition()
+        # A port is not closed under the writer's hands: its descriptor might be another's by then.
+        self._writing = threading.Lock()
+        self.opened = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open now."""
+        return self._port is not None
+
+    def correct(self, correction: RobotCorrection) -> None:
+        """Send a correction as soon as possible. Any thread."""
+        with self._changed:
+            self._protocol.correct(correction)
+            self._changed.notify()
+
+    def read_until(self, stopping: threading.Event) -> None:
+        """The reader's thread: read, and reopen with growing pauses, until `stopping` is set.
+
+        Raises PortError where the port does not open at all within `patience_s`.
+        """
+        pause_s, last_trouble = FIRST_PAUSE_S, ""
+        give_up_ns = self._clock.elapsed_ns() + to_ns(self._patience_s)
+        while not stopping.is_set():
+            try:
+                self._open()
+                pause_s, last_trouble = FIRST_PAUSE_S, ""
+                self._read(stopping)
+            except PortError as trouble:
+                if not self.opened and self._clock.elapsed_ns() >= give_up_ns:
+                    raise
+                if str(trouble) != last_trouble:
+                    last_trouble = str(trouble)
+                    _log.warning("%s Trying again.", trouble)
+                self._failed(str(trouble))
+            finally:
+                self._close()
+            self._clock.wait(stopping, pause_s)
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+
+    def write_until(self, stopping: threading.Event) -> None:
+        """The writer's thread: write what is due, until `stopping` is set."""
+        while not stopping.is_set():
+            with self._changed:
+                self._changed.wait_for(self._is_due, self._wait_s())
+                events = self._protocol.elapse(self._clock.elapsed_ns())
+            self._give_out(events)
+            self._write_due()
+
+    def _is_due(self) -> bool:
+        now_ns = self._clock.elapsed_ns()
+        return self._port is not None and self._protocol.due_ns(now_ns) <= now_ns
+
+    def _wait_s(self) -> float:
+        now_ns = self._clock.elapsed_ns()
+        due_s = to_seconds(self._protocol.due_ns(now_ns) - now_ns)
+        return _LONGEST_WAIT_S if self._port is None else min(max(due_s, 0.0), _LONGEST_WAIT_S)
+
+    def _open(self) -> None:
+        port = self._open_port()
+        with self._changed:
+            self._protocol.reset()
+            self._port = port
+            self.opened += 1
+            self._changed.notify()
+
+    def _read(self, stopping: threading.Event) -> None:
+        port = self._port
+        assert port is not None
+        while not stopping.is_set():
+            data, received_ns = port.read()
+            if data:
+                with self._changed:
+                    events = self._protocol.receive(data, received_ns)
+                    self._changed.notify()
+                self._give_out(events)
+
+    def _write_due(self) -> None:
+        try:
+            with self._writing:
+                with self._changed:
+                    port = self._port
+                    if port is None:
+                        return
+                    data = self._protocol.data_to_send(self._clock.elapsed_ns())
+                if data:
+                    port.write(data)
+        except PortError as trouble:
+            # The reader notices a lost port by itself and opens it anew.
+            self._failed(str(trouble))
+
+    def _give_out(self, events: list[Event]) -> None:
+        for event in events:
+            self._handle(event)
+
+    def _close(self) -> None:
+        with self._changed:
+            port, self._port = self._port, None
+        if port is not None:
+            with self._writing:
+                port.close()

@@ -1,0 +1,121 @@
+"""The robot bridge as a node: connects the port, the bridge and the bus."""
+
+from trigpoint.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.cdr import decode, encode, warm_up
+from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
+from trigpoint.config import Site
+from trigpoint.correction import decode_mark
+from trigpoint.errors import MessageError
+from trigpoint.messages import PoseEstimate
+from trigpoint.node import Node
+from trigpoint.topics import CORRECTION, ODOMETRY
+
+from .bridge import Bridge, Offset
+from .line import Line
+from .port import Port, is_device
+from .protocol import Event, protocol_class
+
+KIND = "robot"
+_TAKE_S = 0.2
+_STEP_NS = to_ns(0.01)
+
+
+class RobotNode:
+    """Runs inside `node`'s life: `start` declares and starts, the node's end stops."""
+
+    def __init__(
+        self, bus: Bus, node: Node, site: Site, robot: str, *, clock: Clock | None = None
+    ) -> None:
+        self._bus, self._node, self._site, self._robot = bus, node, site, robot
+        self._clock = clock or SystemClock()
+        config = site.robot(robot)
+        url = port_url(site, robot)
+        self._offset = measured_offset(self._clock)
+        self._bridge = Bridge(robot, config, node.health, self._offset)
+        self._line = Line(
+            lambda: Port(url, config.baud),
+            protocol_class(config.protocol)(robot=robot),
+            clock=self._clock,
+            handle=self._handle,
+            failed=node.health.fail,
+        )
+        self._publisher: Publisher | None = None
+
+    def start(self) -> None:
+        """Declare what the bridge sends and takes, and start its threads."""
+        warm_up()
+        publisher = self._bus.publisher(ODOMETRY, ODOMETRY.key(self._site.name, self._robot))
+        self._publisher = publisher
+        key = CORRECTION.key(self._site.name, self._robot)
+        corrections = self._bus.subscribe(CORRECTION, key)
+        self._show()
+        node = self._node
+        node.thread("reads", lambda: self._line.read_until(node.stopping))
+        node.thread("writes", lambda: self._line.write_until(node.stopping))
+        node.thread("corrects", lambda: self._take(corrections))
+
+    def _show(self) -> None:
+        health, bridge = self._node.health, self._bridge
+        health.gauge("port_open", lambda: float(self._line.is_open))
+        health.gauge("connected", lambda: float(bridge.connected is not None))
+        health.gauge("clock_round_trip_us", lambda: bridge.clock.round_trip_us)
+        health.gauge("clock_drift_ppm", lambda: bridge.clock.drift_ppm)
+        health.gauge("clock_jumps", lambda: bridge.clock.jumps)
+        health.gauge("clock_offset_s", self._clock_offset_s)
+        health.gauge("correction_answer_ms", lambda: bridge.answer_ms)
+        health.gauge("firmware_received", lambda: bridge.vitals.received)
+        health.gauge("firmware_rejected", lambda: bridge.vitals.rejected)
+        health.gauge("port_opened", lambda: self._line.opened)
+
+    def _clock_offset_s(self) -> float:
+        """Unix time minus the firmware's clock; called once a second, so it also looks whether
+        somebody set this machine's clock."""
+        moved_ns = measured_offset(self._clock).unix_minus_elapsed_ns
+        moved_ns -= self._offset.unix_minus_elapsed_ns
+        if abs(moved_ns) > _STEP_NS:
+            self._node.health.fail(
+                f"this machine's clock was set by {to_seconds(moved_ns):+.3f} s since the bridge "
+                "started; the odometry keeps its time: restart the bridge to follow"
+            )
+        machine_ns = self._bridge.clock.machine_ns(0)
+        return 0.0 if machine_ns is None else to_seconds(self._bridge.unix_ns(machine_ns))
+
+    def _handle(self, event: Event) -> None:
+        odometry = self._bridge.on_event(event)
+        if odometry is not None and self._publisher is not None:
+            self._publisher.put(encode(odometry))
+
+    def _take(self, corrections: Subscription) -> None:
+        while not self._node.stopping.is_set():
+            sample = corrections.take(_TAKE_S)
+            if sample is not None:
+                self._correct(sample)
+
+    def _correct(self, sample: Sample) -> None:
+        try:
+            correction = decode(CORRECTION.type_name, sample.payload)
+            mark = decode_mark(sample.attachment)
+        except MessageError as reason:
+            self._node.health.reject(sample, reason)
+            return
+        assert isinstance(correction, PoseEstimate)  # held by the topic's type
+        handed_on = self._bridge.on_correction(correction, mark, self._clock.elapsed_ns())
+        if handed_on is not None:
+            self._line.correct(handed_on)
+
+
+def port_url(site: Site, robot: str) -> str:
+    """The port to open; a relative path is relative to the site file, like every path in it."""
+    port = site.robot(robot).port
+    return str(site.path(port)) if is_device(port) and "/" in port else port
+
+
+def measured_offset(clock: Clock) -> Offset:
+    """Unix time minus the monotonic clock, from the tightest of a few pairs of readings."""
+    best_ns, offset_ns = None, 0
+    for _ in range(5):
+        before_ns, now_ns, after_ns = clock.elapsed_ns(), clock.now_ns(), clock.elapsed_ns()
+        if best_ns is None or after_ns - before_ns < best_ns:
+            best_ns = after_ns - before_ns
+            offset_ns = now_ns - (before_ns + after_ns) // 2
+    return Offset(offset_ns)

@@ -1,0 +1,109 @@
+"""A serial port: the one place that knows pyserial. Opens any URL that pyserial opens."""
+
+import errno
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import serial
+from serial.tools import list_ports
+
+from trigpoint.errors import PortError
+
+READ_TIMEOUT_S = 0.1
+WRITE_TIMEOUT_S = 0.5
+_CHUNK = 4096
+
+
+class PortTimeoutError(PortError):
+    """The other side takes no bytes; what was to be written is lost."""
+
+
+class Port:
+    """An open port. One thread may read while another writes; `close` ends both.
+
+    Raises PortError in one line where the port cannot be opened or is lost.
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self.url = url
+        try:
+            self._serial = serial.serial_for_url(
+                url,
+                baudrate=baud,
+                timeout=READ_TIMEOUT_S,
+                write_timeout=WRITE_TIMEOUT_S,
+                exclusive=True if is_device(url) else None,
+            )
+        except (serial.SerialException, ValueError, OSError) as reason:
+            raise PortError(_why_not_open(url, reason)) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def read(self) -> tuple[bytes, int]:
+        """What has come, and the monotonic clock (ns) when its first byte was there; returns
+        nothing after `READ_TIMEOUT_S`."""
+        try:
+            first = self._serial.read(1)
+            received_ns = time.monotonic_ns()
+            if not first:
+                return b"", received_ns
+            waiting = min(self._serial.in_waiting, _CHUNK)
+            return first + (self._serial.read(waiting) if waiting else b""), received_ns
+        except (serial.SerialException, OSError, TypeError) as reason:
+            # TypeError: pyserial's read on a port that another thread has just closed.
+            raise PortError(f"Port {self.url} was lost ({_plain(reason)}).") from None
+
+    def write(self, data: bytes) -> None:
+        """Hand all bytes to the system; raise PortTimeoutError where it does not take them."""
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException:
+            raise PortTimeoutError(f"Port {self.url} takes no bytes; is the robot on?") from None
+        except (serial.SerialException, OSError, TypeError) as reason:
+            raise PortError(f"Port {self.url} was lost ({_plain(reason)}).") from None
+
+    def close(self) -> None:
+        """Close it; may be called twice, and from another thread."""
+        try:
+            self._serial.close()
+        except (serial.SerialException, OSError) as reason:
+            raise PortError(f"Port {self.url} did not close ({_plain(reason)}).") from None
+
+
+def is_device(url: str) -> bool:
+    """Whether this is a port of this machine, not one of pyserial's URLs."""
+    return "://" not in url
+
+
+def present_ports() -> list[str]:
+    """The serial ports of this machine that are some device's."""
+    return sorted(port.device for port in list_ports.comports())
+
+
+def _why_not_open(url: str, reason: Exception) -> str:
+    code = getattr(reason, "errno", None)
+    if isinstance(reason, BlockingIOError) or code in (errno.EAGAIN, errno.EBUSY):
+        return f"Port {url} is busy; stop the other bridge."
+    if code in (errno.EACCES, errno.EPERM):
+        return f"Port {url} may not be opened by this user; add the user to the group «dialout»."
+    if is_device(url) and not Path(url).exists():
+        ports = ", ".join(present_ports()) or "none"
+        return f"Port {url} does not exist; this machine has {ports}. Plug it in or correct `port`."
+    return f"Port {url} does not open ({_plain(reason)}); correct `port` in site.toml."
+
+
+def _plain(reason: Exception) -> str:
+    """The reason in one short line."""
+    text = str(reason).splitlines()[0] if str(reason) else type(reason).__name__
+    return text if len(text) < 120 else text[:117] + "…"

@@ -1,0 +1,1 @@
+"""One module per protocol; `trigpoint.robot.protocol` has the table of them."""
