@@ -24,7 +24,7 @@ class MemoryBroker:
         self.clock = clock or SystemClock()
         self.lock = threading.RLock()
         self.publishers: list[MemoryPublisher] = []
-        self.subscriptions: list[tuple[str, SampleQueue]] = []
+        self.subscriptions: list[tuple[str, SampleQueue[Sample]]] = []
         self.tokens: list[str] = []
         self.servers: list[Server] = []
         self._numbers = itertools.count(1)
@@ -74,7 +74,7 @@ class MemoryPublisher:
             if self in self._broker.publishers:
                 self._broker.publishers.remove(self)
 
-    def _listeners(self) -> list[SampleQueue]:
+    def _listeners(self) -> list[SampleQueue[Sample]]:
         subscriptions = self._broker.subscriptions
         return [queue for expression, queue in subscriptions if key_matches(expression, self.key)]
 
@@ -132,8 +132,10 @@ class MemoryBus:
         self._declared.append(publisher)
         return publisher
 
-    def subscribe(self, topic: Topic, expression: str) -> SampleQueue:
-        queue = SampleQueue(topic.queue, lambda: self._unsubscribe(queue))
+    def subscribe(self, topic: Topic, expression: str) -> SampleQueue[Sample]:
+        queue: SampleQueue[Sample] = SampleQueue(
+            topic.queue, lambda sample: sample, lambda: self._unsubscribe(queue)
+        )
         with self._broker.lock:
             if topic.cache:
                 for sample in self._history(expression, topic.cache):
@@ -197,7 +199,7 @@ class MemoryBus:
         ]
         return sorted(samples, key=lambda sample: sample.published_ns)
 
-    def _unsubscribe(self, queue: SampleQueue) -> None:
+    def _unsubscribe(self, queue: SampleQueue[Sample]) -> None:
         with self._broker.lock:
             kept = [entry for entry in self._broker.subscriptions if entry[1] is not queue]
             self._broker.subscriptions[:] = kept

@@ -18,6 +18,11 @@ Count = Annotated[int, Meta(gt=0)]
 _Item = TypeVar("_Item")
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
+ENDPOINT_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
+_ENDPOINT = re.compile(
+    rf"(?:{'|'.join(ENDPOINT_PROTOCOLS)})/(?P<host>\[[0-9a-fA-F:.%]+\]|[^\s:/?#\[\]]+)"
+    r":(?P<port>[0-9]{1,5})(?:[?#]\S*)?$"
+)
 PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
 
 
@@ -27,6 +32,17 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     scouting: bool = False
+
+    def __post_init__(self) -> None:
+        for endpoint in (*self.connect, *self.listen):
+            if not _ENDPOINT.match(endpoint) or endpoint_port(endpoint) > 65535:
+                raise ValueError(
+                    f"«{endpoint}» is no endpoint; write one like tcp/192.168.1.10:7447 "
+                    f"(with {', '.join(ENDPOINT_PROTOCOLS)})"
+                )
+        for endpoint in self.connect:
+            if endpoint_port(endpoint) == 0:
+                raise ValueError(f"«{endpoint}» has no port to connect to; write the other's port")
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -174,6 +190,22 @@ class Site(Struct, frozen=True):
     def first_robot(self) -> str:
         """The robot whose odometry frame is the map's origin."""
         return next(iter(self.robots))
+
+
+def endpoint_host(endpoint: str) -> str:
+    """The host of a checked endpoint: tcp/localhost:7447 -> localhost."""
+    return _endpoint(endpoint)["host"]
+
+
+def endpoint_port(endpoint: str) -> int:
+    """The port of a checked endpoint; 0 where the system is to pick one."""
+    return int(_endpoint(endpoint)["port"])
+
+
+def _endpoint(endpoint: str) -> re.Match[str]:
+    match = _ENDPOINT.match(endpoint)
+    assert match is not None  # held by BusConfig's own check
+    return match
 
 
 def load_site(path: Path) -> Site:

@@ -1,0 +1,380 @@
+"""The bus over Zenoh; the one place that knows zenoh.
+
+Callbacks run on Zenoh's receiving thread (`indirect=False`) and only append to a queue of ours:
+measured with an interpreter busy elsewhere, the worst wait was 12 ms, where Zenoh's own callback
+threads with their unbounded queues took 44 to 410 ms and kept the program from ending.
+"""
+
+import json
+import logging
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self, TypeVar
+
+import zenoh
+from zenoh import CongestionControl, Priority, Reliability, ext
+from zenoh.handlers import Callback
+
+from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
+from .bus_gate import Gate
+from .bus_queue import SampleQueue
+from .bus_server import Server
+from .bus_settings import Settings, session_settings
+from .config import Site
+from .errors import BusError
+from .topics import Delivery, Topic
+
+_log = logging.getLogger(__name__)
+
+_SWITCH_INTERVAL_S = 0.001
+_HEARTBEAT_S = 0.5
+_RETRY_S = 1.0
+_ERROR_ENCODING = "text/plain"
+
+_QOS: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
+    Delivery.NEWEST: (CongestionControl.DROP, Priority.BACKGROUND, False),
+    Delivery.RECOVERED: (CongestionControl.BLOCK, Priority.DATA_HIGH, False),
+    Delivery.LAST_VALUE: (CongestionControl.BLOCK, Priority.DATA, False),
+    Delivery.RELIABLE: (CongestionControl.BLOCK, Priority.DATA, False),
+    Delivery.URGENT: (CongestionControl.BLOCK, Priority.REAL_TIME, True),
+    Delivery.BEST_EFFORT: (CongestionControl.DROP, Priority.DATA_LOW, False),
+}
+"""Congestion, priority, express. BLOCK is for small control data: DROP would lose the newest."""
+
+_Arrival = tuple[int, zenoh.Sample]
+_Declared = TypeVar("_Declared", bound=Closable)
+
+
+def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
+    """Open the bus by the site's `[bus]`; raise BusError where that is not possible.
+
+    A client whose endpoint cannot be reached tries again for `patience_s`, which the log says.
+    """
+    settings = session_settings(site.name, site.bus)
+    session = _open_patiently(settings, patience_s)
+    try:
+        gate = None
+        if settings.gate:
+            gate_settings = settings.gate_settings()
+            gate = Gate(settings.gate, lambda: open_session(gate_settings))
+    except BaseException:
+        session.close()
+        raise
+    return ZenohBus(session, locators=settings.locators, gate=gate)
+
+
+def _open_patiently(settings: Settings, patience_s: float) -> zenoh.Session:
+    deadline = time.monotonic() + patience_s
+    is_said = False
+    while True:
+        try:
+            return open_session(settings)
+        except BusError as reason:
+            if settings.mode != "client" or time.monotonic() > deadline:
+                raise
+            if not is_said:
+                _log.warning("%s; check that it runs; trying again", reason)
+            is_said = True
+        time.sleep(_RETRY_S)
+
+
+def open_session(settings: Settings) -> zenoh.Session:
+    """Open a Zenoh session; raise BusError."""
+    # The receiving threads wait this long for the interpreter when another thread computes.
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    config = zenoh.Config()
+    try:
+        for key, value in settings.values().items():
+            config.insert_json5(key, json.dumps(value))
+        return zenoh.open(config)
+    except zenoh.ZError as reason:
+        if settings.mode == "client":
+            names = ", ".join(settings.connect)
+            raise BusError(f"the bus cannot reach {names} (bus.connect)") from None
+        raise BusError(f"the bus cannot be opened: {_plain(reason)}") from None
+
+
+def _plain(error: zenoh.ZError) -> str:
+    """Zenoh's text without the places in its source."""
+    return str(error).partition(" at /")[0].replace("\n", " ").rstrip("! ")
+
+
+def _sample_of(arrival: _Arrival) -> Sample:
+    received_ns, raw = arrival
+    stamp, source, attachment = raw.timestamp, raw.source_info, raw.attachment
+    if source is not None:
+        sender = _identity(source.source_id.zid)
+    else:
+        sender = _identity(stamp.get_id()) if stamp is not None else ""
+    return Sample(
+        key=str(raw.key_expr),
+        payload=raw.payload.to_bytes(),
+        encoding=str(raw.encoding),
+        published_ns=stamp.get_time_as_ntp64().as_nanos() if stamp is not None else received_ns,
+        received_ns=received_ns,
+        attachment=attachment.to_bytes() if attachment is not None else b"",
+        sender=sender,
+    )
+
+
+def _identity(identifier: object) -> str:
+    return str(identifier).lstrip("0")
+
+
+class ZenohPublisher:
+    """Sends on one key with the topic's delivery."""
+
+    def __init__(self, session: zenoh.Session, topic: Topic, key: str, closed: "_Closed") -> None:
+        self._session, self._key, self._closed = session, key, closed
+        self._matching: zenoh.Publisher | None = None
+        congestion, priority, express = _QOS[topic.delivery]
+        reliability = (
+            Reliability.RELIABLE if topic.delivery.is_reliable else Reliability.BEST_EFFORT
+        )
+        if topic.cache:
+            self._publisher = ext.declare_advanced_publisher(
+                session,
+                key,
+                encoding=topic.encoding,
+                congestion_control=congestion,
+                priority=priority,
+                express=express,
+                reliability=reliability,
+                cache=ext.CacheConfig(
+                    topic.cache, replies_config=ext.RepliesConfig(congestion_control=congestion)
+                ),
+                sample_miss_detection=ext.MissDetectionConfig(
+                    heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+                ),
+                publisher_detection=True,
+            )
+        else:
+            self._publisher = self._matching = session.declare_publisher(
+                key,
+                encoding=topic.encoding,
+                congestion_control=congestion,
+                priority=priority,
+                express=express,
+                reliability=reliability,
+            )
+
+    def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
+        try:
+            self._publisher.put(payload, attachment=attachment or None)
+        except zenoh.ZError as reason:
+            raise BusError(f"nothing can be sent on {self._key}: {_plain(reason)}") from None
+
+    @property
+    def has_listener(self) -> bool:
+        if self._matching is None:  # an advanced publisher does not say; a plain one beside it does
+            self._matching = self._session.declare_publisher(self._key)
+        status = self._matching.matching_status
+        return bool(getattr(status, "matching", status))  # an object, though its stub says bool
+
+    def close(self) -> None:
+        if not self._closed(self):
+            return
+        self._publisher.undeclare()
+        if self._matching is not None and self._matching is not self._publisher:
+            self._matching.undeclare()
+
+
+def _subscribe(
+    session: zenoh.Session, topic: Topic, expression: str, queue: SampleQueue[_Arrival]
+) -> Callable[[], None]:
+    """Declare the subscriber that fills `queue`; return what takes it back."""
+
+    def receive(sample: zenoh.Sample) -> None:
+        queue.push((time.time_ns(), sample))
+
+    arrived = Callback(receive, indirect=False)
+    if not topic.cache:
+        return session.declare_subscriber(expression, arrived).undeclare
+    subscriber = ext.declare_advanced_subscriber(
+        session,
+        expression,
+        arrived,
+        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.cache),
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+    )
+
+    def miss(missed: ext.Miss) -> None:
+        queue.miss(missed.nb)
+
+    listener = subscriber.sample_miss_listener(Callback(miss, indirect=False))
+
+    def undeclare() -> None:
+        listener.undeclare()
+        subscriber.undeclare()
+
+    return undeclare
+
+
+class _Request:
+    """A query that waits in a Server's queue."""
+
+    def __init__(self, key: str, query: zenoh.Query) -> None:
+        self._key, self._query = key, query
+
+    @property
+    def payload(self) -> bytes:
+        payload = self._query.payload
+        return payload.to_bytes() if payload is not None else b""
+
+    def reply(self, payload: bytes) -> None:
+        with self._query:
+            self._query.reply(self._key, payload, congestion_control=CongestionControl.BLOCK)
+
+    def refuse(self, error: str) -> None:
+        with self._query:
+            self._query.reply_err(error, encoding=_ERROR_ENCODING)
+
+
+class _Declaration:
+    """Takes something back once."""
+
+    def __init__(self, undeclare: Callable[[], None], closed: "_Closed") -> None:
+        self._undeclare, self._closed = undeclare, closed
+
+    def close(self) -> None:
+        if self._closed(self):
+            self._undeclare()
+
+
+_Closed = Callable[[Closable], bool]
+"""Tells the bus that a declaration is taken back; false where that was done before."""
+
+
+class ZenohBus:
+    """An open session, which it owns; made by `open_bus`."""
+
+    def __init__(
+        self, session: zenoh.Session, *, locators: tuple[str, ...] = (), gate: Gate | None = None
+    ) -> None:
+        self._session, self._locators, self._gate = session, locators, gate
+        self._lock = threading.Lock()
+        self._declared: dict[int, Closable] = {}
+
+    @property
+    def identity(self) -> str:
+        return _identity(self._session.zid())
+
+    @property
+    def locators(self) -> tuple[str, ...]:
+        return self._locators
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        info = self._session.info
+        return tuple(_identity(zid) for zid in (*info.peers_zid(), *info.routers_zid()))
+
+    def publisher(self, topic: Topic, key: str) -> ZenohPublisher:
+        return self._declare(key, lambda: ZenohPublisher(self._session, topic, key, self._forget))
+
+    def subscribe(self, topic: Topic, expression: str) -> SampleQueue[_Arrival]:
+        def declare() -> SampleQueue[_Arrival]:
+            queue = SampleQueue(topic.queue, _sample_of, lambda: self._close_once(queue, undeclare))
+            undeclare = _subscribe(self._session, topic, expression, queue)
+            return queue
+
+        return self._declare(expression, declare)
+
+    def declare_alive(self, key: str) -> Closable:
+        def declare() -> _Declaration:
+            token = self._session.liveliness().declare_token(key)
+            return _Declaration(token.undeclare, self._forget)
+
+        return self._declare(key, declare)
+
+    def alive(self, expression: str, *, timeout_s: float = 1.0) -> list[str]:
+        try:
+            replies = self._session.liveliness().get(expression, timeout=timeout_s)
+            return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok is not None})
+        except zenoh.ZError as reason:
+            raise BusError(f"nobody can be asked about {expression}: {_plain(reason)}") from None
+
+    def serve(self, key: str, answer: Callable[[bytes], bytes]) -> Closable:
+        def declare() -> Server:
+            def arrive(query: zenoh.Query) -> None:
+                server.submit(_Request(key, query))
+
+            server = Server(key, answer, lambda: self._close_once(server, undeclare))
+            try:
+                undeclare = self._session.declare_queryable(
+                    key, Callback(arrive, indirect=False)
+                ).undeclare
+            except zenoh.ZError:
+                server.close()
+                raise
+            return server
+
+        return self._declare(key, declare)
+
+    def query(
+        self, key: str, payload: bytes = b"", *, timeout_s: float = COMMAND_TIMEOUT_S
+    ) -> list[Reply]:
+        try:
+            replies = self._session.get(
+                key,
+                payload=payload,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=CongestionControl.BLOCK,
+            )
+            answers = [_reply_of(key, reply) for reply in replies]
+        except zenoh.ZError as reason:
+            raise BusError(f"{key} cannot be asked: {_plain(reason)}") from None
+        return [answer for answer in answers if answer is not None]
+
+    def close(self) -> None:
+        """Take back every declaration, the latest first, and close the session."""
+        try:
+            for declared in reversed(list(self._declared.values())):
+                declared.close()
+        finally:
+            if self._gate is not None:
+                self._gate.close()
+            self._session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _declare(self, key: str, declare: Callable[[], _Declared]) -> _Declared:
+        try:
+            declared = declare()
+        except zenoh.ZError as reason:
+            raise BusError(f"{key} cannot be declared: {_plain(reason)}") from None
+        with self._lock:
+            self._declared[id(declared)] = declared
+        return declared
+
+    def _forget(self, declared: Closable) -> bool:
+        with self._lock:
+            return self._declared.pop(id(declared), None) is not None
+
+    def _close_once(self, declared: Closable, undeclare: Callable[[], None]) -> None:
+        if self._forget(declared):
+            undeclare()
+
+
+def _reply_of(key: str, reply: zenoh.Reply) -> Reply | None:
+    """A reply; None for Zenoh's own note that the time is over, the only error without a text."""
+    if reply.ok is not None:
+        return Reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+    assert reply.err is not None
+    if str(reply.err.encoding) != _ERROR_ENCODING:
+        return None
+    return Reply(key, b"", reply.err.payload.to_bytes().decode(errors="replace"))
