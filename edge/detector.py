@@ -1,0 +1,98 @@
+"""From a picture to the faces in it. `DETECTORS` says which class finds which pattern."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Protocol
+
+import numpy as np
+
+from trigpoint.messages import FaceSighting
+from trigpoint.target import Face, Pattern, Target
+
+from .picture import as_grey
+
+DETECTORS: dict[Pattern, str] = {
+    Pattern.CHECKERBOARD: "detector_checkerboard:CheckerboardDetector",
+    Pattern.CHARUCO: "detector_charuco:CharucoDetector",
+    Pattern.APRILGRID: "detector_aprilgrid:AprilGridDetector",
+}
+
+
+class TargetDetector(Protocol):
+    """Finds faces. Keeps no state between pictures; one instance a thread."""
+
+    def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
+        """The faces in a picture, (height, width) grey or (height, width, 3) BGR, uint8.
+
+        Raises InputError where the array is no such picture.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """One look that a face can have, and whose it is.
+
+    `target`: the target's name, "" where several robots carry the look; `face_id`: the face's id,
+    -1 where faces of different ids look alike. `face` is one of those that look so.
+    """
+
+    face: Face
+    target: str
+    face_id: int
+
+    def sighting(self, corners: np.ndarray, pixels: np.ndarray, sigma: float) -> FaceSighting:
+        """A sighting of this look; `corners`: (n,) ids; `pixels`: (n, 2)."""
+        return FaceSighting(
+            self.target, self.face_id, corners.astype(np.uint16), pixels.astype(np.float32), sigma
+        )
+
+
+def appearances(targets: Sequence[Target]) -> tuple[Appearance, ...]:
+    """Every look among the robots' targets, one target a robot, each once."""
+    owners: dict[tuple[object, ...], list[tuple[int, Target, Face]]] = {}
+    for robot, target in enumerate(targets):
+        for face in target.faces:
+            owners.setdefault(face.appearance, []).append((robot, target, face))
+    return tuple(_appearance(same) for same in owners.values())
+
+
+def detector_for(targets: Sequence[Target]) -> TargetDetector:
+    """One detector for all faces of all robots' targets, one target a robot."""
+    looks = appearances(targets)
+    return _AllDetectors(
+        tuple(
+            _open(path)([look for look in looks if look.face.pattern is pattern])
+            for pattern, path in DETECTORS.items()
+            if any(look.face.pattern is pattern for look in looks)
+        )
+    )
+
+
+class _AllDetectors:
+    """The detectors of every pattern that a site has, one after the other."""
+
+    def __init__(self, detectors: tuple[TargetDetector, ...]) -> None:
+        self._detectors = detectors
+
+    def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
+        grey = as_grey(picture)
+        return tuple(face for detector in self._detectors for face in detector.detect(grey))
+
+
+def _appearance(same: list[tuple[int, Target, Face]]) -> Appearance:
+    robots = {robot for robot, _, _ in same}
+    ids = {face.id for _, _, face in same}
+    alone = len(same) == len(robots)
+    _, target, face = same[0]
+    return Appearance(
+        face=face,
+        target=target.name if len(robots) == 1 else "",
+        face_id=face.id if len(ids) == 1 and alone else -1,
+    )
+
+
+def _open(path: str):  # noqa: ANN202 - a class whose constructor takes the looks
+    module, _, name = path.partition(":")
+    return getattr(import_module(f".{module}", __package__), name)

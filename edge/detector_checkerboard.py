@@ -1,0 +1,158 @@
+"""Finds checkerboards: X corners, joined into grids, matched to the boards' extents.
+
+Our own search, since OpenCV's finders take 50 to 180 ms where no board is in view and have run for
+minutes on near-black pictures. A board counts as seen where its grid is complete in width and
+height; single corners may be missing.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.messages import FaceSighting
+
+from .detector import Appearance
+from .grid import Grid, find_grids
+from .grid_growth import LEAST_SEED, cleaned, grown
+from .picture import as_grey
+from .planar_fit import sound_corners
+from .refine import nearest_spacing, refined_saddles
+from .saddles import Curvature, find_saddles
+
+# Of a board's corners, how many must be seen.
+LEAST_SHARE = 0.75
+# An outermost row or column with fewer of its corners is no part of the board.
+LEAST_BORDER_SHARE = 0.34
+
+
+class CheckerboardDetector:
+    """Finds every checkerboard of the given looks."""
+
+    def __init__(self, looks: Sequence[Appearance]) -> None:
+        self._looks = tuple(looks)
+        extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
+        self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
+        self._least = min(LEAST_SHARE * width * height for width, height in extents)
+
+    def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
+        """The boards in a picture; a second look at half the size is for blurred ones."""
+        grey = as_grey(picture)
+        found = self._search(grey, grey, 1)
+        if not found and min(grey.shape) >= 64:
+            found = self._search(cv2.pyrDown(grey), grey, 2)
+        return found
+
+    def _search(self, small: np.ndarray, grey: np.ndarray, step: int) -> tuple[FaceSighting, ...]:
+        """The boards found in a picture `step` times smaller, measured in the full one."""
+        curvature = Curvature.of(small)
+        saddles = find_saddles(curvature)
+        if len(saddles) < min(self._least, LEAST_SEED):
+            return ()
+        found = []
+        for grid in find_grids(saddles):
+            sighting = self._match(grid, curvature, grey, step)
+            if sighting is not None and not any(_same_place(sighting, other) for other in found):
+                found.append(sighting)
+        return tuple(found)
+
+    def _match(
+        self, grid: Grid, curvature: Curvature, grey: np.ndarray, step: int
+    ) -> FaceSighting | None:
+        """The sighting that a grid is, grown where it is not whole; None where it is none."""
+        size = (curvature.smooth.shape[1], curvature.smooth.shape[0])
+        grid = cleaned(grid, size)
+        if len(grid) == 0:
+            return None
+        look = self._look_of(grid)
+        if look is None or len(grid) < look.face.corner_count:
+            grid = trimmed(grown(grid, curvature, self._largest))
+            look = self._look_of(grid)
+        return _measured(grid, look, grey, step) if look else None
+
+    def _look_of(self, grid: Grid) -> Appearance | None:
+        for look in self._looks:
+            extent = (look.face.columns - 1, look.face.rows - 1)
+            enough = len(grid) >= LEAST_SHARE * look.face.corner_count
+            fits = grid.extent in (extent, extent[::-1])
+            if enough and fits and _numbered(grid, look) is not None:
+                return look
+        return None
+
+
+def trimmed(grid: Grid) -> Grid:
+    """The grid without outermost rows and columns that hardly have corners."""
+    while len(grid) > 0:
+        keep = np.ones(len(grid), dtype=bool)
+        extent = grid.extent
+        for axis in (0, 1):
+            for end in (grid.places[:, axis].min(), grid.places[:, axis].max()):
+                on_end = grid.places[:, axis] == end
+                if on_end.sum() < LEAST_BORDER_SHARE * extent[1 - axis]:
+                    keep &= ~on_end
+        if keep.all():
+            break
+        grid = Grid(grid.places[keep], grid.pixels[keep], grid.saddles[keep], grid.is_dark[keep])
+    return grid
+
+
+def _numbered(grid: Grid, look: Appearance) -> np.ndarray | None:
+    """Corner ids (n,) of a grid of the look's extent; None where its colours are another board's.
+
+    Turns the grid by quarters (never mirrors it) until it is as wide as the board and the square at
+    the top left is dark; of two that do, the one more upright in the picture is taken.
+    """
+    columns, rows = look.face.columns - 1, look.face.rows - 1
+    places = grid.places - grid.places.min(axis=0)
+    best, uprightness = None, -np.inf
+    for quarters in range(4):
+        width, height = places.max(axis=0) + 1
+        if (width, height) == (columns, rows) and _top_left_is_dark(grid, places, quarters):
+            upright = _uprightness(places, grid.pixels)
+            if upright > uprightness:
+                best, uprightness = places[:, 1] * columns + places[:, 0], upright
+        # A quarter turn: the old y runs along the new x backwards.
+        places = np.stack([places[:, 1].max() - places[:, 1], places[:, 0]], axis=-1)
+    return best
+
+
+def _top_left_is_dark(grid: Grid, places: np.ndarray, quarters: int) -> bool:
+    """Whether the square outside corner (0, 0) is dark in a grid turned by `quarters`.
+
+    Colours alternate with each step and with each quarter turn; the majority of the corners votes.
+    """
+    flips = (places.sum(axis=1) + quarters) % 2 == 1
+    return bool(np.mean(grid.is_dark ^ flips) > 0.5)
+
+
+def _uprightness(places: np.ndarray, pixels: Array) -> float:
+    """How far the grid's x runs to the picture's right and its y down."""
+    centred = places - places.mean(axis=0)
+    spread = pixels - pixels.mean(axis=0)
+    across, down = centred.T @ spread
+    return float(across[0] / np.linalg.norm(across) + down[1] / np.linalg.norm(down))
+
+
+def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> FaceSighting | None:
+    """The sighting with sub-pixel corners of the full picture, wild ones dropped."""
+    ids = _numbered(grid, look)
+    if ids is None:
+        return None
+    # pyrDown's pixel (x, y) is the full picture's (2x, 2y).
+    pixels = grid.pixels * step
+    pixels = refined_saddles(grey, pixels, nearest_spacing(pixels))
+    order = np.argsort(ids)
+    ids, pixels = ids[order], pixels[order]
+    points = look.face.corners[ids, :2]
+    keep, sigma = sound_corners(points, pixels, (grey.shape[1], grey.shape[0]))
+    if keep.sum() < LEAST_SHARE * look.face.corner_count:
+        return None
+    return look.sighting(ids[keep], pixels[keep], sigma)
+
+
+def _same_place(first: FaceSighting, second: FaceSighting) -> bool:
+    """Whether two sightings are the same board, found from two grids."""
+    centre = first.pixels.mean(axis=0) - second.pixels.mean(axis=0)
+    spread = np.ptp(second.pixels, axis=0)
+    return bool(np.all(np.abs(centre) < 0.25 * spread))

@@ -1,0 +1,167 @@
+"""Joins X corners into the grids that they form, each with whole-number coordinates.
+
+Two corners are neighbours where the edges that leave them meet: each lies in the direction of one
+of the other's edges, with light and dark on the same sides, and is the nearest such. Links that
+both ends choose make a graph; walking it gives every corner its place. Bounded work, no search
+that fails slowly.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+from .saddles import Saddles
+
+NEAREST = 14
+ANGLE_TOLERANCE_RAD = np.radians(40.0)
+LEAST_CORNERS = 4
+LONGEST_RATIO = 2.2
+# Steps of the four directions of a corner: x, y, -x, -y.
+_STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A connected grid of corners.
+
+    `places`: (n, 2) whole x and y, x × y pointing into the picture (never mirrored); `pixels`:
+    (n, 2); `saddles`: (n,) indices; `is_dark`: (n,) whether the square towards (-x, -y) is dark.
+    """
+
+    places: np.ndarray
+    pixels: Array
+    saddles: np.ndarray
+    is_dark: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """How many corners wide and high the grid is."""
+        width, height = self.places.max(axis=0) - self.places.min(axis=0) + 1
+        return int(width), int(height)
+
+
+def find_grids(saddles: Saddles) -> list[Grid]:
+    """All grids of at least LEAST_CORNERS corners, largest first."""
+    if len(saddles) < LEAST_CORNERS:
+        return []
+    links = _mutual_links(saddles)
+    grids = [grid for grid in _walk(saddles, links) if len(grid) >= LEAST_CORNERS]
+    return sorted(grids, key=len, reverse=True)
+
+
+def _mutual_links(saddles: Saddles) -> np.ndarray:
+    """(n, 4, 2): for each corner and direction the neighbour and its direction back; -1: none."""
+    neighbour, back = _chosen(saddles)
+    links = np.full((len(saddles), 4, 2), -1)
+    corner, direction = np.nonzero(neighbour >= 0)
+    other, returning = neighbour[corner, direction], back[corner, direction]
+    agrees = (neighbour[other, returning] == corner) & (back[other, returning] == direction)
+    links[corner[agrees], direction[agrees], 0] = other[agrees]
+    links[corner[agrees], direction[agrees], 1] = returning[agrees]
+    return _without_long(saddles.pixels, links)
+
+
+def _chosen(saddles: Saddles) -> tuple[np.ndarray, np.ndarray]:
+    """Each corner's nearest fitting neighbour by direction (n, 4), and its direction back."""
+    near, distance, angle = _nearest(saddles.pixels)
+    # Which of this corner's directions points to the other, and which of the other's points back.
+    ahead, off_ahead = _closest_direction(saddles.directions[:, None, :], angle)
+    behind, off_behind = _closest_direction(saddles.directions[near], angle + np.pi)
+    same_sides = (ahead + behind) % 2 == 1
+    fits = same_sides & (off_ahead < ANGLE_TOLERANCE_RAD) & (off_behind < ANGLE_TOLERANCE_RAD)
+    neighbour = np.full((len(saddles), 4), -1)
+    back = np.full((len(saddles), 4), -1)
+    for direction in range(4):
+        cost = np.where(fits & (ahead == direction), distance, np.inf)
+        best = np.argmin(cost, axis=1)
+        rows = np.flatnonzero(np.isfinite(cost[np.arange(len(near)), best]))
+        neighbour[rows, direction] = near[rows, best[rows]]
+        back[rows, direction] = behind[rows, best[rows]]
+    return neighbour, back
+
+
+def _nearest(pixels: Array) -> tuple[np.ndarray, Array, Array]:
+    """The NEAREST corners of each (n, k), their distances and the angles to them."""
+    squared = np.sum((pixels[:, None] - pixels[None]) ** 2, axis=-1)
+    np.fill_diagonal(squared, np.inf)
+    count = min(NEAREST, len(pixels) - 1)
+    near = np.argpartition(squared, count - 1, axis=1)[:, :count]
+    offset = pixels[near] - pixels[:, None]
+    angle = np.arctan2(offset[..., 1], offset[..., 0])
+    return near, np.sqrt(np.take_along_axis(squared, near, axis=1)), angle
+
+
+def _closest_direction(directions: Array, angle: Array) -> tuple[np.ndarray, Array]:
+    """Index of the direction (…, 4) nearest to an angle (…), and how far off it is, radians."""
+    off = np.abs((directions - angle[..., None] + np.pi) % (2 * np.pi) - np.pi)
+    index = np.argmin(off, axis=-1)
+    return index, np.take_along_axis(off, index[..., None], axis=-1)[..., 0]
+
+
+def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
+    """The links without those much longer than the opposite one at the same corner."""
+    other = links[..., 0]
+    length = np.linalg.norm(pixels[other] - pixels[:, None], axis=-1)
+    length = np.where(other >= 0, length, np.inf)
+    opposite = np.roll(length, 2, axis=1)
+    too_long = np.isfinite(length) & np.isfinite(opposite) & (length > LONGEST_RATIO * opposite)
+    kept = links.copy()
+    for corner, direction in zip(*np.nonzero(too_long), strict=True):
+        neighbour, back = links[corner, direction]
+        kept[corner, direction] = kept[neighbour, back] = -1
+    return kept
+
+
+def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
+    """The connected grids of a link table."""
+    seen = np.zeros(len(links), dtype=bool)
+    order = np.argsort(-(links[..., 0] >= 0).sum(axis=1), kind="stable")
+    table = links.tolist()
+    grids = []
+    for seed in order.tolist():
+        if not seen[seed]:
+            placed = _walk_from(seed, table, seen)
+            grids.append(_grid(saddles, placed))
+    return grids
+
+
+def _walk_from(
+    seed: int, links: list[list[list[int]]], seen: np.ndarray
+) -> dict[int, tuple[int, int, int]]:
+    """Place (x, y) and turn of every corner that links reach from the seed, by corner.
+
+    `turn`: which of the corner's own directions is the grid's x. A corner whose place is taken, or
+    that would get two places, is left where it was first put.
+    """
+    placed = {seed: (0, 0, 0)}
+    taken = {(0, 0)}
+    seen[seed] = True
+    waiting = deque([seed])
+    while waiting:
+        corner = waiting.popleft()
+        x, y, turn = placed[corner]
+        for direction, (neighbour, back) in enumerate(links[corner]):
+            if neighbour < 0 or seen[neighbour]:
+                continue
+            step = (direction - turn) % 4
+            place = (x + _STEPS[step][0], y + _STEPS[step][1])
+            if place in taken:
+                continue
+            placed[neighbour] = (*place, (back - step - 2) % 4)
+            taken.add(place)
+            seen[neighbour] = True
+            waiting.append(neighbour)
+    return placed
+
+
+def _grid(saddles: Saddles, placed: dict[int, tuple[int, int, int]]) -> Grid:
+    indices = np.array(list(placed))
+    values = np.array(list(placed.values()))
+    # The sector from direction 2 to 3 of an unturned corner, (-x, -y), is light, as is 0 to 1.
+    return Grid(values[:, :2], saddles.pixels[indices], indices, values[:, 2] % 2 == 1)

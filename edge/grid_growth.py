@@ -1,0 +1,117 @@
+"""Makes a grid of corners whole: drops the wild ones, and looks where the next ones should be."""
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+from .grid import Grid
+from .planar_fit import PlanarFit, fit_plane, sound_corners
+from .saddles import Curvature, Saddles, examine
+
+LEAST_SEED = 9
+MOST_ROUNDS = 6
+# A predicted corner may be this much weaker than one that nothing predicted,
+TOLERANCE = 1.7
+# and this far from its place, of the grid's spacing there.
+REACH = 0.3
+
+
+def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
+    """The grid without corners that lie off its plane; `size`: width and height of the picture."""
+    keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
+    return _chosen(grid, keep)
+
+
+def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
+    """The grid with every corner that its plane predicts and the picture shows.
+
+    Stops at the pattern's edge, where no X corner is; `largest`: the longer and the shorter extent
+    of any pattern that is looked for.
+    """
+    height, width = curvature.smooth.shape
+    for _ in range(MOST_ROUNDS):
+        if len(grid) < LEAST_SEED or max(grid.extent) > max(largest) + 1:
+            break
+        fit = fit_plane(grid.places.astype(float), grid.pixels, (width, height))
+        added = _found_beside(grid, fit, curvature) if fit else None
+        if added is None:
+            break
+        grid = cleaned(added, (width, height))
+    return grid
+
+
+def _found_beside(grid: Grid, fit: PlanarFit, curvature: Curvature) -> Grid | None:
+    """The grid with the corners found in free places next to it, None where there is none."""
+    places = _free_places(grid.places)
+    predicted = fit.project(places.astype(float))
+    across = fit.project(places + [1.0, 0.0]) - predicted
+    down = fit.project(places + [0.0, 1.0]) - predicted
+    spacing = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
+    inside = _inside(predicted, curvature.smooth.shape)
+    places, predicted, spacing = places[inside], predicted[inside], spacing[inside]
+    diagonal = (across + down)[inside]
+    if len(places) == 0:
+        return None
+    found, which = _nearest_to(examine(curvature, predicted, tolerance=TOLERANCE), predicted)
+    ok = np.linalg.norm(found.pixels - predicted[which], axis=-1) < REACH * spacing[which]
+    dark = _is_dark_towards(found.directions, -diagonal[which])
+    ok &= dark == _expected_dark(grid, places[which])
+    if not ok.any():
+        return None
+    return Grid(
+        np.concatenate([grid.places, places[which][ok]]),
+        np.concatenate([grid.pixels, found.pixels[ok]]),
+        np.concatenate([grid.saddles, np.full(int(ok.sum()), -1)]),
+        np.concatenate([grid.is_dark, dark[ok]]),
+    )
+
+
+def _nearest_to(found: Saddles, predicted: Array) -> tuple[Saddles, np.ndarray]:
+    """The found corners, each once, and the index of the prediction that each is nearest to."""
+    distance = np.linalg.norm(found.pixels[:, None] - predicted[None], axis=-1)
+    which = np.argmin(distance, axis=1) if len(found) else np.zeros(0, dtype=int)
+    _, first = np.unique(which, return_index=True)
+    once = Saddles(found.pixels[first], found.directions[first], found.amplitude[first])
+    return once, which[first]
+
+
+def _free_places(places: np.ndarray) -> np.ndarray:
+    """Places (m, 2) that are free and have two corners among the eight around them."""
+    low = places.min(axis=0) - 1
+    width, height = places.max(axis=0) + 2 - low
+    taken = np.zeros((height + 2, width + 2), dtype=int)
+    x, y = (places - low + 1).T
+    taken[y, x] = 1
+    around = sum(
+        taken[1 + dy : height + 1 + dy, 1 + dx : width + 1 + dx]
+        for dx in (-1, 0, 1)
+        for dy in (-1, 0, 1)
+    )
+    rows, columns = np.nonzero((taken[1:-1, 1:-1] == 0) & (around >= 2))
+    return np.stack([columns, rows], axis=-1) + low
+
+
+def _inside(pixels: Array, shape: tuple[int, ...]) -> np.ndarray:
+    margin = 3.0
+    limit = np.array([shape[1], shape[0]]) - 1 - margin
+    return np.all((pixels > margin) & (pixels < limit), axis=-1)
+
+
+def _is_dark_towards(directions: Array, towards: Array) -> np.ndarray:
+    """Whether the sector of each corner (n, 4 angles) that holds `towards` (n, 2) is dark."""
+    angle = np.arctan2(towards[:, 1], towards[:, 0])
+    past = (angle[:, None] - directions) % (2 * np.pi)
+    return np.argmin(past, axis=-1) % 2 == 1
+
+
+def _expected_dark(grid: Grid, places: np.ndarray) -> np.ndarray:
+    """Whether the square towards (-x, -y) of each place must be dark, by the grid's majority."""
+    parity = grid.places.sum(axis=1) % 2
+    votes = np.where(grid.is_dark == (parity == 0), 1, -1).sum()
+    return (places.sum(axis=1) % 2 == 0) == (votes > 0)
+
+
+def _chosen(grid: Grid, keep: np.ndarray) -> Grid:
+    return Grid(grid.places[keep], grid.pixels[keep], grid.saddles[keep], grid.is_dark[keep])
+
+

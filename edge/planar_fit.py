@@ -1,0 +1,139 @@
+"""Fits a flat face to its pixels, to predict corners, to drop wild ones and to tell their sigma.
+
+The model is a homography followed by radial distortion about the picture's centre (two
+coefficients with a weak prior towards none), so that a lens does not look like noise.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+LEAST_SIGMA_PX = 0.05
+# Where a face has few corners its residuals say little: they are mixed with this many degrees of
+# freedom of a usual corner.
+USUAL_SIGMA_PX = 0.15
+USUAL_WEIGHT = 6.0
+LEAST_WILD_PX = 0.7
+WILD_SIGMAS = 5.0
+_RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
+_PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
+_ITERATIONS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarFit:
+    """How face coordinates (metres) become pixels.
+
+    `homography`: (3, 3), face to undistorted pixels taken from `centre` in units of `scale`;
+    `radial`: (2,).
+    """
+
+    homography: Array
+    radial: Array
+    centre: Array
+    scale: float
+
+    def project(self, points: Array) -> Array:
+        """Pixels (n, 2) of face points (n, 2)."""
+        return self._project(points)[0]
+
+    def residuals(self, points: Array, pixels: Array) -> Array:
+        """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""
+        return np.linalg.norm(self.project(points) - pixels, axis=-1)
+
+    def _project(self, points: Array) -> tuple[Array, Array, Array]:
+        """Pixels, undistorted coordinates and the homogeneous points (n, 3) before division."""
+        homogeneous = np.column_stack([points, np.ones(len(points))])
+        mapped = homogeneous @ self.homography.T
+        mapped[np.abs(mapped[:, 2]) < 1e-9, 2] = 1e-9  # a point on the horizon: far away, not NaN
+        flat = mapped[:, :2] / mapped[:, 2:]
+        squared = np.sum(flat * flat, axis=-1, keepdims=True)
+        bent = flat * (1 + squared * (self.radial[0] + squared * self.radial[1]))
+        return self.centre + self.scale * bent, flat, mapped
+
+
+def fit_plane(points: Array, pixels: Array, size: tuple[int, int]) -> PlanarFit | None:
+    """The fit to face points (n, 2) and pixels (n, 2), n ≥ 4; None where they fix no plane.
+
+    `size`: the picture's width and height.
+    """
+    centre = (np.array(size, dtype=float) - 1) / 2
+    scale = float(np.hypot(*size)) / 2
+    target = (pixels - centre) / scale
+    homography, _ = cv2.findHomography(points.astype(np.float64), target.astype(np.float64), 0)
+    if homography is None or not np.all(np.isfinite(homography)):
+        return None
+    fit = PlanarFit(homography / np.linalg.norm(homography), np.zeros(2), centre, scale)
+    if len(points) > 4:
+        fit = _refined(fit, points, target)
+    return fit if np.all(np.isfinite(fit.homography)) else None
+
+
+def sound_corners(points: Array, pixels: Array, size: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """Which corners (n,) lie where a flat face has them, and the sigma of those, pixels.
+
+    Drops the worst beyond WILD_SIGMAS of the others' spread, again and again; no corner is sound
+    where fewer than four remain or all scatter.
+    """
+    keep = np.ones(len(points), dtype=bool)
+    while keep.sum() >= 4:
+        fit = fit_plane(points[keep], pixels[keep], size)
+        if fit is None:
+            break
+        distances = fit.residuals(points, pixels)
+        usual = np.median(distances[keep]) / 1.18  # the median of a Rayleigh distribution
+        limit = max(LEAST_WILD_PX, WILD_SIGMAS * float(usual))
+        worst = np.where(keep, distances, 0.0)
+        if worst.max() <= limit:
+            return keep, _sigma(distances[keep])
+        keep &= distances < max(limit, 0.7 * float(worst.max()))
+    return np.zeros(len(points), dtype=bool), USUAL_SIGMA_PX
+
+
+def _sigma(distances: Array) -> float:
+    """Standard deviation of one coordinate from a fit's residuals, with a usual one mixed in."""
+    freedom = max(0, 2 * len(distances) - 8)
+    power = float(np.sum(distances**2)) + USUAL_WEIGHT * USUAL_SIGMA_PX**2
+    return max(LEAST_SIGMA_PX, float(np.sqrt(power / (freedom + USUAL_WEIGHT))))
+
+
+def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit:
+    """Gauss-Newton over the homography's nine numbers (its scale held) and the radial ones."""
+    homography, radial = fit.homography, fit.radial
+    weight = _PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR
+    for _ in range(_ITERATIONS):
+        now = PlanarFit(homography, radial, np.zeros(2), 1.0)
+        error, jacobian = _linearised(now, points, target)
+        prior = np.zeros((3, 11))
+        prior[0, 9] = prior[1, 10] = weight
+        prior[2, :9] = homography.reshape(-1)
+        rows = np.vstack([jacobian, prior])
+        right = np.concatenate([error, -weight * radial, [0.0]])
+        step = np.linalg.lstsq(rows, right, rcond=None)[0]
+        homography = homography + step[:9].reshape(3, 3)
+        homography = homography / np.linalg.norm(homography)
+        radial = np.clip(radial + step[9:], -0.9, 0.9)
+        if np.max(np.abs(step)) < 1e-7:
+            break
+    return PlanarFit(homography, radial, fit.centre, fit.scale)
+
+
+def _linearised(fit: PlanarFit, points: Array, target: Array) -> tuple[Array, Array]:
+    """Residuals (2n,) in units of the scale and their derivative (2n, 11)."""
+    pixels, flat, mapped = fit._project(points)
+    squared = np.sum(flat * flat, axis=-1)
+    k1, k2 = fit.radial
+    gain = 1 + squared * (k1 + squared * k2)
+    slope = k1 + 2 * k2 * squared
+    by_flat = gain[:, None, None] * np.eye(2)
+    by_flat = by_flat + 2 * slope[:, None, None] * flat[:, :, None] * flat[:, None, :]
+    homogeneous = np.column_stack([points, np.ones(len(points))]) / mapped[:, 2:]
+    by_homography = np.zeros((len(points), 2, 9))
+    by_homography[:, 0, 0:3] = by_homography[:, 1, 3:6] = homogeneous
+    by_homography[:, :, 6:9] = -flat[:, :, None] * homogeneous[:, None, :]
+    by_radial = flat[:, :, None] * np.stack([squared, squared**2], axis=-1)[:, None, :]
+    jacobian = np.concatenate([by_flat @ by_homography, by_radial], axis=-1)
+    return (target - pixels).reshape(-1), jacobian.reshape(-1, 11)
