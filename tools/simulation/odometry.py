@@ -39,9 +39,9 @@ def reported(truth: Array, noise: OdometryNoise, random: np.random.Generator) ->
 
     The model speaks of the truth given the report: truth = (1 + scale error) × report + noise, with
     variances from the report's length L and turn H. Here the truth comes first, so the report is
-    truth minus noise, over 1 + scale error. L and H are taken before the noise: drawn from their own
-    noisy values, the noise would have a mean (k²/2 a step), which the model does not have; the
-    variances agree up to the square of the relative noise of one step, which is below a percent.
+    truth minus noise, over 1 + scale error. L and H are taken before the noise: taken after it,
+    they would give the noise a mean (k²/2 a step), which the model does not have. The variances
+    agree but for the square of one step's relative noise, a percent or so.
     """
     scale = 1 + random.standard_normal(2) * [noise.distance_scale, noise.heading_scale]
     clean = truth / [scale[0], scale[0], scale[1]]

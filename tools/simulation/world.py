@@ -5,6 +5,7 @@ message the truth is what the odometry says. Every random number comes from a st
 named by the seed, by what it is for and by whom, so that nothing depends on the order of calls.
 """
 
+import itertools
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,8 +34,9 @@ FEWEST_CORNERS = 6  # of a board that may be seen in part
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCamera:
-    """One camera. It takes picture k at `phase + k / rate` seconds; `noise`: sigma of a grey value
-    (of 255); `sigma`: of a coordinate in sightings that are simulated without pictures, pixels."""
+    """One camera. It takes picture k at `phase + k / rate` seconds. Standard deviations: `blur_px`
+    of the lens, `noise` of a grey value (of 255), `sigma` of a coordinate in sightings that are
+    simulated without pictures, pixels."""
 
     name: str
     map_from_camera: Pose
@@ -42,6 +44,7 @@ class SimulatedCamera:
     rate: float
     phase: float
     exposure_s: float
+    blur_px: float
     noise: float
     sigma: float
 
@@ -221,6 +224,7 @@ def _camera(
         rate=picture_rate or spec.rate,
         phase=spec.phase,
         exposure_s=spec.exposure,
+        blur_px=spec.blur,
         noise=spec.noise,
         sigma=spec.sigma,
     )
@@ -248,7 +252,7 @@ def _walls(file: WorldFile, map_from_plan: Pose) -> tuple[Wall, ...]:
     for spec in file.walls:
         points = np.array([[x, y, 0.0] for x, y in spec.points])
         corners = (map_from_plan @ points)[:, :2]
-        for start, end in zip(corners[:-1], corners[1:], strict=True):
+        for start, end in itertools.pairwise(corners):
             walls.append(Wall(start, end, spec.height, spec.shade))
     return tuple(walls)
 
