@@ -6,6 +6,7 @@ Pixels have (0, 0) at the centre of the top-left pixel. Formulae: OpenCV's docum
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -106,7 +107,8 @@ class CameraModel:
         safe = np.where(ahead[..., None], p, [0.0, 0.0, 1.0])
         u, v = np.moveaxis(self.project(safe), -1, 0)
         inside = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
-        return ahead & inside & (self._determinant(safe) > 0)
+        unfolded = np.linalg.norm(safe[..., :2] / safe[..., 2:], axis=-1) < _fold_radius(self)
+        return ahead & inside & unfolded & (self._determinant(safe) > 0)
 
     def directions(self, pixels: ArrayLike) -> Array:
         """Normalised coordinates (…, 2) = (x/z, y/z) that project to pixels (…, 2).
@@ -155,6 +157,18 @@ class CameraModel:
             angle = angle - (value - radius) / slope
         scale = np.where(radius > 1e-12, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0)
         return np.where((angle < np.pi / 2)[..., None], target * scale[..., None], np.nan)
+
+
+@cache
+def _fold_radius(camera: CameraModel) -> float:
+    """How far from the axis, as x/z, the lens first folds back; inf where it does not.
+
+    Farther out the polynomial may rise again and bring pixels back into the picture.
+    """
+    radii = np.linspace(0.0, 20.0, 4001)
+    line = np.stack([radii, np.zeros_like(radii)], axis=-1)
+    folded = np.flatnonzero(np.linalg.det(camera._distort(line)[1]) <= 0)
+    return float(radii[folded[0]]) if len(folded) else np.inf
 
 
 def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:
