@@ -227,7 +227,7 @@ class _Request:
 
     def reply(self, payload: bytes) -> None:
         with self._query:
-            self._query.reply(self._key, payload, congestion_control=CongestionControl.BLOCK)
+            self._query.reply(self._key, payload)
 
     def refuse(self, error: str) -> None:
         with self._query:
