@@ -1,0 +1,229 @@
+"""The bus between processes, and over links that break."""
+
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+from builders import eventually, make_site
+
+from trigpoint.bus import Bus, Subscription
+from trigpoint.bus_settings import Settings
+from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
+from trigpoint.topics import ODOMETRY
+
+KEY = ODOMETRY.key("lab", "r1")
+
+COUNTER = """
+import sys, time
+from builders import make_site
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.topics import ODOMETRY
+with open_bus(make_site(bus=sys.argv[1])) as bus:
+    bus.declare_alive("lab/alive/robot/r1")
+    publisher = bus.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
+    for number in range(100_000):
+        publisher.put(str(number).encode())
+        time.sleep(0.01)
+"""
+
+
+class Proxy:
+    """A TCP link that the test can cut: forwards to `port` while it is whole."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.settimeout(0.05)
+        self._links: list[socket.socket] = []
+        self._stopping = threading.Event()
+        self.is_whole = True
+        self._thread = threading.Thread(target=self._run, name="proxy")
+        self._thread.start()
+
+    @property
+    def locator(self) -> str:
+        return f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+
+    def cut(self) -> None:
+        """Break every link and let no new one through."""
+        self.is_whole = False
+        eventually(lambda: not self._links)
+
+    def mend(self) -> None:
+        self.is_whole = True
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._server.close()
+
+    def _run(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._server, selectors.EVENT_READ)
+            while not self._stopping.is_set():
+                for key, _ in selector.select(0.02):
+                    self._move(selector, key)
+                if not self.is_whole:
+                    self._drop(selector)
+            self._drop(selector)
+
+    def _move(self, selector: selectors.BaseSelector, key: selectors.SelectorKey) -> None:
+        if key.fileobj is self._server:
+            near = self._server.accept()[0]
+            if not self.is_whole:
+                near.close()
+                return
+            far = socket.create_connection(("127.0.0.1", self._port))
+            self._links += [near, far]
+            selector.register(near, selectors.EVENT_READ, far)
+            selector.register(far, selectors.EVENT_READ, near)
+            return
+        assert isinstance(key.fileobj, socket.socket)
+        try:
+            data = key.fileobj.recv(65536)
+            key.data.sendall(data)
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(selector)
+
+    def _drop(self, selector: selectors.BaseSelector) -> None:
+        for link in self._links:
+            selector.unregister(link)
+            link.close()
+        self._links.clear()
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def drain(subscription: Subscription, last: bytes) -> list[bytes]:
+    """Payloads up to `last`."""
+    payloads: list[bytes] = []
+    while not payloads or payloads[-1] != last:
+        sample = subscription.take(20.0)
+        assert sample is not None, f"after {payloads[-3:]} nothing came"
+        payloads.append(sample.payload)
+    return payloads
+
+
+def test_samples_of_a_broken_link_are_recovered_in_order_and_once(
+    stack: ExitStack, free_port: Callable[[], int]
+) -> None:
+    port = free_port()
+    listening = Settings("peer", listen=(f"tcp/127.0.0.1:{port}",))
+    sender = stack.enter_context(ZenohBus(open_session(listening)))
+    proxy = Proxy(port)
+    stack.callback(proxy.close)
+    receiver = stack.enter_context(
+        ZenohBus(open_session(Settings("client", connect=(proxy.locator,))))
+    )
+    subscription = receiver.subscribe(ODOMETRY, KEY)
+    publisher = sender.publisher(ODOMETRY, KEY)
+    assert eventually(lambda: publisher.has_listener)
+    for number in range(600):
+        publisher.put(str(number).encode())
+        if number == 200:
+            assert eventually(lambda: subscription.received == 201)
+            proxy.cut()
+            assert eventually(lambda: not receiver.peers)
+        if number == 500:
+            proxy.mend()
+            assert eventually(lambda: bool(receiver.peers))
+    assert drain(subscription, b"599") == [str(number).encode() for number in range(600)]
+    assert subscription.dropped == 0
+
+
+def start_counter(stack: ExitStack, bus: str) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", COUNTER, bus], env={"PYTHONPATH": ":".join(sys.path)}
+    )
+    stack.callback(process.wait)
+    stack.callback(process.kill)
+    return process
+
+
+def test_killed_sender_is_noticed_and_heard_again_after_its_restart(stack: ExitStack) -> None:
+    bus = stack.enter_context(open_bus(make_site(bus='listen = ["tcp/127.0.0.1:0"]')))
+    connect = f"connect = {list(bus.locators)}"
+    subscription = bus.subscribe(ODOMETRY, KEY)
+    first = start_counter(stack, connect)
+    assert subscription.take(20.0) is not None
+    assert eventually(lambda: bus.alive("lab/alive/**") == ["lab/alive/robot/r1"])
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert eventually(lambda: bus.alive("lab/alive/**") == [])
+    while subscription.take(0.2) is not None:
+        pass
+    start_counter(stack, connect)
+    sample = subscription.take(20.0)
+    assert sample is not None
+    assert sample.payload == b"0"
+
+
+def test_peers_find_each_other_again_when_their_meeting_point_was_killed(
+    stack: ExitStack, free_port: Callable[[], int]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    site = make_site(bus=f'connect = ["{endpoint}"]')
+    one, other = stack.enter_context(open_bus(site)), stack.enter_context(open_bus(site))
+    meeting = ZenohBus(open_session(Settings("peer", listen=(endpoint,))))
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
+    meeting.close()
+    assert eventually(lambda: len(one.peers) == 1 and len(other.peers) == 1)
+    stack.enter_context(ZenohBus(open_session(Settings("peer", listen=(endpoint,)))))
+    assert eventually(lambda: len(one.peers) == 2 and len(other.peers) == 2)
+
+
+def heard(sender: Bus, receiver: Bus) -> bool:
+    publisher = sender.publisher(ODOMETRY, KEY)
+    try:
+        return eventually(lambda: publisher.has_listener)
+    finally:
+        publisher.close()
+
+
+def test_the_gate_is_taken_over_and_clients_come_back(
+    stack: ExitStack, free_port: Callable[[], int]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    served = make_site(bus=f'listen = ["{endpoint}"]')
+    owner = open_bus(served)
+    stack.callback(owner.close)
+    standby = stack.enter_context(open_bus(served))
+    assert owner.locators == standby.locators == (endpoint,)
+    client = stack.enter_context(ZenohBus(open_session(Settings("client", connect=(endpoint,)))))
+    subscription = client.subscribe(ODOMETRY, KEY)
+    assert heard(standby, client)
+    owner.close()
+    publisher = standby.publisher(ODOMETRY, KEY)
+    assert eventually(lambda: publisher.has_listener)
+    publisher.put(b"through the new gate")
+    sample = subscription.take(20.0)
+    assert sample is not None
+    assert sample.payload == b"through the new gate"
+
+
+def test_without_a_bus_table_processes_of_this_machine_meet(stack: ExitStack) -> None:
+    name = f"lab{free_number()}"
+    one = stack.enter_context(open_bus(make_site(name=name)))
+    other = stack.enter_context(open_bus(make_site(name=name)))
+    apart = stack.enter_context(open_bus(make_site(name=f"{name}_b")))
+    assert eventually(lambda: one.peers == (other.identity,))
+    assert other.peers == (one.identity,)
+    assert apart.peers == ()
+
+
+def free_number() -> int:
+    """A number that no other test run on this machine uses now."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
