@@ -95,7 +95,7 @@ class Node:
         if error is None:
             self._raise_error()
 
-    def thread(self, name: str, run: Callable[[], None]) -> None:
+    def thread(self, name: str, run: Callable[[], object]) -> None:
         """Start a thread that is joined at the node's end; an error in it stops the node.
 
         `run` must return within a second of `stopping` being set.
@@ -114,7 +114,7 @@ class Node:
         self.stopping.wait()
         self._raise_error()
 
-    def _guard(self, run: Callable[[], None]) -> None:
+    def _guard(self, run: Callable[[], object]) -> None:
         try:
             run()
         except BaseException as error:  # noqa: BLE001 - handed to `wait`, which raises it
