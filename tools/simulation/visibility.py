@@ -1,6 +1,7 @@
 """Which corners of a target a camera sees: front side, in the picture, nothing in between."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -44,6 +45,8 @@ def seen_faces(
     """Every face that shows its front, with the corners that nothing hides; it may have none."""
     eye = map_from_camera.translation
     camera_from_map = map_from_camera.inverse()
+    if not _may_be_inside(model, camera_from_map @ map_from_base, target):
+        return []
     faces = []
     for face in target.faces:
         map_from_face = map_from_base @ face.base_from_face
@@ -58,6 +61,33 @@ def seen_faces(
         ids = np.flatnonzero(seen).astype(np.uint16)
         faces.append(SeenFace(face, ids, pixels[seen], square))
     return faces
+
+
+def _may_be_inside(model: CameraModel, camera_from_base: Pose, target: Target) -> bool:
+    """False where the whole target lies outside the cone around the picture; quick."""
+    centre, radius = _ball(target)
+    x, y, z = camera_from_base @ centre
+    distance = float(np.sqrt(x * x + y * y + z * z))
+    if distance <= radius:
+        return True
+    off_axis = np.arccos(z / distance) - np.arcsin(radius / distance)
+    return bool(off_axis < _widest_angle(model))
+
+
+@cache
+def _ball(target: Target) -> tuple[Array, float]:
+    """Centre and radius of a ball around a target's corners, in the robot's frame, metres."""
+    corners = np.vstack([face.base_from_face @ face.corners for face in target.faces])
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    return centre, float(np.linalg.norm(corners - centre, axis=1).max())
+
+
+@cache
+def _widest_angle(model: CameraModel) -> float:
+    """The angle between the axis and the picture's farthest corner, radians."""
+    right, bottom = model.width - 0.5, model.height - 0.5
+    edges = model.directions([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    return float(np.arctan(np.linalg.norm(edges, axis=1).max()))
 
 
 def _shows_front(map_from_face: Pose, corners: Array, eye: Array) -> bool:

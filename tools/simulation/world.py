@@ -74,10 +74,9 @@ class World:
     """A loaded world; see `load_world`."""
 
     def __init__(self, name: str, file: WorldFile, *, seed: int, target: str | None) -> None:
-        self.name, self.seed = name, seed
+        self.name, self.seed, self.target_choice = name, seed, target
         self.site_name = file.site or name
         self.smallest_square_px = file.smallest_square
-        self._file = file
         drives = {robot: _drive(spec, file.hold_first) for robot, spec in file.robots.items()}
         self.duration_s = max(drive.end_s for drive in drives.values()) + file.hold_last
         first = next(iter(file.robots))
@@ -92,6 +91,11 @@ class World:
             robot: _robot(robot, spec, drives[robot], self.map_from_plan, target)
             for robot, spec in file.robots.items()
         }
+
+    @property
+    def first_robot(self) -> str:
+        """The robot whose odometry frame is the map."""
+        return next(iter(self.robots))
 
     def camera(self, name: str) -> SimulatedCamera:
         """A camera by name; raise InputError that lists the known ones."""

@@ -1,0 +1,116 @@
+"""The files of a simulated site: site.toml, targets, intrinsics, and the truth beside them."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import urlencode
+
+import msgspec
+import numpy as np
+
+from trigpoint.camera_info import write_camera_info
+from trigpoint.clock import to_ns
+from trigpoint.config import BusConfig, OdometryNoise
+from trigpoint.geometry import Pose
+from trigpoint.network import encode_tum
+
+from .targets import target_text
+from .world import World
+
+
+def sim_url(world: World, camera: str, *, epoch_ns: int | None = None) -> str:
+    """The source of a camera's pictures in this world, for site.toml."""
+    options = {"world": world.name, "seed": str(world.seed)}
+    if epoch_ns is not None:
+        options["epoch_ns"] = str(epoch_ns)
+    if world.target_choice is not None:
+        options["target"] = world.target_choice
+    return f"sim://{camera}?{urlencode(options, safe='/')}"
+
+
+def write_site(
+    world: World,
+    directory: Path,
+    *,
+    sources: Mapping[str, str] | None = None,
+    ports: Mapping[str, str] | None = None,
+    bus: BusConfig | None = None,
+    recordings: str = "sessions",
+    pictures: bool = False,
+) -> Path:
+    """Write site.toml with its target files and every camera's intrinsics; return its path.
+
+    `sources`: camera -> URL, by default the world's own `sim://`; `ports`: robot -> serial port, by
+    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    targets = _write_targets(world, directory)
+    lines = [f'site = "{world.site_name}"', ""]
+    lines += _table("bus", msgspec.structs.asdict(bus)) if bus is not None else []
+    for name, camera in world.cameras.items():
+        write_camera_info(directory / f"{name}.yaml", camera.model, name)
+        source = (sources or {}).get(name) or sim_url(world, name)
+        size = {"width": camera.model.width, "height": camera.model.height, "rate": camera.rate}
+        lines += _table(f"cameras.{name}", {"source": source, **size, "intrinsics": f"{name}.yaml"})
+    for name, robot in world.robots.items():
+        port = (ports or {}).get(name, "loop://")
+        lines += _table(f"robots.{name}", {"port": port, "target": targets[name]})
+        lines += _table(f"robots.{name}.odometry", _changed(robot.noise))
+    lines += _table("recorder", {"directory": recordings, "pictures": pictures})
+    path = directory / "site.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def write_truth(world: World, directory: Path, *, epoch_ns: int) -> Path:
+    """Write truth.json and each robot's true trajectory, one row an odometry message."""
+    directory.mkdir(parents=True, exist_ok=True)
+    trajectories = {}
+    for robot in world.robots:
+        stamps_s = world.odometry(robot).stamps_s
+        rows = encode_tum(stamps_ns(stamps_s, epoch_ns), world.map_from_base(robot, stamps_s))
+        trajectories[robot] = f"{robot}_truth.tum"
+        (directory / trajectories[robot]).write_bytes(rows)
+    cameras = {name: _transform(camera.map_from_camera) for name, camera in world.cameras.items()}
+    path = directory / "truth.json"
+    truth = {"cameras": cameras, "robots": trajectories}
+    path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def stamps_ns(stamps_s: np.ndarray, epoch_ns: int) -> np.ndarray:
+    """World times (n,) as stamps, (n,) int64."""
+    return np.array([epoch_ns + to_ns(float(t_s)) for t_s in stamps_s], dtype=np.int64)
+
+
+def _write_targets(world: World, directory: Path) -> dict[str, str]:
+    """Write one file where every robot carries the same target, else one a robot; their names."""
+    targets = {name: world.target(name) for name in world.robots}
+    alike = all(target == targets[world.first_robot] for target in targets.values())
+    names = {robot: "target.toml" if alike else f"{robot}_target.toml" for robot in targets}
+    for robot, name in names.items():
+        (directory / name).write_text(target_text(targets[robot]), encoding="utf-8")
+    return names
+
+
+def _changed(noise: OdometryNoise) -> dict[str, object]:
+    """The values that matter: those of a planar robot, and any scale error's."""
+    values = msgspec.structs.asdict(noise)
+    always = ("distance", "lateral", "heading_drive", "heading_turn")
+    return {key: value for key, value in values.items() if key in always or value}
+
+
+def _table(name: str, values: Mapping[str, object]) -> list[str]:
+    return [f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items()), ""]
+
+
+def _toml(value: object) -> str:
+    """A TOML value; JSON writes strings, numbers, booleans and lists the same way."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _transform(pose: Pose) -> dict[str, list[float]]:
+    return {
+        "translation": [float(value) for value in pose.translation],
+        "quaternion": [float(value) for value in pose.quaternion],
+    }
