@@ -66,6 +66,9 @@ class Observation:
     def judged(self, verdict: Verdict) -> "Observation":
         return replace(self, verdict=verdict)
 
+    def with_outliers(self, outliers: tuple[np.ndarray, ...]) -> "Observation":
+        return replace(self, outliers=outliers)
+
     @property
     def corner_count(self) -> int:
         return sum(len(view.corners) for view in self.views)

@@ -389,16 +389,16 @@ def _add_between(equations: NormalEquations, problem: Problem, chain: Chain, blo
 
 def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> None:
     priors, layout = problem.priors, problem.layout
-    for name, columns in layout.lens.items():
-        expected, sigma = priors.lens[name]
+    for name, (expected, sigma) in priors.lens.items():
+        columns = layout.lens[name]
         _add_diagonal(equations, columns, state.cameras[name].lens.parameters - expected, sigma)
-    for name, columns in layout.time_offset.items():
-        offset, sigma = state.cameras[name].time_offset_s, priors.time_offset[name]
-        _add_diagonal(equations, columns, np.array([offset]), np.array([sigma]))
-    for name, columns in layout.scales.items():
-        _add_diagonal(equations, columns, state.robots[name].scales, priors.scales[name])
-    for name, columns in layout.faces.items():
-        expected, translation, rotation = priors.faces[name]
+    for name, sigma in priors.time_offset.items():
+        offset = np.array([state.cameras[name].time_offset_s])
+        _add_diagonal(equations, layout.time_offset[name], offset, np.array([sigma]))
+    for name, sigma in priors.scales.items():
+        _add_diagonal(equations, layout.scales[name], state.robots[name].scales, sigma)
+    for name, (expected, translation, rotation) in priors.faces.items():
+        columns = layout.faces[name]
         error = state.robots[name].base_from_face.difference(expected)
         sigma = np.tile(np.repeat([translation, rotation], 3), len(error))
         _add_diagonal(equations, columns, error.reshape(-1), sigma)

@@ -1,0 +1,101 @@
+"""What every estimator offers to the pipeline."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+
+from .filter import RobotEstimate
+from .observations import Observation
+from .odometry_track import Added
+
+
+@dataclass(frozen=True, slots=True)
+class CameraEstimate:
+    """A camera in the map; `covariance`: (6, 6); `lens_sigma`: of `lens.parameters`."""
+
+    map_from_camera: Pose
+    covariance: Array
+    lens: CameraModel
+    lens_sigma: Array
+    time_offset_s: float
+    time_offset_sigma_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCount:
+    """How a camera's observations fared; `reprojection_rms`: of a coordinate, pixels."""
+
+    sightings: int
+    rejected: int
+    reprojection_rms: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """What an observation did: `correction`, where it was one of a camera located before."""
+
+    correction: RobotEstimate | None = None
+    located: tuple[str, ...] = ()
+    is_rejected: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A robot's way: `map_from_base` (n) at each odometry message's stamp (n,)."""
+
+    stamps_ns: np.ndarray
+    map_from_base: Pose
+
+
+class Estimator(Protocol):
+    """Odometry and observations in, the network and the robots' poses out. Not thread-safe."""
+
+    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
+
+    def add_observation(self, observation: Observation) -> Update:
+        """Take an observation whose moment odometry covers, in any order."""
+        ...
+
+    def keep_observation(self, observation: Observation) -> None:
+        """Take an observation for the next solution alone (too late for anything else)."""
+        ...
+
+    def solve(self) -> None:
+        """Work everything out anew from all that came in."""
+        ...
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        """The robot at its last odometry message; None while it is not tied to the map."""
+        ...
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        """The located cameras."""
+        ...
+
+    def joint_covariance(self) -> Array:
+        """(6n, 6n) over the poses of the located cameras, in their order."""
+        ...
+
+    def undetermined(self) -> dict[str, tuple[str, ...]]:
+        """Cameras that were seen by, but could not be located: what is not known of them."""
+        ...
+
+    def count(self, camera: str) -> CameraCount: ...
+
+    def trajectory(self, robot: str) -> Trajectory | None: ...
+
+    def scales(self, robot: str) -> Array:
+        """The robot's odometry scale errors of distance and heading, (2,)."""
+        ...
+
+    def base_from_faces(self, robot: str) -> Pose: ...
+
+    @property
+    def chi2_per_dof(self) -> float | None: ...
+
+    @property
+    def iterations(self) -> int: ...

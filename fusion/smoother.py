@@ -1,0 +1,434 @@
+"""The default estimator: a smoother over all robot poses and cameras, with a filter for the moment.
+
+Each sighting updates the filter at once; the batch solution is redone when enough has come in since
+the last one (so its cost stays a fixed share), and whenever a camera is located.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from . import judge
+from .assembly import Assembled, assemble, true_time_ns
+from .dataset import DataSet, Entry
+from .estimator import CameraCount, CameraEstimate, Trajectory, Update
+from .faces import PosePrior, align
+from .filter import Filter, RobotEstimate
+from .locate import Located, Undetermined, locate
+from .observations import Observation, Verdict
+from .odometry_track import Added
+from .problem import State
+from .solver import Solution, solve
+from .trajectory import interpolated
+
+_HUBER = 4.0
+_MOST_ROUNDS = 6
+_MOST_REBUILDS = 20
+# A rebuilt problem differs from the extrapolated one by the square of these.
+_SCALE_TOLERANCE = 1e-4
+_OFFSET_TOLERANCE_S = 1e-4
+# An observation's surprise is χ² of twice its corners; beyond this many times that, the sighting,
+# the robot or the camera is not where the rest says.
+_SURPRISING = 3.0
+_FIRST_SOLVE = 20
+_SOLVE_SHARE = 0.1
+_HISTORY = 64
+_LEAST_PICTURES_LIVE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A filter before an observation, so that a late one can be put before it."""
+
+    time_ns: int
+    before: Filter
+    entry: int
+
+
+class Smoother:
+    """See `Estimator`."""
+
+    def __init__(self, data: DataSet) -> None:
+        self.data = data
+        self._state = data.first_state()
+        self._filter: Filter | None = None
+        self._solution: Solution | None = None
+        self._assembled: Assembled | None = None
+        self._history: deque[_Step] = deque(maxlen=_HISTORY)
+        self._since_solve = 0
+        self._tries: dict[str, int] = {}
+        self._undetermined: dict[str, tuple[str, ...]] = {}
+        self.iterations = 0
+
+    # -- input ------------------------------------------------------------------------------------
+
+    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
+        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+        if self._filter is None and (robot == self.data.anchored_robot or self.data.known.poses):
+            self._filter = Filter.at_origin(self.data)
+        return added
+
+    def keep_observation(self, observation: Observation) -> None:
+        self.data.entries.append(Entry(observation))
+
+    def add_observation(self, observation: Observation) -> Update:
+        self.data.entries.append(Entry(observation))
+        index = len(self.data.entries) - 1
+        if observation.camera in self._state.cameras:
+            update = self._use(index)
+        else:
+            self._guess(index)
+            update = self._try_to_locate(observation.camera)
+        if self._is_solution_due():
+            self.solve()
+        return update
+
+    def _is_solution_due(self) -> bool:
+        due = max(_FIRST_SOLVE, _SOLVE_SHARE * len(self.data.entries))
+        return bool(self._state.cameras) and self._since_solve >= due
+
+    # -- an observation of a located camera -------------------------------------------------------
+
+    def _use(self, index: int) -> Update:
+        observation = self.data.entries[index].observation
+        if self._filter is None:
+            return Update()
+        if not self._filter.has_robot(observation.robot):
+            return self._tie(index)
+        time_ns = true_time_ns(observation, self._state)
+        later = self._rewind(observation.robot, time_ns)
+        correction = self._apply(index, time_ns)
+        for step in later:
+            self._apply(step.entry, step.time_ns)
+        self._since_solve += 1
+        is_rejected = self.data.entries[index].observation.verdict is Verdict.REJECTED
+        return Update(correction=correction, is_rejected=is_rejected)
+
+    def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
+        """Go back before everything of this robot that is later; the steps to do again."""
+        assert self._filter is not None
+        later: list[_Step] = []
+        while self._filter.stamps_ns[robot] > time_ns and self._history:
+            step = self._history.pop()
+            later.insert(0, step)
+            self._filter = step.before
+        return later
+
+    def _apply(self, index: int, time_ns: int) -> RobotEstimate | None:
+        """Update the filter by an observation; None where it was rejected or came too late."""
+        current = self._filter
+        assert current is not None
+        entry = self.data.entries[index]
+        robot = entry.observation.robot
+        if time_ns < current.stamps_ns[robot]:
+            return None  # older than the history: the next solution has it
+        predicted = current.robot(self.data, robot, time_ns)
+        aligned = self._aligned(current, entry.observation, predicted)
+        if aligned is None:
+            entry.observation = entry.observation.judged(Verdict.REJECTED)
+            entry.map_from_base = predicted.map_from_base
+            return None
+        observation, pose = aligned
+        moved = current.advanced(self.data, robot, time_ns, pose)
+        after, surprise = moved.updated(self.data, observation)
+        entry.map_from_base = pose
+        if surprise > _SURPRISING * 2 * observation.corner_count + 50:
+            entry.observation = observation.judged(Verdict.REJECTED)
+            return None
+        entry.observation = observation.judged(Verdict.ACCEPTED)
+        self._history.append(_Step(time_ns, current, index))
+        self._filter = after
+        return after.robot(self.data, robot)
+
+    def _aligned(
+        self, current: Filter, observation: Observation, predicted: RobotEstimate | None
+    ) -> tuple[Observation, Pose] | None:
+        """The observation as it is read best, and where that puts the robot."""
+        camera = current.state.cameras[observation.camera]
+        robot = observation.robot
+        prior, distance = None, 3.0
+        if predicted is not None:
+            prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
+            between = predicted.map_from_base.translation - camera.map_from_camera.translation
+            distance = float(np.linalg.norm(between))
+        alignment = align(
+            observation,
+            self.data.targets[robot],
+            camera.lens,
+            camera.map_from_camera,
+            tangent=self.data.tracks[robot].tangent,
+            prior=prior,
+            extra_sigma_px=current.camera_sigma_px(observation.camera, distance),
+        )
+        if alignment is None or alignment.margin < judge.DECISIVE:
+            return None
+        return observation.read_as(alignment.readings), alignment.map_from_base
+
+    def _tie(self, index: int) -> Update:
+        """A robot meets its first located camera: its odometry gets its place in the map."""
+        assert self._filter is not None
+        entry = self.data.entries[index]
+        aligned = self._aligned(self._filter, entry.observation, None)
+        if aligned is None:
+            return Update()
+        observation, entry.map_from_base = aligned
+        entry.observation = observation.judged(Verdict.ACCEPTED)
+        self.solve()
+        return Update()
+
+    # -- an observation of a camera that is not located -------------------------------------------
+
+    def _guess(self, index: int) -> None:
+        """Where the robot stood, as far as it is known now."""
+        entry = self.data.entries[index]
+        observation = entry.observation
+        entry.map_from_base = self._pose_at(observation.robot, observation.stamp_ns)
+
+    def _pose_at(self, robot: str, stamp_ns: int) -> Pose | None:
+        if self._filter is None or not self._filter.has_robot(robot):
+            return None
+        if stamp_ns >= self._filter.stamps_ns[robot]:
+            return self._filter.robot(self.data, robot, stamp_ns).map_from_base
+        if self._assembled is not None and robot in self._assembled.problem.chains:
+            chain = self._assembled.problem.chains[robot]
+            nodes = self._state.robots[robot].map_from_base
+            return interpolated(self.data.tracks[robot], chain, nodes, np.array([stamp_ns]))[0]
+        return None
+
+    def _try_to_locate(self, camera: str) -> Update:
+        """Try again whenever a camera's pictures have grown by half since the last try."""
+        pictures = len(self.data.of_camera(camera))
+        if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._tries.get(camera, 0)):
+            return Update()
+        self._tries[camera] = pictures
+        if self._locate(camera):
+            self.solve()
+            return Update(located=(camera,) if camera in self._state.cameras else ())
+        return Update()
+
+    def _locate(self, camera: str) -> bool:
+        result = locate(self.data, self._state, camera)
+        if isinstance(result, Undetermined):
+            self._undetermined[camera] = result.reasons
+            return False
+        self._undetermined.pop(camera, None)
+        self._take(camera, result)
+        return True
+
+    def _take(self, camera: str, located: Located) -> None:
+        self._state = State(self._state.cameras | {camera: located.camera}, self._state.robots)
+        for index, readings in located.readings.items():
+            entry = self.data.entries[index]
+            entry.observation = entry.observation.read_as(readings).judged(Verdict.ACCEPTED)
+            entry.map_from_base = located.map_from_base.get(index, entry.map_from_base)
+
+    # -- the batch solution -----------------------------------------------------------------------
+
+    def solve(self) -> None:
+        """Solve over everything; observations that contradict the rest are set aside."""
+        self._readmit()
+        used = self.data.usable(self._state.cameras)
+        if not used:
+            return
+        solution = assembled = None
+        for round_ in range(_MOST_ROUNDS):
+            is_rough = round_ == 0
+            assembled, solution = self._solve_consistently(used, is_rough=is_rough)
+            changed = judge.judge(self.data, assembled, solution.state)
+            used = self.data.usable(self._state.cameras)
+            if not used:
+                return
+            if round_ > 0 and not changed:
+                break
+        assert solution is not None
+        assert assembled is not None
+        self._solution, self._assembled = solution, assembled
+        self._since_solve = 0
+        self._history.clear()
+        self._forget_unused(assembled)
+        self._filter = Filter.after(self._state, assembled.problem, solution.reduced)
+        self._guess_rest()
+        self._drop_misplaced()
+
+    def _readmit(self) -> None:
+        """Give observations that were set aside another chance, and place those without a place."""
+        for index, entry in enumerate(self.data.entries):
+            observation = entry.observation
+            if observation.camera not in self._state.cameras:
+                continue
+            if observation.outliers and observation.chosen is not None:
+                entry.observation = observation.read_as(observation.chosen)
+            if entry.map_from_base is None:
+                self._guess(index)
+            if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
+                continue
+            prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, 0.01 * np.eye(6))
+            if self._filter is None:
+                continue
+            aligned = self._aligned(self._filter, observation, prior)
+            if aligned is not None:
+                entry.observation = aligned[0].judged(Verdict.ACCEPTED)
+
+    def _solve_consistently(
+        self, used: list[int], *, is_rough: bool
+    ) -> tuple[Assembled, Solution]:
+        """Solve until scales and time offsets, which the problem's making needs, stay put.
+
+        Roughly: corners far off count linearly, and the last tenth of χ² is not waited for.
+        """
+        huber, tolerance = (_HUBER, 0.1) if is_rough else (np.inf, 1e-6)
+        for _ in range(_MOST_REBUILDS):
+            assembled = assemble(self.data, self._state, used)
+            solution = solve(
+                assembled.problem, assembled.start, huber=huber, tolerance=tolerance
+            )
+            self.iterations += solution.iterations
+            before, self._state = self._state, self._merged(solution.state)
+            for index, node in assembled.node_of.items():
+                entry = self.data.entries[index]
+                robot = entry.observation.robot
+                entry.map_from_base = solution.state.robots[robot].map_from_base[node]
+            if is_rough or _is_consistent(before, self._state):
+                break
+        return assembled, solution
+
+    def _merged(self, state: State) -> State:
+        return State(self._state.cameras | state.cameras, self._state.robots | state.robots)
+
+    def _forget_unused(self, assembled: Assembled) -> None:
+        """Cameras all of whose observations were rejected are not located any more."""
+        kept = {n: c for n, c in self._state.cameras.items() if n in assembled.problem.layout.pose}
+        self._state = State(kept, self._state.robots)
+
+    def _guess_rest(self) -> None:
+        for index, entry in enumerate(self.data.entries):
+            if entry.observation.verdict is not Verdict.ACCEPTED:
+                self._guess(index)
+
+    def _drop_misplaced(self) -> None:
+        """A camera most of whose observations contradict its place loses it, and starts anew."""
+        for camera in list(self._state.cameras):
+            if camera in self.data.known.poses:
+                continue
+            entries = self.data.of_camera(camera)
+            accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
+            if accepted * 2 >= len(entries):
+                continue
+            cameras = {n: c for n, c in self._state.cameras.items() if n != camera}
+            self._state = State(cameras, self._state.robots)
+            for entry in entries:
+                entry.observation = entry.observation.judged(Verdict.PENDING)
+            self._undetermined[camera] = ("its pictures contradict each other",)
+            self._tries[camera] = len(entries)
+            self.solve()
+            return
+
+    def finish(self) -> None:
+        """Locate what can be located from all that came in, and solve to the end."""
+        for _ in range(len(self.data.site.cameras) + 1):
+            self.solve()
+            missing = [
+                name
+                for name in self.data.site.cameras
+                if name not in self._state.cameras and self.data.of_camera(name)
+            ]
+            found = [name for name in missing if self._locate(name)]
+            if not found:
+                break
+
+    # -- output -----------------------------------------------------------------------------------
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        if self._filter is None or not self._filter.has_robot(robot):
+            return None
+        return self._filter.robot(self.data, robot, self.data.tracks[robot].last_ns)
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        if self._filter is None:
+            return {}
+        reduced, state = self._filter.reduced, self._filter.state
+        covariance, step = reduced.covariance(), self._filter.mean_step()
+        layout, found = reduced.layout, {}
+        for name in self.data.site.cameras:
+            if name not in layout.pose:
+                continue
+            pose, camera = layout.pose[name], state.cameras[name]
+            sigmas = np.sqrt(np.diagonal(covariance))
+            lens_sigma = np.zeros(len(camera.lens.parameters))
+            lens, offset, offset_sigma = camera.lens, camera.time_offset_s, 0.0
+            if name in layout.lens:
+                lens_sigma = sigmas[layout.lens[name]]
+                lens = lens.with_parameters(lens.parameters + step[layout.lens[name]])
+            if name in layout.time_offset:
+                offset += float(step[layout.time_offset[name]][0])
+                offset_sigma = float(sigmas[layout.time_offset[name]][0])
+            found[name] = CameraEstimate(
+                camera.map_from_camera.disturbed(step[pose]),
+                covariance[pose, pose],
+                lens,
+                lens_sigma,
+                offset,
+                offset_sigma,
+            )
+        return found
+
+    def joint_covariance(self) -> Array:
+        names = list(self.cameras())
+        if not names or self._filter is None:
+            return np.zeros((0, 0))
+        layout = self._filter.reduced.layout
+        columns = np.concatenate([np.arange(layout.size)[layout.pose[name]] for name in names])
+        return self._filter.reduced.covariance()[np.ix_(columns, columns)]
+
+    def undetermined(self) -> dict[str, tuple[str, ...]]:
+        return {
+            name: self._undetermined.get(name, ("too few pictures of the robot so far",))
+            for name in self.data.site.cameras
+            if name not in self._state.cameras and self.data.of_camera(name)
+        }
+
+    def count(self, camera: str) -> CameraCount:
+        entries = self.data.of_camera(camera)
+        rejected = sum(e.observation.verdict is Verdict.REJECTED for e in entries)
+        rms = None
+        if self._assembled is not None and self._solution is not None:
+            rms = judge.reprojection_rms_px(self._assembled.problem, self._solution.state, camera)
+        return CameraCount(len(entries), rejected, rms)
+
+    def trajectory(self, robot: str) -> Trajectory | None:
+        track = self.data.tracks[robot]
+        if self._assembled is None or robot not in self._assembled.problem.chains:
+            if robot != self.data.anchored_robot or not len(track):
+                return None
+            return Trajectory(track.stamps_ns.copy(), track.odom_from_base)
+        chain = self._assembled.problem.chains[robot]
+        nodes = self._state.robots[robot].map_from_base
+        return Trajectory(
+            track.stamps_ns.copy(), interpolated(track, chain, nodes, track.stamps_ns)
+        )
+
+    def scales(self, robot: str) -> Array:
+        return self._state.robots[robot].scales
+
+    def base_from_faces(self, robot: str) -> Pose:
+        return self._state.robots[robot].base_from_face
+
+    @property
+    def chi2_per_dof(self) -> float | None:
+        if self._assembled is None or self._solution is None:
+            return None
+        return judge.chi2_per_dof(self._assembled.problem, self._solution)
+
+
+def _is_consistent(before: State, after: State) -> bool:
+    for name, robot in after.robots.items():
+        if np.abs(robot.scales - before.robots[name].scales).max() > _SCALE_TOLERANCE:
+            return False
+    return all(
+        abs(camera.time_offset_s - before.cameras[name].time_offset_s) <= _OFFSET_TOLERANCE_S
+        for name, camera in after.cameras.items()
+    )
