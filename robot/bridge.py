@@ -3,6 +3,7 @@
 The reader's thread and the corrections' thread both come here; one lock guards it all.
 """
 
+import logging
 import threading
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ from .protocol import (
 )
 from .safety import Approved, Refused, SafetyGate
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, slots=True)
 class Offset:
@@ -51,6 +54,7 @@ class Bridge:
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
         self._number = 0
+        self._refused_for = ""
         self._vitals = Vitals(0, 0)
         self._answer_ms = 0.0
 
@@ -160,14 +164,18 @@ class Bridge:
 
     def _refuse(self, reason: str, text: str) -> None:
         self._health.lose(f"corrections_refused_{reason}")
-        self._health.fail(f"a correction for robot {self._robot} was refused: {text}")
+        if reason != self._refused_for:  # the first of a run is told, all are counted
+            self._refused_for = reason
+            _log.warning("a correction for robot %s was refused: %s", self._robot, text)
 
     def _hand_on(
         self, correction: PoseEstimate, mark: CorrectionMark, approved: Approved
     ) -> RobotCorrection:
         self._number += 1
+        self._refused_for = ""
         if approved.establishes:
             self._health.count("frames_established")
+            _log.info("robot %s is told where it is anew: %s", self._robot, approved.why)
         return RobotCorrection(
             number=self._number,
             firmware_ns=approved.firmware_ns,

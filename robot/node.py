@@ -61,15 +61,15 @@ class RobotNode:
         health.gauge("clock_round_trip_us", lambda: bridge.clock.round_trip_us)
         health.gauge("clock_drift_ppm", lambda: bridge.clock.drift_ppm)
         health.gauge("clock_jumps", lambda: bridge.clock.jumps)
-        health.gauge("clock_offset_s", self._clock_offset_s)
+        health.gauge("firmware_clock_s", self._firmware_clock_s)
         health.gauge("correction_answer_ms", lambda: bridge.answer_ms)
         health.gauge("firmware_received", lambda: bridge.vitals.received)
         health.gauge("firmware_rejected", lambda: bridge.vitals.rejected)
         health.gauge("port_opened", lambda: self._line.opened)
 
-    def _clock_offset_s(self) -> float:
-        """Unix time minus the firmware's clock; called once a second, so it also looks whether
-        somebody set this machine's clock."""
+    def _firmware_clock_s(self) -> float:
+        """What the firmware's clock reads, 0 where that is not known. Called once a second, so it
+        also looks whether somebody set this machine's clock."""
         moved_ns = measured_offset(self._clock).unix_minus_elapsed_ns
         moved_ns -= self._offset.unix_minus_elapsed_ns
         if abs(moved_ns) > _STEP_NS:
@@ -77,8 +77,8 @@ class RobotNode:
                 f"this machine's clock was set by {to_seconds(moved_ns):+.3f} s since the bridge "
                 "started; the odometry keeps its time: restart the bridge to follow"
             )
-        machine_ns = self._bridge.clock.machine_ns(0)
-        return 0.0 if machine_ns is None else to_seconds(self._bridge.unix_ns(machine_ns))
+        zero_ns = self._bridge.clock.machine_ns(0)
+        return 0.0 if zero_ns is None else to_seconds(self._clock.elapsed_ns() - zero_ns)
 
     def _handle(self, event: Event) -> None:
         odometry = self._bridge.on_event(event)

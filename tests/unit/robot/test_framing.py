@@ -1,0 +1,112 @@
+"""Frames on a serial line: any cut, noise between, damage."""
+
+from itertools import pairwise
+
+from cobs import cobs
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from trigpoint.robot.protocol import Damaged, DamageKind
+from trigpoint.robot.protocols.framing import (
+    MAXIMUM_FRAME,
+    MAXIMUM_PAYLOAD,
+    Frame,
+    FrameReader,
+    FrameWriter,
+    SequenceCheck,
+    crc16,
+    decode_frame,
+    encode_frame,
+)
+
+frames = st.builds(
+    Frame,
+    kind=st.integers(0, 255),
+    sequence=st.integers(0, 65535),
+    payload=st.binary(max_size=MAXIMUM_PAYLOAD),
+)
+# Bytes that hold a delimiter and can be no frame: too short for one.
+short_noise = st.binary(max_size=5).map(lambda noise: noise.replace(b"\0", b"\1") + b"\0")
+
+
+def cut(data: bytes, places: list[int]) -> list[bytes]:
+    at = sorted({place % (len(data) + 1) for place in places})
+    ends = [0, *at, len(data)]
+    return [data[first:second] for first, second in pairwise(ends)]
+
+
+@given(frames)
+def test_frame_comes_back_as_it_was(frame: Frame) -> None:
+    encoded = encode_frame(frame)
+    assert encoded.index(b"\0") == len(encoded) - 1
+    assert len(encoded) <= MAXIMUM_FRAME + 2
+    assert decode_frame(encoded[:-1]) == frame
+
+
+@given(st.lists(frames, max_size=4), st.lists(st.integers(0, 2000), max_size=12))
+def test_frames_are_found_however_the_bytes_are_cut(sent: list[Frame], places: list[int]) -> None:
+    reader = FrameReader()
+    data = b"".join(encode_frame(frame) for frame in sent)
+    assert [frame for piece in cut(data, places) for frame in reader.feed(piece)] == sent
+
+
+@given(st.lists(st.tuples(frames, short_noise), min_size=1, max_size=4))
+def test_noise_between_frames_loses_none_of_them(sent: list[tuple[Frame, bytes]]) -> None:
+    reader = FrameReader()
+    data = b"\0" + b"".join(encode_frame(frame) + noise for frame, noise in sent)
+    found = reader.feed(data)
+    assert [item for item in found if isinstance(item, Frame)] == [frame for frame, _ in sent]
+    assert all(isinstance(item, Frame | Damaged) for item in found)
+    assert sum(isinstance(item, Damaged) for item in found) == sum(
+        len(noise) > 1 for _, noise in sent
+    )
+
+
+@given(frames, st.data())
+def test_burst_of_damage_within_two_bytes_never_decodes(frame: Frame, data: st.DataObject) -> None:
+    body = bytearray(cobs.decode(encode_frame(frame)[:-1]))
+    at = data.draw(st.integers(0, len(body) - 2))
+    burst = data.draw(st.binary(min_size=2, max_size=2).filter(any))
+    body[at] ^= burst[0]
+    body[at + 1] ^= burst[1]
+    assert decode_frame(cobs.encode(bytes(body))) == Damaged(DamageKind.CHECKSUM)
+
+
+@given(st.binary(max_size=400), frames)
+def test_reading_goes_on_after_any_garbage(garbage: bytes, frame: Frame) -> None:
+    reader = FrameReader()
+    reader.feed(garbage + b"\0")
+    assert reader.feed(encode_frame(frame)) == [frame]
+
+
+@given(frames, st.integers(1, 200))
+def test_rest_of_a_frame_that_began_before_is_no_damage(frame: Frame, start: int) -> None:
+    encoded = encode_frame(frame)
+    assume(start < len(encoded))
+    assert decode_frame(encoded[start:-1]) != frame
+    reader = FrameReader()
+    assert [item for item in reader.feed(encoded[start:]) if isinstance(item, Damaged)] == []
+
+
+def test_endless_bytes_without_a_delimiter_are_not_kept() -> None:
+    reader = FrameReader()
+    reader.feed(b"\0")
+    for _ in range(1000):
+        assert reader.feed(b"\x55" * 100) == []
+    assert len(reader._buffer) <= MAXIMUM_FRAME + 1
+    assert reader.feed(b"\0") == [Damaged(DamageKind.FRAMING)]
+
+
+def test_checksum_is_the_documented_one() -> None:
+    assert crc16(b"123456789") == 0x29B1
+
+
+def test_missing_frames_are_counted_across_the_wrap() -> None:
+    check = SequenceCheck()
+    assert [check.missing(number) for number in (65534, 65535, 0, 3)] == [0, 0, 0, 2]
+
+
+def test_writer_numbers_its_frames() -> None:
+    writer, reader = FrameWriter(), FrameReader()
+    found = [reader.feed(writer.write(1, b""))[0] for _ in range(3)]
+    assert [frame.sequence for frame in found if isinstance(frame, Frame)] == [0, 1, 2]

@@ -1,0 +1,106 @@
+"""Serial ports, with pyserial's loop and pseudo-terminals."""
+
+import os
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from trigpoint.errors import PortError
+from trigpoint.robot.port import Port, PortTimeoutError, is_device
+
+
+class Pty:
+    def __init__(self) -> None:
+        self.ours, self.theirs = os.openpty()
+        tty.setraw(self.theirs)
+        self.path = os.ttyname(self.theirs)
+
+    def unplug(self) -> None:
+        for end in (self.ours, self.theirs):
+            if end >= 0:
+                os.close(end)
+        self.ours = self.theirs = -1
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    pair = Pty()
+    yield pair
+    pair.unplug()
+
+
+def test_any_url_of_pyserial_opens() -> None:
+    with Port("loop://", 115200) as port:
+        port.write(b"hello")
+        assert port.read()[0] == b"hello"
+    assert not is_device("loop://")
+
+
+def test_bytes_go_both_ways(pty: Pty) -> None:
+    with Port(pty.path, 115200) as port:
+        os.write(pty.ours, b"\0\1\xff")
+        data, received_ns = port.read()
+        assert (data, received_ns > 0) == (b"\0\1\xff", True)
+        port.write(b"\r\n\0")
+        assert os.read(pty.ours, 10) == b"\r\n\0"
+
+
+def test_nothing_to_read_is_nothing(pty: Pty) -> None:
+    with Port(pty.path, 115200) as port:
+        assert port.read()[0] == b""
+
+
+def test_busy_port_says_to_stop_the_other_bridge(pty: Pty) -> None:
+    with (
+        Port(pty.path, 115200),
+        pytest.raises(PortError, match=f"^Port {pty.path} is busy; stop the other bridge\\.$"),
+    ):
+        Port(pty.path, 115200)
+
+
+def test_port_can_be_opened_again_after_it_was_closed(pty: Pty) -> None:
+    for _ in range(2):
+        with Port(pty.path, 115200):
+            pass
+
+
+def test_port_that_does_not_exist_is_named_beside_those_that_do(tmp_path: Path) -> None:
+    missing = tmp_path / "ttyUSB9"
+    with pytest.raises(PortError) as caught:
+        Port(str(missing), 115200)
+    assert f"Port {missing} does not exist; this machine has " in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
+def test_port_without_permission_names_the_group(tmp_path: Path) -> None:
+    locked = tmp_path / "locked"
+    locked.touch(mode=0)
+    with pytest.raises(PortError, match="dialout"):
+        Port(str(locked), 115200)
+
+
+def test_file_that_is_no_port_is_one_clear_line(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("x")
+    with pytest.raises(PortError, match=r"does not open .*; correct `port` in site.toml"):
+        Port(str(file), 115200)
+
+
+def test_foreign_url_is_one_clear_line() -> None:
+    with pytest.raises(PortError, match=r"correct `port` in site\.toml"):
+        Port("nonsense://x", 115200)
+
+
+def test_unplugged_port_is_lost(pty: Pty) -> None:
+    with Port(pty.path, 115200) as port:
+        pty.unplug()
+        with pytest.raises(PortError, match=f"Port {pty.path} was lost"):
+            port.read()
+
+
+def test_port_that_takes_no_bytes_loses_them_and_says_so(pty: Pty) -> None:
+    with Port(pty.path, 115200) as port, pytest.raises(PortTimeoutError, match="takes no bytes"):
+        port.write(b"x" * 400_000)
