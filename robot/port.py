@@ -62,7 +62,7 @@ class Port:
             return first + (self._serial.read(waiting) if waiting else b""), received_ns
         except (serial.SerialException, OSError, TypeError) as reason:
             # TypeError: pyserial's read on a port that another thread has just closed.
-            raise PortError(f"Port {self.url} was lost ({_plain(reason)}).") from None
+            raise PortError(f"Port {self.url} was lost; is it plugged in?") from reason
 
     def write(self, data: bytes) -> None:
         """Hand all bytes to the system; raise PortTimeoutError where it does not take them."""
@@ -71,7 +71,7 @@ class Port:
         except serial.SerialTimeoutException:
             raise PortTimeoutError(f"Port {self.url} takes no bytes; is the robot on?") from None
         except (serial.SerialException, OSError, TypeError) as reason:
-            raise PortError(f"Port {self.url} was lost ({_plain(reason)}).") from None
+            raise PortError(f"Port {self.url} was lost; is it plugged in?") from reason
 
     def close(self) -> None:
         """Close it; may be called twice, and from another thread."""

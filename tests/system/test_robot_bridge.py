@@ -1,0 +1,261 @@
+"""The robot bridge against a simulated firmware in a process of its own, on a pseudo-terminal."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+import pytest
+from builders import eventually
+
+from trigpoint.bus import Subscription
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.cdr import decode, encode
+from trigpoint.clock import to_ns
+from trigpoint.config import Site, parse_site
+from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.node import Node
+from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
+from trigpoint.robot.node import RobotNode
+from trigpoint.tools.simulation.world import load_world
+from trigpoint.topics import CORRECTION, ODOMETRY
+
+SITE = """\
+site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "sim://c1"
+[robots.r1]
+port = "./r1.port"
+"""
+MAP = UUID(int=7)
+PERIOD_NS = to_ns(0.02)
+
+
+class Desk:
+    """A site in a folder, its simulated robot, and a bus that lives as long."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self.folder, self._stack = folder, stack
+        (folder / "site.toml").write_text(SITE)
+        self.site: Site = parse_site(SITE, directory=folder)
+        self.port, self.journal = folder / "r1.port", folder / "r1.jsonl"
+        self.epoch_ns = time.time_ns() - to_ns(20.0)
+        self.broker = MemoryBroker()
+        self.bus = stack.enter_context(self.broker.session())
+        self.odometry: Subscription = self.bus.subscribe(
+            ODOMETRY, ODOMETRY.key(self.site.name, "r1")
+        )
+        self.sequence = 0
+
+    def start_firmware(self, *more: str) -> subprocess.Popen[bytes]:
+        options = {
+            "--world": "lab", "--seed": "1", "--epoch-ns": str(self.epoch_ns), "--robot": "r1",
+            "--link": str(self.port), "--log": str(self.journal),
+        }  # fmt: skip
+        words = [word for pair in options.items() for word in pair]
+        module = "trigpoint.tools.simulation.firmware"
+        process = subprocess.Popen([sys.executable, "-m", module, *words, *more])
+        self._stack.callback(end, process)
+        assert eventually(lambda: self.port.exists(), 30.0)
+        return process
+
+    @contextmanager
+    def bridge(self) -> Iterator[Node]:
+        bus = self.broker.session()
+        with closing(bus), Node(bus, site=self.site.name, kind="robot", name="r1") as node:
+            RobotNode(bus, node, self.site, "r1").start()
+            yield node
+
+    def take(self, count: int) -> list[Odometry]:
+        """The next messages; fails where they do not come."""
+        found = []
+        for _ in range(count):
+            sample = self.odometry.take(10.0)
+            assert sample is not None, "no odometry came"
+            message = decode(ODOMETRY.type_name, sample.payload)
+            assert isinstance(message, Odometry)
+            found.append(message)
+        return found
+
+    def rest(self) -> list[Odometry]:
+        """What still comes, until nothing more does."""
+        found = []
+        while (sample := self.odometry.take(0.5)) is not None:
+            message = decode(ODOMETRY.type_name, sample.payload)
+            assert isinstance(message, Odometry)
+            found.append(message)
+        return found
+
+    def correct(self, at: Odometry, pose: Pose) -> None:
+        self.sequence += 1
+        publisher = self.bus.publisher(CORRECTION, CORRECTION.key(self.site.name, "r1"))
+        covariance = np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4])
+        payload = encode(PoseEstimate(at.stamp_ns, "map", pose, covariance))
+        publisher.put(payload, attachment=encode_mark(CorrectionMark(MAP, self.sequence)))
+
+    def noted(self, kind: str) -> list[dict]:
+        """What the robot wrote down."""
+        lines = self.journal.read_text("utf-8").splitlines()
+        return [note for line in lines if (note := json.loads(line))["kind"] == kind]
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    process.wait(10.0)
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    with ExitStack() as stack:
+        yield Desk(tmp_path, stack)
+
+
+def command(desk: Desk, *more: str) -> subprocess.CompletedProcess[str]:
+    words = ["robot", "--site", str(desk.folder / "site.toml"), "--robot", "r1", *more]
+    return subprocess.run(
+        [sys.executable, "-m", "trigpoint", *words],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+
+def test_odometry_on_the_bus_is_the_worlds_at_the_moments_of_reading(desk: Desk) -> None:
+    desk.start_firmware()
+    world = load_world("lab", seed=1).odometry("r1")
+    with desk.bridge() as node:
+        messages = desk.take(50)
+        assert node.health.total("odometry") >= 50
+    numbers = [round((message.stamp_ns - desk.epoch_ns) / PERIOD_NS) for message in messages]
+    assert numbers == list(range(numbers[0], numbers[0] + 50))
+    for number, message in zip(numbers, messages, strict=True):
+        np.testing.assert_allclose(message.pose.difference(world.poses[number]), 0, atol=1e-9)
+
+
+def test_correction_reaches_the_robot_which_acknowledges_it_and_moves_its_map(desk: Desk) -> None:
+    desk.start_firmware()
+    map_from_odom = Pose.planar(10.0, 3.0, 1.0)
+    with desk.bridge() as node:
+        message = desk.take(10)[-3]
+        desk.correct(message, map_from_odom @ message.pose)
+        assert eventually(lambda: node.health.total("corrections_accepted") == 1)
+        assert node.health.total("frames_established") == 1
+        off = Pose.planar(1.0, 0.0, 0.0) @ map_from_odom
+        message = desk.take(10)[-3]
+        desk.correct(message, off @ message.pose)
+        assert eventually(lambda: node.health.lost("corrections_refused_jump") == 1)
+    [note] = desk.noted("correction")
+    assert note["establishes"]
+    assert note["map"] == str(MAP)
+    np.testing.assert_allclose(note["map_from_odom"]["translation"], [10, 3, 0], atol=1e-6)
+
+
+def test_killed_firmware_is_found_again_and_its_odometry_goes_on(desk: Desk) -> None:
+    firmware = desk.start_firmware()
+    with desk.bridge() as node:
+        messages = desk.take(20)
+        firmware.send_signal(signal.SIGKILL)
+        firmware.wait(10.0)
+        desk.port.unlink()  # as a device node goes when it is unplugged
+        *_, before = [*messages, *desk.rest()]
+        desk.start_firmware("--counters-restart")
+        after = desk.take(1)[0]
+        assert after.stamp_ns > before.stamp_ns
+        # It counts from zero now, metres away; the frame on the bus goes on where it was.
+        assert np.linalg.norm(before.pose.translation) > 1.0
+        np.testing.assert_allclose(after.pose.difference(before.pose), 0, atol=1e-9)
+        assert node.health.lost("firmware_restarts") == 1
+        assert node.health.total("connections") == 2
+
+
+def test_bridge_that_is_started_again_goes_on_with_the_same_robot(desk: Desk) -> None:
+    desk.start_firmware()
+    with desk.bridge():
+        first = desk.take(20)[-1]
+    with desk.bridge() as node:
+        while desk.take(1)[0].stamp_ns <= first.stamp_ns:
+            pass
+        assert node.health.lost("firmware_restarts") == 0
+
+
+def test_garbage_on_the_line_is_counted_and_the_odometry_still_comes(desk: Desk) -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    desk.port.symlink_to(os.ttyname(theirs))
+    robot = FirmwareEndpoint(name="r1", program="test", boot=1)
+    with desk.bridge() as node:
+        os.write(ours, b"\0noise\0" + robot.hello())
+        os.set_blocking(ours, False)
+        stamp_ns = 0
+
+        def goes_on() -> bool:
+            nonlocal stamp_ns
+            with suppress(BlockingIOError):
+                os.write(ours, robot.receive(os.read(ours, 4096), time.monotonic_ns()))
+            stamp_ns = max(stamp_ns + 1, time.monotonic_ns())
+            reading = robot.odometry(stamp_ns, Pose.identity(), np.zeros(3), np.zeros(3))
+            os.write(ours, b"\x07garbage\0" + reading)
+            return node.health.total("odometry") > 10
+
+        assert eventually(goes_on)
+        assert node.health.lost("serial_framing_errors") > 5
+        report = node.diagnostics().statuses[0]
+        assert "serial_framing_errors" in report.message
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_garbage_on_the_bus_is_rejected_and_its_sender_named(desk: Desk) -> None:
+    desk.start_firmware()
+    with desk.bridge() as node:
+        message = desk.take(5)[-3]
+        publisher = desk.bus.publisher(CORRECTION, CORRECTION.key(desk.site.name, "r1"))
+        publisher.put(b"garbage", attachment=bytes(24))
+        publisher.put(
+            encode(PoseEstimate(message.stamp_ns, "map", message.pose, np.eye(6))),
+            attachment=b"short",
+        )
+        assert eventually(lambda: node.health.total("rejected") == 2)
+        assert desk.bus.identity in node.health.last_error
+        assert desk.take(5)
+
+
+def test_dry_run_says_what_comes_and_ends_well(desk: Desk) -> None:
+    desk.start_firmware()
+    done = command(desk, "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "robot «r1», firmware «trigpoint simulated firmware»" in done.stdout
+    assert done.stdout.count("odometry messages in this second") >= 3
+    assert desk.noted("correction") == []
+
+
+def test_dry_run_names_a_wrong_version(desk: Desk) -> None:
+    desk.start_firmware("--version", "2")
+    done = command(desk, "--dry-run")
+    assert done.returncode == 1
+    [line] = done.stderr.splitlines()
+    assert "version 2 of the serial protocol, this bridge version 1; update this bridge" in line
+
+
+def test_port_that_does_not_exist_is_one_clear_line(desk: Desk) -> None:
+    done = command(desk, "--dry-run")
+    assert done.returncode == 1
+    [line] = done.stderr.splitlines()
+    assert f"Port {desk.port} does not exist; this machine has " in line
+
+
+def test_unknown_protocol_is_one_clear_line_that_lists_what_there_is(desk: Desk) -> None:
+    (desk.folder / "site.toml").write_text(SITE + 'protocol = "mavlink"\n')
+    done = command(desk)
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert "no robot protocol «mavlink»; site.toml may name trigpoint" in line
