@@ -39,23 +39,32 @@ def reported(truth: Array, noise: OdometryNoise, random: np.random.Generator) ->
 
     The model speaks of the truth given the report: truth = (1 + scale error) × report + noise, with
     variances from the report's length L and turn H. Here the truth comes first, so the report is
-    truth minus noise, over 1 + scale error. L and H are taken before the noise: taken after it,
-    they would give the noise a mean (k²/2 a step), which the model does not have. The variances
-    agree but for the square of one step's relative noise, a percent or so.
+    truth minus noise, over 1 + scale error. L and H are the means over both signs of the noise of
+    what would be reported: as reported itself, they would depend on the noise's sign and give it a
+    mean (k²/2 a step), which the model does not have. So the variances agree but for the square of
+    one step's relative noise, a percent or so.
     """
     scale = 1 + random.standard_normal(2) * [noise.distance_scale, noise.heading_scale]
     clean = truth / [scale[0], scale[0], scale[1]]
-    length, turn = np.hypot(clean[:, 0], clean[:, 1]), np.abs(clean[:, 2])
-    draw = random.standard_normal(truth.shape)
-    along = noise.distance * np.sqrt(length) * draw[:, 0]
-    across = noise.lateral * np.sqrt(length) * draw[:, 1]
-    spread = np.sqrt(noise.heading_drive**2 * length + noise.heading_turn**2 * turn)
-    cosine, sine = np.cos(clean[:, 2] / 2), np.sin(clean[:, 2] / 2)
-    disturbed = np.column_stack(
-        [
-            truth[:, 0] - (cosine * along - sine * across),
-            truth[:, 1] - (sine * along + cosine * across),
-            truth[:, 2] - spread * draw[:, 2],
-        ]
+    root_length, draw = (
+        np.sqrt(np.hypot(clean[:, 0], clean[:, 1])),
+        random.standard_normal(truth.shape),
     )
-    return disturbed / [scale[0], scale[0], scale[1]]
+    along = noise.distance * root_length * draw[:, 0]
+    across = noise.lateral * root_length * draw[:, 1]
+    turned = _heading_noise(
+        noise.heading_drive * root_length, noise.heading_turn, clean[:, 2], draw[:, 2]
+    )
+    cosine, sine = np.cos(clean[:, 2] / 2), np.sin(clean[:, 2] / 2)
+    disturbance = [cosine * along - sine * across, sine * along + cosine * across, turned]
+    return (truth - np.column_stack(disturbance)) / [scale[0], scale[0], scale[1]]
+
+
+def _heading_noise(drive: Array, per_root_turn: float, turn: Array, draw: Array) -> Array:
+    """Noise w of variance drive² + per_root_turn² · H, for the mean H of |turn - w| and |turn + w|,
+    which is the greater one of |turn| and |w|; all (n,), radians. `draw`: standard normal."""
+    small = draw * np.sqrt(drive**2 + per_root_turn**2 * np.abs(turn))
+    # Where |w| is the greater one, it solves w² = (drive² + k² |w|) draw².
+    half = 0.5 * (per_root_turn * draw) ** 2
+    large = half + np.sqrt(half**2 + (drive * draw) ** 2)
+    return np.where(np.abs(small) <= np.abs(turn), small, np.copysign(large, draw))

@@ -1,0 +1,139 @@
+"""The folder that `simulate` writes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trigpoint import cdr, cli
+from trigpoint.camera_info import read_camera_info
+from trigpoint.clock import to_ns
+from trigpoint.config import BusConfig, load_site, parse_site
+from trigpoint.errors import OperationError
+from trigpoint.messages import Odometry, Sightings
+from trigpoint.network import decode_tum
+from trigpoint.recorder.recording import open_recording
+from trigpoint.target import load_target, parse_target
+from trigpoint.tools.simulation.session import EPOCH_NS, write_session
+from trigpoint.tools.simulation.site_files import write_site
+from trigpoint.tools.simulation.world import World, load_world
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return load_world("loop", seed=7)
+
+
+@pytest.fixture(scope="module")
+def folder(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("session")
+    write_session(world, directory)
+    return directory
+
+
+def test_the_sites_files_load_and_say_what_the_world_is(world: World, folder: Path) -> None:
+    site = load_site(folder / "site.toml")
+    assert site.name == "lab"
+    assert list(site.cameras) == list(world.cameras)
+    assert site.robot("r1").odometry == world.robots["r1"].noise
+    assert load_target(site.path(site.target_name("r1"))) == world.target("r1")
+    for name, camera in site.cameras.items():
+        assert camera.intrinsics is not None
+        model = read_camera_info(site.path(camera.intrinsics))
+        assert np.allclose(model.parameters, world.cameras[name].model.parameters)
+        assert camera.source == f"sim://{name}?world=loop&seed=7"
+
+
+def test_the_session_holds_every_message_and_attachment(world: World, folder: Path) -> None:
+    recording = open_recording(folder / "session.mcap")
+    counts, attachments = recording.counts, recording.attachments
+    assert counts["lab/robot/r1/odom"] == len(world.odometry("r1").stamps_s)
+    for name, camera in world.cameras.items():
+        assert counts[f"lab/camera/{name}/camera_info"] == 1
+        assert counts[f"lab/camera/{name}/sightings"] == int(world.duration_s * camera.rate) + 1
+    parse_site(attachments["site.toml"].decode(), directory=folder)
+    assert parse_target(attachments["target.toml"].decode()) == world.target("r1")
+
+
+def test_messages_carry_the_worlds_odometry_and_sightings(world: World, folder: Path) -> None:
+    odometry, sightings = [], []
+    for sample in open_recording(folder).samples():
+        message = cdr.decode(sample.topic.type_name, sample.payload)
+        if isinstance(message, Odometry):
+            odometry.append(message)
+        elif isinstance(message, Sightings):
+            sightings.append(message)
+    log = world.odometry("r1")
+    assert [m.stamp_ns for m in odometry] == [EPOCH_NS + to_ns(float(t)) for t in log.stamps_s]
+    assert np.allclose([m.pose.translation for m in odometry], log.poses.translation)
+    found = [m for m in sightings if m.faces]
+    assert {m.frame_id for m in found} == {f"{name}/optical" for name in world.cameras}
+    one = next(m for m in found if m.frame_id == "c3/optical")
+    again = world.sightings("c3", (one.stamp_ns - EPOCH_NS) / 1e9)
+    assert np.array_equal(one.faces[0].pixels, again[0].pixels)
+
+
+def test_the_truth_is_beside_it(world: World, folder: Path) -> None:
+    truth = json.loads((folder / "truth.json").read_text())
+    for name, camera in world.cameras.items():
+        assert np.allclose(
+            truth["cameras"][name]["translation"], camera.map_from_camera.translation
+        )
+        assert np.allclose(truth["cameras"][name]["quaternion"], camera.map_from_camera.quaternion)
+    stamps_ns, poses = decode_tum((folder / truth["robots"]["r1"]).read_bytes())
+    log = world.odometry("r1")
+    assert len(stamps_ns) == len(log.stamps_s)
+    assert stamps_ns[-1] == EPOCH_NS + to_ns(float(log.stamps_s[-1]))
+    assert np.allclose(poses.translation, world.map_from_base("r1", log.stamps_s).translation)
+    assert np.allclose(poses[0].difference(log.poses[0]), 0, atol=1e-8)
+
+
+def test_a_seed_always_gives_the_same_bytes_and_another_one_others(
+    folder: Path, tmp_path: Path
+) -> None:
+    write_session(load_world("loop", seed=7), tmp_path / "same")
+    write_session(load_world("loop", seed=8), tmp_path / "other")
+    for path in folder.iterdir():
+        assert (tmp_path / "same" / path.name).read_bytes() == path.read_bytes(), path.name
+    session = (tmp_path / "other" / "session.mcap").read_bytes()
+    assert session != (folder / "session.mcap").read_bytes()
+
+
+def test_a_session_is_never_overwritten(world: World, folder: Path) -> None:
+    before = (folder / "session.mcap").read_bytes()
+    with pytest.raises(OperationError, match="is there already"):
+        write_session(world, folder)
+    assert (folder / "session.mcap").read_bytes() == before
+
+
+def test_a_live_site_names_its_sources_ports_and_bus(tmp_path: Path) -> None:
+    world = load_world("lab", seed=1, target="checkerboard")
+    path = write_site(
+        world,
+        tmp_path,
+        sources={"c1": "file://other.mp4"},
+        ports={"r1": "/dev/pts/7"},
+        bus=BusConfig(connect=("tcp/127.0.0.1:7447",)),
+        recordings="here",
+        pictures=True,
+    )
+    site = load_site(path)
+    assert site.bus.connect == ("tcp/127.0.0.1:7447",)
+    assert site.camera("c1").source == "file://other.mp4"
+    assert site.camera("c2").source == "sim://c2?world=lab&seed=1&target=checkerboard"
+    assert site.robot("r1").port == "/dev/pts/7"
+    assert (site.recorder.directory, site.recorder.pictures) == ("here", True)
+    assert load_target(tmp_path / "target.toml").faces[0].pattern == "checkerboard"
+
+
+def test_the_command_writes_a_folder_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(["simulate", "loop", "--out", str(tmp_path / "x"), "--seed", "2"]) == 0
+    assert "3404 odometry messages" in capsys.readouterr().out
+    assert (tmp_path / "x" / "session.mcap").exists()
+    assert cli.run(["simulate", "loop", "--out", str(tmp_path / "x")]) == 1
+    assert cli.run(["simulate", "moon", "--out", str(tmp_path / "y")]) == 2
+    assert "no world «moon»" in capsys.readouterr().err
+    assert not (tmp_path / "y").exists()
