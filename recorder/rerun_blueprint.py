@@ -1,0 +1,105 @@
+"""What of a site is shown where, so that all of it is seen without a click."""
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
+
+from trigpoint.config import Site
+from trigpoint.geometry.rotation import Array
+
+from . import rerun_style as style
+from .rerun_columns import TIMELINE
+
+_SO_FAR = rrb.VisibleTimeRanges(
+    timeline=TIMELINE,
+    start=rr.TimeRangeBoundary.infinite(),
+    end=rr.TimeRangeBoundary.cursor_relative(seconds=0),
+)
+
+
+def blueprint(site: Site, extent: tuple[Array, Array] | None) -> rrb.Blueprint:
+    """The map large on the left, pictures on the right, plots, log and legend below.
+
+    `extent`: two corners of what stands in the map, for the eye's place; None: rerun chooses.
+    """
+    pictures = [_picture_view(camera) for camera in site.cameras]
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                _map_view(site, extent),
+                rrb.Grid(*pictures, grid_columns=_grid_columns(len(pictures))),
+                column_shares=[3, 2],
+            ),
+            rrb.Horizontal(
+                _plot("Cameras, ± cm", style.CAMERA_SIGMAS),
+                _plot("Robots, ± cm", style.ROBOT_SIGMAS),
+                _plot("Odometry alone off by, cm", style.DRIFT),
+                rrb.TextLogView(origin=style.LOG, name="Log", columns=_LOG_COLUMNS),
+                rrb.TextDocumentView(origin=style.LEGEND, name="Legend"),
+                column_shares=[3, 2.4, 2.7, 2.7, 3.2],
+            ),
+            row_shares=[5, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        collapse_panels=True,
+    )
+
+
+def _map_view(site: Site, extent: tuple[Array, Array] | None) -> rrb.Spatial3DView:
+    lines = [f"{style.robot_path(r)}/{part}" for r in site.robots for part in _PATHS]
+    dots = [f"{style.robot_path(r)}/corrections" for r in site.robots]
+    return rrb.Spatial3DView(
+        origin="/map",
+        name="Map",
+        overrides={entity: [_SO_FAR] for entity in (*lines, *dots)},
+        line_grid=rrb.LineGrid3D(spacing=1.0, color=[160, 170, 190, 60]),
+        background=[24, 27, 33],
+        eye_controls=_eye(*extent) if extent else None,
+    )
+
+
+_LOG_COLUMNS = rrb.TextLogColumns(
+    timeline_columns=[TimelineColumn(TIMELINE, visible=False)],
+    text_log_columns=[
+        TextLogColumn(TextLogColumnKind.LogLevel),
+        TextLogColumn(TextLogColumnKind.Body),
+    ],
+)
+_PATHS = ("dead_reckoning", "corrected")
+
+
+def _eye(low: Array, high: Array) -> rrb.EyeControls3D:
+    """From the south and above, as near as the whole box with its surroundings is in the view."""
+    middle = (low + high) / 2
+    half = np.maximum((high - low) / 2, 0.5) + _MARGIN_M
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    right, up = np.array([1.0, 0, 0]), np.cross(_BACK, [1.0, 0, 0])
+    # A corner at (r, u, b) of the eye's axes is in the view where r and u are below the tangents of
+    # half the view's angles times its depth, which is the eye's distance minus b.
+    sideways = np.abs(corners @ right) / _TANGENT_ACROSS
+    upwards = np.abs(corners @ up) / _TANGENT_UP
+    distance = float(np.max(np.maximum(sideways, upwards) + corners @ _BACK))
+    position = middle + distance * _BACK
+    return rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0.0, 0.0, 1.0])
+
+
+_MARGIN_M = 0.4
+_BACK = np.array([0.0, -0.6, 0.8])
+_TANGENT_UP, _TANGENT_ACROSS = 0.5, 0.7
+"""Of half the view's angles: rerun's eye has 55° upright; a little is left free at the edges."""
+
+
+def _picture_view(camera: str) -> rrb.Spatial2DView:
+    origin = style.picture_path(camera)
+    return rrb.Spatial2DView(
+        origin=origin, name=camera, overrides={style.seen_path(camera): [_SO_FAR]}
+    )
+
+
+def _grid_columns(count: int) -> int:
+    return 1 if count == 1 else 2 if count <= 8 else 3
+
+
+def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.Corner2D.RightTop)

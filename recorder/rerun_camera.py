@@ -1,0 +1,221 @@
+"""One camera in rerun: its frustum, uncertainty, picture, and what was sighted in it."""
+
+from collections import deque
+
+import numpy as np
+import rerun as rr
+
+from trigpoint.clock import to_ns
+from trigpoint.geometry import CameraModel
+from trigpoint.geometry.rotation import Array, to_quaternion
+from trigpoint.messages import CameraInfo, FaceSighting, Picture, PoseEstimate, Sightings
+
+from . import rerun_style as style
+from .rerun_columns import Columns
+
+FRUSTUM_DEPTH_M = 0.8
+_FRUSTUM_PERIOD_NS = to_ns(1.0)
+_NAME_ABOVE = np.array([0.0, 0.0, 0.3])
+_SEEN_STEP_PX = 12.0
+_SHOWN_NS = to_ns(1.0)
+_PICTURES_ARE_LIVE_NS = to_ns(3.0)
+
+
+class CameraScene:
+    """Turns one camera's messages into rows. A camera stands in the map once it is located."""
+
+    def __init__(
+        self, name: str, index: int, camera: CameraModel, columns: Columns, log: "LogLine"
+    ) -> None:
+        self._name, self._camera, self._columns, self._log = name, camera, columns, log
+        self._colour = style.camera_colour(index)
+        self._path, self._frustum = style.camera_path(name), style.frustum_path(name)
+        self._picture = style.picture_path(name)
+        self._frustum_ns = 0
+        self._is_located = False
+        self._recent: deque[Sightings] = deque(maxlen=64)
+        self._seen: deque[Array] = deque(maxlen=512)
+        self._picture_ns: int | None = None
+        self._drawn_ns: int | None = None
+        self.position: Array | None = None
+
+    def announce(self) -> None:
+        """Send what holds at every time."""
+        width, height = self._camera.width, self._camera.height
+        frame = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
+        border = rr.LineStrips2D([frame], colors=[self._colour], radii=[style.ui_points(1.0)])
+        self._columns.fixed(f"{self._picture}/border", border)
+        line = rr.SeriesLines(colors=[self._colour], names=[self._name], widths=[2.0])
+        self._columns.fixed(f"{style.CAMERA_SIGMAS}/{self._name}", line)
+
+    def add_info(self, message: CameraInfo) -> None:
+        self._camera = message.camera
+        if self._is_located:
+            self._show_pinhole(message.stamp_ns)
+
+    def add_pose(self, message: PoseEstimate) -> None:
+        stamp_ns, pose = message.stamp_ns, message.pose
+        sigma_m = style.position_sigma(message.covariance)
+        self.position = pose.translation
+        if not self._is_located:
+            self._is_located = True
+            self._show_pinhole(stamp_ns)
+            self._log(stamp_ns, "INFO", f"{self._name} located, {style.centimetres(sigma_m)}")
+        self._columns.row(
+            self._path,
+            stamp_ns,
+            rr.Transform3D,
+            translation=[pose.translation],
+            quaternion=[pose.quaternion],
+        )
+        draw_ellipsoid(self._columns, f"/map/uncertainty/{self._name}", message, self._colour)
+        self._columns.row(
+            f"/map/names/{self._name}",
+            stamp_ns,
+            rr.Points3D,
+            positions=[pose.translation + _NAME_ABOVE],
+            **style.text_only(f"{self._name} {style.centimetres(sigma_m)}"),
+        )
+        sigmas = f"{style.CAMERA_SIGMAS}/{self._name}"
+        self._columns.row(sigmas, stamp_ns, rr.Scalars, scalars=[100 * sigma_m])
+
+    def add_picture(self, message: Picture) -> None:
+        """Show a picture with the sightings that were made in it, which come before or after."""
+        self._columns.picture(self._picture, message.stamp_ns, message.data)
+        self._picture_ns = message.stamp_ns
+        if self._is_located and message.stamp_ns - self._frustum_ns >= _FRUSTUM_PERIOD_NS:
+            self._columns.picture(self._frustum, message.stamp_ns, message.data)
+            self._frustum_ns = message.stamp_ns
+        same = [s for s in self._recent if s.stamp_ns == message.stamp_ns]
+        self._draw(message.stamp_ns, same[-1].faces if same else ())
+
+    def add_sightings(self, message: Sightings) -> None:
+        """Draw on the picture of the same stamp; on nothing where pictures are not sent."""
+        self._recent.append(message)
+        for face in message.faces:
+            self._remember(message.stamp_ns, np.mean(face.pixels, axis=0))
+        picture_ns = self._picture_ns
+        if picture_ns == message.stamp_ns:
+            self._draw(message.stamp_ns, message.faces)
+        elif picture_ns is None or message.stamp_ns - picture_ns > _PICTURES_ARE_LIVE_NS:
+            self._wipe_before(message.stamp_ns)
+            self._draw(message.stamp_ns, message.faces)
+
+    def finish(self, stamp_ns: int) -> None:
+        """Take old sightings away at the end."""
+        self._wipe_before(stamp_ns)
+
+    def _remember(self, stamp_ns: int, middle: Array) -> None:
+        """A dot that stays: where in its picture a camera has seen the target so far."""
+        if not self._seen or min(np.linalg.norm(middle - s) for s in self._seen) > _SEEN_STEP_PX:
+            self._seen.append(middle)
+            self._columns.row(
+                style.seen_path(self._name),
+                stamp_ns,
+                rr.Points2D,
+                positions=[middle],
+                **style.dot(self._colour, 2.0),
+            )
+
+    def _wipe_before(self, stamp_ns: int) -> None:
+        """Where a camera only speaks when it sees something, a sighting is shown for a second."""
+        if self._drawn_ns is not None and stamp_ns - self._drawn_ns > _SHOWN_NS:
+            self._draw(self._drawn_ns + _SHOWN_NS, ())
+
+    def _draw(self, stamp_ns: int, faces: tuple[FaceSighting, ...]) -> None:
+        colours = [style.face_colour(face.face) for face in faces]
+        pixels = [np.asarray(face.pixels, dtype=float) for face in faces]
+        self._columns.row(
+            f"{self._picture}/corners",
+            stamp_ns,
+            rr.Points2D,
+            positions=[point for points in pixels for point in points],
+            colors=[c for c, points in zip(colours, pixels, strict=True) for _ in points],
+            radii=[style.ui_points(2.0)] * sum(len(points) for points in pixels),
+        )
+        self._columns.row(
+            f"{self._picture}/faces",
+            stamp_ns,
+            rr.LineStrips2D,
+            strips=[outline(points) for points in pixels],
+            colors=colours,
+            radii=[style.ui_points(1.5)] * len(faces),
+        )
+        self._columns.row(
+            f"{self._picture}/names",
+            stamp_ns,
+            rr.Points2D,
+            positions=[points[np.argmax(points[:, 1])] for points in pixels],
+            colors=[style.TEXT] * len(faces),
+            radii=[style.ui_points(0.0)] * len(faces),
+            labels=[_label(face) for face in faces],
+        )
+        self._drawn_ns = stamp_ns if faces else None
+
+    def _show_pinhole(self, stamp_ns: int) -> None:
+        camera = self._camera
+        self._columns.row(
+            self._frustum,
+            stamp_ns,
+            rr.Pinhole,
+            image_from_camera=[camera.matrix.T],  # rerun's matrices are column-major
+            resolution=[[camera.width, camera.height]],
+            camera_xyz=[rr.components.ViewCoordinates.RDF],
+            image_plane_distance=[FRUSTUM_DEPTH_M],
+            color=[self._colour],
+            line_width=[style.ui_points(2.0)],
+        )
+
+
+class LogLine:
+    """Writes a line into the scene's log."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+
+    def __call__(self, stamp_ns: int, level: str, text: str) -> None:
+        self._columns.row(style.LOG, stamp_ns, rr.TextLog, text=[text], level=[level])
+
+
+def draw_ellipsoid(
+    columns: Columns, entity: str, estimate: PoseEstimate, colour: style.Colour
+) -> None:
+    """A pose's position uncertainty, `style.SIGMAS_DRAWN` sigma large."""
+    half_sizes, axes = style.ellipsoid(estimate.covariance[:3, :3])
+    columns.row(
+        entity,
+        estimate.stamp_ns,
+        rr.Ellipsoids3D,
+        centers=[estimate.pose.translation],
+        half_sizes=[half_sizes],
+        quaternions=[to_quaternion(axes)],
+        colors=[colour],
+        fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe],
+        line_radii=[style.ui_points(1.5)],
+    )
+
+
+def outline(points: Array) -> Array:
+    """The convex hull of (n, 2) points as a closed line (Andrew's monotone chain)."""
+    ordered = sorted(map(tuple, points.tolist()))
+    lower, upper = _half_hull(ordered), _half_hull(ordered[::-1])
+    hull = [*lower[:-1], *upper[:-1]] or ordered
+    return np.array([*hull, hull[0]])
+
+
+def _half_hull(ordered: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    hull: list[tuple[float, ...]] = []
+    for point in ordered:
+        while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    return hull
+
+
+def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _label(face: FaceSighting) -> str:
+    name = f"face {face.face}" if face.face >= 0 else "a face"
+    return f"{name} ({len(face.corners)})"

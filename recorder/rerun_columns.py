@@ -1,0 +1,88 @@
+"""Rows for rerun, gathered and sent as columns: twenty times cheaper than a call a row."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import rerun as rr
+
+TIMELINE = "time"
+FLUSH_BYTES = 8 * 2**20
+
+
+class _Archetype(Protocol):
+    @classmethod
+    def columns(cls, **components: Any) -> Iterable[rr.ComponentColumn]: ...
+
+
+@dataclass(slots=True)
+class _Column:
+    """One component: its instances of all rows, and how many each row has."""
+
+    instances: list[Any] = field(default_factory=list)
+    lengths: list[int] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Table:
+    """The rows of one entity and archetype; every row has the same components."""
+
+    archetype: type[_Archetype]
+    times_ns: list[int] = field(default_factory=list)
+    columns: dict[str, _Column] = field(default_factory=dict)
+
+
+class Columns:
+    """Gathers rows and sends them to a recording; used by one thread."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._tables: dict[tuple[str, type, frozenset[str]], _Table] = {}
+        self._bytes = 0
+
+    def row(
+        self, entity: str, time_ns: int, archetype: type[Any], /, **components: Sequence[Any]
+    ) -> None:
+        """Add one row; each component is given as the list of its instances."""
+        key = (entity, archetype, frozenset(components))
+        table = self._tables.get(key)
+        if table is None:
+            columns = {name: _Column() for name in components}
+            table = self._tables[key] = _Table(archetype, columns=columns)
+        table.times_ns.append(time_ns)
+        for name, instances in components.items():
+            column = table.columns[name]
+            column.instances.extend(instances)
+            column.lengths.append(len(instances))
+            self._bytes += 64 * len(instances)
+
+    def picture(self, entity: str, time_ns: int, data: bytes) -> None:
+        """Add one JPEG picture."""
+        self.row(entity, time_ns, rr.EncodedImage, blob=[data], media_type=["image/jpeg"])
+        self._bytes += len(data)
+
+    def fixed(self, entity: str, archetype: rr.AsComponents) -> None:
+        """Send what holds at every time."""
+        self._stream.log(entity, archetype, static=True)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it is time to flush, so that memory stays bounded."""
+        return self._bytes > FLUSH_BYTES
+
+    def flush(self) -> None:
+        """Send all rows."""
+        for (entity, _, _), table in self._tables.items():
+            times = np.array(table.times_ns, dtype="datetime64[ns]")
+            self._stream.send_columns(
+                entity, [rr.TimeColumn(TIMELINE, timestamp=times)], list(_sent(table))
+            )
+        self._tables.clear()
+        self._bytes = 0
+
+
+def _sent(table: _Table) -> Iterable[rr.ComponentColumn]:
+    for name, column in table.columns.items():
+        for sent in table.archetype.columns(**{name: column.instances}):
+            yield sent.partition(column.lengths)

@@ -1,0 +1,174 @@
+"""From the bus's messages to what rerun shows: one mapping for `view` and `review`."""
+
+import numpy as np
+import rerun as rr
+
+from trigpoint.config import Site
+from trigpoint.errors import MessageError
+from trigpoint.geometry.rotation import Array
+from trigpoint.messages import (
+    CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
+    Message,
+    Odometry,
+    Picture,
+    Polygon,
+    PoseArray,
+    PoseEstimate,
+    PoseStamped,
+    Sightings,
+    Transforms,
+)
+from trigpoint.target import Target
+from trigpoint.topics import CAMERA_POSE, CORRECTION, ROBOT_POSE, Topic
+
+from . import rerun_style as style
+from .rerun_camera import CameraScene, LogLine
+from .rerun_columns import Columns
+from .rerun_robot import RobotScene
+
+_LEVELS = ("INFO", "WARN", "ERROR", "WARN")
+
+
+class Scene:
+    """A site in rerun; used by one thread. Messages of cameras and robots that the site does not
+    have are left out and counted."""
+
+    def __init__(self, site: Site, targets: dict[str, Target], columns: Columns) -> None:
+        """`targets`: by robot, as far as they are known."""
+        self._site, self._columns, self._log = site, columns, LogLine(columns)
+        self.cameras = {
+            name: CameraScene(name, index, camera.nominal(), columns, self._log)
+            for index, (name, camera) in enumerate(site.cameras.items())
+        }
+        self.robots = {
+            name: RobotScene(name, i, targets.get(name), columns, is_first=name == site.first_robot)
+            for i, name in enumerate(site.robots)
+        }
+        self._said: dict[str, tuple[int, str]] = {}
+        self._last_ns = 0
+        self.strangers = 0
+
+    def announce(self) -> None:
+        """Send what holds at every time."""
+        self._columns.fixed("/map", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        self._columns.fixed(
+            style.LEGEND, rr.TextDocument(_legend(self._site), media_type=_MARKDOWN)
+        )
+        for part in (*self.cameras.values(), *self.robots.values()):
+            part.announce()
+
+    def add(self, topic: Topic, node: str, message: Message) -> None:
+        """Show one message; `node`: the camera or robot that its key names."""
+        if isinstance(message, Diagnostics):
+            self._add_diagnostics(message)
+        elif isinstance(message, Transforms):
+            self._add_transforms(message)
+        elif node in self.cameras and isinstance(message, Polygon):
+            self._add_coverage(node, message)
+        elif node in self.cameras and topic.path.startswith("camera/"):
+            self._add_to_camera(self.cameras[node], topic, message)
+        elif node in self.robots and topic.path.startswith("robot/"):
+            self._add_to_robot(self.robots[node], topic, message)
+        else:
+            self.strangers += 1
+
+    def finish(self) -> None:
+        """Send what still waits for more; then flush the columns."""
+        for camera in self.cameras.values():
+            camera.finish(self._last_ns)
+        for robot in self.robots.values():
+            robot.finish()
+
+    @property
+    def extent(self) -> tuple[Array, Array] | None:
+        """The box around what stands in the map, as two corners (3,); None where nothing does."""
+        points = [camera.position for camera in self.cameras.values()]
+        corners = [point for point in points if point is not None]
+        for robot in self.robots.values():
+            corners.extend(robot.extent)
+        if not corners:
+            return None
+        return np.min(corners, axis=0), np.max(corners, axis=0)
+
+    def _add_to_camera(self, camera: CameraScene, topic: Topic, message: Message) -> None:
+        match message:
+            case CameraInfo():
+                camera.add_info(message)
+            case PoseEstimate() if topic is CAMERA_POSE:
+                camera.add_pose(message)
+            case Picture():
+                camera.add_picture(message)
+            case Sightings():
+                self._last_ns = max(self._last_ns, message.stamp_ns)
+                camera.add_sightings(message)
+            case _:
+                raise MessageError(f"{topic.name}: nothing is shown of a {type(message).__name__}")
+
+    def _add_to_robot(self, robot: RobotScene, topic: Topic, message: Message) -> None:
+        match message:
+            case Odometry():
+                self._last_ns = max(self._last_ns, message.stamp_ns)
+                robot.add_odometry(message)
+            case PoseEstimate() if topic is ROBOT_POSE:
+                robot.add_pose(message)
+            case PoseEstimate() if topic is CORRECTION:
+                robot.add_correction(message)
+            case PoseStamped():
+                robot.add_suggestion(message)
+            case PoseArray():
+                robot.add_particles(message)
+            case _:
+                raise MessageError(f"{topic.name}: nothing is shown of a {type(message).__name__}")
+
+    def _add_transforms(self, message: Transforms) -> None:
+        for transform in message.transforms:
+            robot, separator, frame = transform.child.partition("/")
+            if transform.parent == "map" and separator and frame == "odom" and robot in self.robots:
+                self.robots[robot].place_odometry(transform.pose)
+
+    def _add_coverage(self, camera: str, message: Polygon) -> None:
+        colour = style.camera_colour(list(self.cameras).index(camera))
+        closed = (
+            [np.concatenate([message.points, message.points[:1]])] if len(message.points) else []
+        )
+        self._columns.row(
+            f"/map/coverage/{camera}",
+            message.stamp_ns,
+            rr.LineStrips3D,
+            strips=closed,
+            colors=[(*colour, 150)] * len(closed),
+            radii=[style.ui_points(1.2)] * len(closed),
+        )
+
+    def _add_diagnostics(self, message: Diagnostics) -> None:
+        for status in message.statuses:
+            self._say(message.stamp_ns, status)
+
+    def _say(self, stamp_ns: int, status: DiagnosticStatus) -> None:
+        """A line where a node's state changes; what it repeats every second is left out."""
+        state = (status.level, status.message if status.level else "")
+        if self._said.get(status.name) == state:
+            return
+        self._said[status.name] = state
+        level = _LEVELS[status.level] if status.level < len(_LEVELS) else "ERROR"
+        self._log(stamp_ns, level, f"{status.name}: {status.message}")
+
+
+_MARKDOWN = "text/markdown"
+
+
+def _legend(site: Site) -> str:
+    return (
+        f"## {site.name}\n"
+        "**Blue line**: the robot's path as corrected by the cameras (further robots: other "
+        "colours)  \n"
+        "**Orange line**: the same drive by odometry alone  \n"
+        "**White dots**: corrections that the robot was sent  \n"
+        "**Pyramids**: the located cameras with their newest picture  \n"
+        f"**Ellipsoids**: uncertainty of a position, drawn at {style.SIGMAS_DRAWN:.0f} sigma; the "
+        "label says one sigma  \n"
+        "**Outlines on the floor**: where a camera sees the target  \n"
+        "**Dots in the pictures**: where the target has been seen so far\n"
+    )

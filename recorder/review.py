@@ -1,0 +1,102 @@
+"""A recorded session as a rerun file."""
+
+import logging
+from pathlib import Path
+
+import rerun as rr
+
+from trigpoint import cdr
+from trigpoint.config import Site, parse_site
+from trigpoint.errors import MessageError, OperationError
+from trigpoint.target import Target, parse_target
+from trigpoint.topics import node_of
+
+from .recording import Recording
+from .rerun_blueprint import blueprint
+from .rerun_columns import Columns
+from .rerun_scene import Scene
+
+APPLICATION = "trigpoint"
+
+_LOG = logging.getLogger(__name__)
+
+
+def write_rrd(recording: Recording, path: Path) -> int:
+    """Write what `view` would have shown; return how many messages are in it.
+
+    Messages that do not decode are left out, counted and named. Raises RecordingError where the
+    session has no site.toml or is damaged, OperationError where the file cannot be written.
+    """
+    site = attached_site(recording)
+    stream = open_stream(site, recording.start_ns)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream.save(path)
+    except (OSError, RuntimeError) as reason:
+        raise OperationError(f"{path}: cannot be written ({reason}); give another file") from None
+    columns = Columns(stream)
+    scene = Scene(site, attached_targets(recording, site), columns)
+    scene.announce()
+    shown = _show_all(recording, scene, columns)
+    scene.finish()
+    columns.flush()
+    stream.send_blueprint(blueprint(site, scene.extent))
+    stream.flush()
+    stream.disconnect()
+    return shown
+
+
+def open_stream(site: Site, start_ns: int) -> rr.RecordingStream:
+    """A rerun recording without a place to go yet; rerun's own errors are raised, not printed."""
+    rr.set_strict_mode(True)
+    stream = rr.RecordingStream(APPLICATION)
+    stream.send_recording_name(f"Trigpoint, site {site.name}")
+    stream.send_recording_start_time_nanos(start_ns)
+    return stream
+
+
+def attached_site(recording: Recording) -> Site:
+    """The session's site.toml."""
+    folder = recording.path.parent
+    return parse_site(recording.site_text, directory=folder, file=f"{recording.path}: site.toml")
+
+
+def attached_targets(recording: Recording, site: Site) -> dict[str, Target]:
+    """Each robot's target as far as its file is attached."""
+    targets = {}
+    for robot in site.robots:
+        name = site.target_name(robot)
+        if data := recording.attachments.get(name):
+            text = data.decode(errors="replace")
+            targets[robot] = parse_target(text, file=f"{recording.path}: {name}")
+        else:
+            _LOG.warning("%s: %s is not attached; %s has no faces", recording.path, name, robot)
+    return targets
+
+
+def _show_all(recording: Recording, scene: Scene, columns: Columns) -> int:
+    shown, unsound = 0, 0
+    for sample in recording.samples():
+        try:
+            message = cdr.decode(sample.topic.type_name, sample.payload)
+            scene.add(sample.topic, node_of(sample.key), message)
+        except MessageError as reason:
+            if not unsound:
+                _LOG.warning("%s: %s at %d: %s", recording.path, sample.key, sample.log_ns, reason)
+            unsound += 1
+            continue
+        shown += 1
+        if columns.is_full:
+            columns.flush()
+    _warn(recording, unsound, scene.strangers)
+    return shown
+
+
+def _warn(recording: Recording, unsound: int, strangers: int) -> None:
+    if unsound:
+        _LOG.warning("%s: %d messages do not decode; left out", recording.path, unsound)
+    if strangers:
+        why = "of cameras or robots that site.toml does not have; left out"
+        _LOG.warning("%s: %d messages %s", recording.path, strangers, why)
+    for key in recording.unknown_keys:
+        _LOG.warning("%s: %s is not a key of the contract; left out", recording.path, key)
