@@ -155,7 +155,8 @@ class MemoryBus:
             return sorted({key for key in self._broker.tokens if key_matches(expression, key)})
 
     def serve(self, key: str, answer: Callable[[bytes], bytes]) -> Closable:
-        server = Server(key, answer, lambda: self._withdraw(server))
+        server = Server(key, answer)
+        server.undeclare = lambda: self._withdraw(server)
         with self._broker.lock:
             self._broker.servers.append(server)
         self._declared.append(server)

@@ -32,14 +32,12 @@ class Server:
     dropped, so that whoever asked runs into its time limit.
     """
 
-    def __init__(
-        self,
-        key: str,
-        answer: Callable[[bytes], bytes],
-        close: Callable[[], None] = lambda: None,
-    ) -> None:
+    undeclare: Callable[[], None]
+    """Takes back the declaration by which requests come; set by the bus."""
+
+    def __init__(self, key: str, answer: Callable[[bytes], bytes]) -> None:
         self.key = key
-        self.declaration_close = close
+        self.undeclare = lambda: None
         self._answer = answer
         self._requests: deque[Request] = deque()
         self._changed = threading.Condition(threading.Lock())
@@ -62,7 +60,7 @@ class Server:
             self._is_closed = True
             self._requests.clear()
             self._changed.notify()
-        self.declaration_close()
+        self.undeclare()
         if threading.current_thread() is not self._thread:
             self._thread.join(_JOIN_S)
         if self._thread.is_alive():

@@ -20,6 +20,7 @@ from typing import Literal
 from .config import BusConfig, endpoint_host, endpoint_port
 from .errors import BusError
 
+CLIENT_TRY_MS = 1500
 LOOPBACK = "tcp/127.0.0.1:0"
 MESSAGE_LIMIT_BYTES = 16 << 20
 BLOCK_LIMIT_US = 2_000_000
@@ -51,6 +52,9 @@ class Settings:
             "listen/endpoints": list(self.listen),
             "connect/endpoints": list(self.connect),
             "connect/retry": {"period_init_ms": 500, "period_max_ms": 2000},
+            # A client's first try ends after this; one refused by a dead route took 10 s without.
+            # A peer opens at once and keeps trying on its own.
+            "connect/timeout_ms": {"client": CLIENT_TRY_MS, "peer": -1, "router": -1},
             "scouting/multicast/enabled": self.multicast is not None,
             "scouting/gossip/enabled": self.mode == "peer",
             # Off for peers and clients by default; caches and the recording need them.

@@ -302,14 +302,13 @@ class ZenohBus:
             def arrive(query: zenoh.Query) -> None:
                 server.submit(_Request(key, query))
 
-            server = Server(key, answer, lambda: self._close_once(server, undeclare))
+            server = Server(key, answer)
             try:
-                undeclare = self._session.declare_queryable(
-                    key, Callback(arrive, indirect=False)
-                ).undeclare
+                queryable = self._session.declare_queryable(key, Callback(arrive, indirect=False))
             except zenoh.ZError:
                 server.close()
                 raise
+            server.undeclare = lambda: self._close_once(server, queryable.undeclare)
             return server
 
         return self._declare(key, declare)

@@ -15,9 +15,9 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from . import CONTRACT, __version__
 from .bus import Bus
@@ -200,7 +200,13 @@ class Node:
             raise OperationError(self._second)
 
 
-def stop_on_signals(nodes: list[Node]) -> None:
+class Stoppable(Protocol):
+    """What can be asked to end: a node, or whatever else runs until then."""
+
+    def stop(self) -> None: ...
+
+
+def stop_on_signals(nodes: Sequence[Stoppable]) -> None:
     """SIGINT and SIGTERM stop these nodes; call it on the main thread. A second one interrupts."""
 
     def stop(number: int, _frame: FrameType | None) -> None:

@@ -1,0 +1,55 @@
+import pytest
+
+from trigpoint.bus_settings import LOOPBACK, session_settings
+from trigpoint.config import BusConfig, endpoint_port
+
+
+def test_without_a_bus_table_nothing_leaves_this_machine() -> None:
+    settings = session_settings("lab", BusConfig())
+    assert (settings.mode, settings.listen, settings.connect) == ("peer", (LOOPBACK,), ())
+    assert settings.multicast is not None
+    assert settings.multicast.interface == "127.0.0.1"
+    assert settings.gate == ()
+
+
+def test_sites_have_meeting_places_of_their_own() -> None:
+    groups = {session_settings(name, BusConfig()).multicast for name in ("lab", "hall", "attic")}
+    assert len(groups) == 3
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
+def test_connecting_within_this_machine_is_done_as_a_peer(host: str) -> None:
+    settings = session_settings("lab", BusConfig(connect=(f"tcp/{host}:7447",)))
+    assert (settings.mode, settings.listen, settings.multicast) == ("peer", (LOOPBACK,), None)
+
+
+def test_connecting_to_another_machine_opens_nothing() -> None:
+    settings = session_settings("lab", BusConfig(connect=("tls/10.0.0.1:7447",)))
+    assert (settings.mode, settings.listen, settings.multicast) == ("client", (), None)
+    assert settings.connect == ("tls/10.0.0.1:7447",)
+
+
+def test_a_written_port_is_left_to_the_gate() -> None:
+    endpoint = "tcp/0.0.0.0:7447"
+    settings = session_settings("lab", BusConfig(listen=(endpoint,)))
+    assert (settings.listen, settings.gate) == ((LOOPBACK,), (endpoint,))
+    assert settings.locators == (endpoint,)
+    gate = settings.gate_settings()
+    assert gate.listen == (LOOPBACK, endpoint)
+    assert gate.multicast == settings.multicast is not None
+
+
+def test_port_0_becomes_a_port_that_others_can_be_told() -> None:
+    settings = session_settings("lab", BusConfig(listen=("tcp/127.0.0.1:0",)))
+    [locator] = settings.locators
+    assert endpoint_port(locator) > 0
+    assert settings.listen == (locator,)
+    assert settings.multicast is None
+
+
+def test_scouting_looks_for_peers_on_the_link() -> None:
+    settings = session_settings("lab", BusConfig(scouting=True, listen=("tcp/0.0.0.0:0",)))
+    assert (settings.mode, settings.listen) == ("peer", ("tcp/0.0.0.0:0",))
+    assert settings.multicast is not None
+    assert settings.multicast.interface == "auto"
+    assert settings.locators == ()

@@ -1,0 +1,106 @@
+"""`trigpoint doctor`: what is wrong on this machine, and what to do."""
+
+import importlib
+import os
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from trigpoint.checks import Check
+from trigpoint.config import Site, load_site, parse_site
+from trigpoint.errors import TargetError
+from trigpoint.target import load_target
+
+from .machine_checks import (
+    EXTRAS,
+    check_clock,
+    check_disk,
+    check_extra,
+    check_loopback,
+    check_python,
+    check_site_bus,
+    missing_packages,
+)
+
+_SIGNS = {"ok": "ok     ", "warning": "warning", "error": "ERROR  "}
+_NO_SITE = """
+site = "doctor"
+target = "target.toml"
+cameras.c1.source = "v4l2:///dev/video0"
+robots.r1.port = "/dev/ttyUSB0"
+"""
+
+
+def main(
+    site: Annotated[Path | None, typer.Option(help="Look at this site's files too.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="A JSON list of findings.")] = False,
+) -> None:
+    """Say what is missing or wrong on this machine and what to do; exit 1 if something is wrong."""
+    findings = examine(load_site(site) if site else None)
+    if json:
+        typer.echo(msgspec.json.encode(findings).decode())
+    else:
+        typer.echo("\n".join(_line(finding) for finding in findings))
+    if any(finding.level == "error" for finding in findings):
+        raise typer.Exit(1)
+
+
+def examine(site: Site | None) -> list[Check]:
+    """Every finding: this machine's, each installed part's, and the site's where one is given."""
+    some_site = site or parse_site(_NO_SITE, directory=Path())
+    findings = [check_python(), check_clock()]
+    findings.append(check_disk(site.path(site.recorder.directory) if site else Path()))
+    findings.append(check_loopback(some_site))
+    for extra in EXTRAS:
+        findings.append(check_extra(extra))
+        if not missing_packages(extra):
+            findings += _part_checks(extra)
+    if site:
+        findings.append(check_site_bus(site))
+        findings += [_check_target(site, robot) for robot in site.robots]
+        findings += [finding for name in site.cameras for finding in _check_camera(site, name)]
+        findings += [finding for name in site.robots for finding in _check_port(site, name)]
+    return findings
+
+
+def _part_checks(part: str) -> list[Check]:
+    return importlib.import_module(f"trigpoint.{part}.checks").checks()
+
+
+def _check_target(site: Site, robot: str) -> Check:
+    try:
+        target = load_target(site.path(site.target_name(robot)))
+    except TargetError as reason:
+        return Check(f"target of {robot}", "error", str(reason), "try `trigpoint target check`")
+    return Check(f"target of {robot}", "ok", f"«{target.name}», {len(target.faces)} faces")
+
+
+def _check_camera(site: Site, name: str) -> list[Check]:
+    scheme, _, place = site.camera(name).source.partition("://")
+    if scheme != "v4l2":
+        return []
+    return [_check_device(f"camera {name}", Path(place), "video")]
+
+
+def _check_port(site: Site, name: str) -> list[Check]:
+    port = site.robot(name).port
+    if not port.startswith("/dev/"):
+        return []
+    return [_check_device(f"robot {name}", Path(port), "dialout")]
+
+
+def _check_device(name: str, device: Path, group: str) -> Check:
+    if not device.exists():
+        remedy = "fine where it is on another machine; else plug it in or correct the site file"
+        return Check(name, "warning", f"{device} is not on this machine", remedy)
+    if not os.access(device, os.R_OK | os.W_OK):
+        remedy = f"sudo usermod -aG {group} $USER, then log in again"
+        return Check(name, "error", f"you may not open {device}", remedy)
+    return Check(name, "ok", f"{device} can be opened")
+
+
+def _line(finding: Check) -> str:
+    line = f"{_SIGNS[finding.level]}  {finding.name}: {finding.message}"
+    return f"{line}\n         → {finding.remedy}" if finding.remedy else line

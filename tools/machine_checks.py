@@ -1,0 +1,129 @@
+"""What `doctor` looks at on every machine: Python, clock, disk, extras, bus."""
+
+import ctypes
+import importlib.util
+import os
+import shutil
+import struct
+import sys
+import threading
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from trigpoint.bus import Bus
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.checks import Check, Level
+from trigpoint.config import BusConfig, Site
+from trigpoint.errors import BusError
+from trigpoint.topics import ODOMETRY
+
+EXTRAS: dict[str, tuple[str, ...]] = {
+    "edge": ("cv2",),
+    "robot": ("serial", "cobs"),
+    "fusion": ("cv2", "scipy"),
+    "recorder": ("mcap", "rerun"),
+}
+"""Extra -> the packages by which one sees that it is installed."""
+
+OLDEST_PYTHON = (3, 11)
+_GIGABYTE = 1_000_000_000
+_NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
+
+
+def missing_packages(extra: str) -> list[str]:
+    """The packages of an extra that are not installed here."""
+    return [name for name in EXTRAS[extra] if importlib.util.find_spec(name) is None]
+
+
+def check_python() -> Check:
+    version = ".".join(str(number) for number in sys.version_info[:3])
+    if sys.version_info < OLDEST_PYTHON:
+        return Check("python", "error", f"Python {version} is too old", "install 3.11 or later")
+    return Check("python", "ok", f"Python {version}")
+
+
+def check_extra(extra: str) -> Check:
+    """Whether a part is installed; a machine needs only the parts that it runs."""
+    missing = missing_packages(extra)
+    if not missing:
+        return Check(f"extra {extra}", "ok", "installed")
+    remedy = f"where this machine runs that part: pip install 'trigpoint[{extra}]'"
+    return Check(f"extra {extra}", "warning", f"not installed ({', '.join(missing)})", remedy)
+
+
+def check_clock() -> Check:
+    """Whether the kernel knows its clock to be synchronised (adjtimex(2), a reading)."""
+    if not sys.platform.startswith("linux"):
+        return Check("clock", "warning", "only Linux tells whether its clock is synchronised")
+    timex = ctypes.create_string_buffer(512)  # modes = 0: only read
+    state = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
+    if state < 0:
+        reason = os.strerror(ctypes.get_errno())
+        return Check("clock", "warning", f"the kernel does not tell about its clock ({reason})")
+    (error_us,) = struct.unpack_from("l", timex, struct.calcsize("Illl") - struct.calcsize("l"))
+    if state == _NOT_SYNCHRONISED:
+        return Check(
+            "clock",
+            "warning",
+            "this machine's clock is not synchronised; with several machines, times will differ",
+            "run chrony or systemd-timesyncd against one server, or use one machine alone",
+        )
+    return Check("clock", "ok", f"synchronised, at most {error_us / 1000:.1f} ms off")
+
+
+def check_disk(directory: Path) -> Check:
+    """Whether a recording has room where it goes."""
+    existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    text = f"{free / _GIGABYTE:.1f} GB free in {existing}"
+    if not os.access(existing, os.W_OK):
+        return Check("disk", "error", f"{existing} cannot be written", "choose another directory")
+    level: Level = "ok" if free > 10 * _GIGABYTE else "warning" if free > _GIGABYTE else "error"
+    return Check("disk", level, text, "" if level == "ok" else "make room, or record elsewhere")
+
+
+def check_loopback(site: Site) -> Check:
+    """Whether two sessions of this machine find each other as they do without `[bus]`."""
+    alone = replace(site, name=f"doctor_{os.getpid()}", bus=BusConfig())
+    try:
+        with open_bus(alone) as one, open_bus(alone) as other:
+            if _passes(one, other):
+                return Check("bus", "ok", "two sessions of this machine found each other")
+    except BusError as reason:
+        return Check("bus", "error", str(reason), "see that the loopback interface is up")
+    return Check(
+        "bus",
+        "error",
+        "two sessions of this machine did not find each other by multicast on loopback",
+        'allow UDP port 7446 on loopback, or write [bus] listen = ["tcp/127.0.0.1:7447"] in one '
+        'site file and connect = ["tcp/127.0.0.1:7447"] in those of the other processes',
+    )
+
+
+def _passes(one: Bus, other: Bus, *, timeout_s: float = 5.0) -> bool:
+    """Whether a sample gets from one session to the other."""
+    key = ODOMETRY.key("doctor", "r1")
+    subscription = other.subscribe(ODOMETRY, key)
+    one.publisher(ODOMETRY, key).put(b"")
+    return subscription.take(timeout_s) is not None
+
+
+def check_site_bus(site: Site, *, patience_s: float = 3.0) -> Check:
+    """Whether the site's bus opens and anyone is there."""
+    try:
+        with open_bus(site, patience_s=patience_s) as bus:
+            deadline = threading.Event()
+            while not bus.peers and not deadline.wait(0.2) and patience_s > 0:
+                patience_s -= 0.2
+            peers = len(bus.peers)
+    except BusError as reason:
+        return Check("site's bus", "error", str(reason), "correct [bus], or start what it names")
+    if peers:
+        return Check("site's bus", "ok", f"connected to {peers} sessions")
+    if site.bus.connect:
+        names = ", ".join(site.bus.connect)
+        return Check(
+            "site's bus", "error", f"{names} cannot be reached", "start it, or correct bus.connect"
+        )
+    return Check("site's bus", "ok", "opens; nobody else is on it now")

@@ -1,0 +1,175 @@
+"""Writes site.toml and target.toml from the structs that read them, so they cannot go stale."""
+
+import json
+import math
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from trigpoint.config import (
+    BusConfig,
+    CameraConfig,
+    FusionConfig,
+    OdometryNoise,
+    RecorderConfig,
+    RobotConfig,
+    SafetyConfig,
+)
+from trigpoint.geometry import Pose
+
+COMMENTS: dict[tuple[type[Struct], str], str] = {
+    (BusConfig, "connect"): "a router or a peer elsewhere, like tcp/192.168.1.10:7447",
+    (BusConfig, "listen"): "what to open to the network; nothing unless it is written here",
+    (BusConfig, "scouting"): "true: find peers on the link by multicast",
+    (CameraConfig, "source"): "or rtsp://…, file:///clip.mp4, dir:///pictures",
+    (CameraConfig, "width"): "pixels",
+    (CameraConfig, "height"): "pixels",
+    (CameraConfig, "rate"): "pictures a second that are looked at",
+    (CameraConfig, "intrinsics"): 'ROS camera_info YAML, taken as known; or "estimate"',
+    (CameraConfig, "horizontal_fov"): "degrees; the start where nothing else is known of the lens",
+    (CameraConfig, "focal_sigma"): "prior sigmas where estimated: focal length, relative",
+    (CameraConfig, "centre_sigma"): "principal point, of the width",
+    (CameraConfig, "distortion_sigma"): "each distortion coefficient",
+    (CameraConfig, "time_offset_sigma"): "prior sigma of the time offset, s; estimated above 0",
+    (CameraConfig, "picture_rate"): "pictures a second that are sent where someone looks",
+    (CameraConfig, "picture_quality"): "of their JPEG, 1 to 100",
+    (RobotConfig, "port"): "or any URL that pyserial opens",
+    (RobotConfig, "baud"): "bits a second",
+    (RobotConfig, "protocol"): "what the firmware speaks",
+    (RobotConfig, "target"): "this robot's own target file",
+    (RobotConfig, "planar"): "false: the odometry's full 3D motion is used (a ramp, an arm)",
+    (SafetyConfig, "max_age"): "s; an older correction is not handed on",
+    (SafetyConfig, "max_jump"): "m; nor one that moves the robot further",
+    (SafetyConfig, "max_turn"): "rad; or turns it further",
+    (SafetyConfig, "max_sigma"): "m; nor one that is less certain",
+    (SafetyConfig, "max_heading_sigma"): "rad",
+    (OdometryNoise, "distance"): "m per √m, along the track",
+    (OdometryNoise, "lateral"): "m per √m, across it",
+    (OdometryNoise, "heading_drive"): "rad per √m",
+    (OdometryNoise, "heading_turn"): "rad per √rad",
+    (OdometryNoise, "vertical"): "m per √m, where planar = false",
+    (OdometryNoise, "tilt"): "rad per √m, where planar = false",
+    (OdometryNoise, "tilt_turn"): "rad per √rad, where planar = false",
+    (OdometryNoise, "distance_scale"): "prior sigma of a constant scale error; estimated above 0",
+    (OdometryNoise, "heading_scale"): "the same of turns",
+    (FusionConfig, "estimator"): "or particle, ekf",
+    (FusionConfig, "late"): "s; an older sighting still enters the network, but corrects nobody",
+    (FusionConfig, "correction_rate"): "Hz, at most",
+    (FusionConfig, "seed"): "of the particle filter",
+    (FusionConfig, "target_translation"): "m; prior sigma of each face's pose; estimated above 0",
+    (FusionConfig, "target_rotation"): "rad; the same",
+    (RecorderConfig, "directory"): "where recordings go",
+    (RecorderConfig, "pictures"): "true: pictures are recorded too (then they leave the cameras)",
+}
+
+_EXAMPLES = {
+    (CameraConfig, "source"): "v4l2:///dev/video0",
+    (CameraConfig, "intrinsics"): "c1.yaml",
+    (RobotConfig, "port"): "/dev/ttyUSB0",
+    (RobotConfig, "target"): "target.toml",
+}
+"""Values of the keys that have no default; those that may be absent are written as comments."""
+
+_COMMENT_COLUMN = 32
+
+_HEAD = """\
+# One file for a whole site; each program reads its own part. Paths are relative to this file.
+# `trigpoint doctor --site site.toml` says whether it fits this machine.
+site = "lab"
+target = "target.toml"          # default for every robot
+"""
+
+
+def first_site_text() -> str:
+    """The shortest site file: one camera, one robot, this machine alone."""
+    tables = [
+        _table("cameras.c1", CameraConfig, only=("source", "width", "height", "rate")),
+        _table("robots.r1", RobotConfig, only=("port", "baud")),
+    ]
+    return "\n".join([_HEAD, *tables])
+
+
+def full_site_text() -> str:
+    """Every key with its default and a comment."""
+    tables = [
+        _table("bus", BusConfig),
+        _table("cameras.c1", CameraConfig),
+        _table("robots.r1", RobotConfig),
+        _table("robots.r1.odometry", OdometryNoise),
+        _table("robots.r1.safety", SafetyConfig),
+        _table("fusion", FusionConfig),
+        _table("recorder", RecorderConfig),
+    ]
+    return "\n".join([_HEAD, *tables])
+
+
+def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = None) -> str:
+    rows = [line for line in _rows(struct) if only is None or line.lstrip("# ").startswith(only)]
+    return "\n".join([f"[{name}]", *rows, ""])
+
+
+def _rows(struct: type[Struct]) -> Iterator[str]:
+    for field in msgspec.structs.fields(struct):
+        default = field.default
+        if isinstance(default, Struct):
+            continue  # a table of its own
+        place = (struct, field.name)
+        value = _EXAMPLES[place] if default in (None, msgspec.NODEFAULT) else default
+        sign = "# " if default is None else ""
+        row = f"{sign}{field.name} = {toml_value(value)}"
+        yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"
+
+
+def toml_value(value: object) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(toml_value(item) for item in value)}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+_TARGET_HEAD = """\
+# Three ChArUco faces on a box: ahead, left and right. Measure your own box, write where corner 0 of
+# each face is (metres) and how it is turned, and print with `trigpoint target draw target.toml`.
+# base_from_face: x along a row of corners, y from row to row, z into the board; the robot's base
+# has x forward, y left, z up. Corner 0 is the top left inner corner of the face seen upright.
+name = "box"
+"""
+
+_COLUMNS, _ROWS, _SQUARE, _MARKER = 5, 7, 0.035, 0.026
+_BOX_HALF_WIDTH, _BOX_HEIGHT = 0.15, 0.40
+
+
+def first_target_text() -> str:
+    """A target of three faces that fit on A4 and that a picture can tell apart."""
+    directions_rad = (0.0, math.pi / 2, -math.pi / 2)
+    return "\n".join([_TARGET_HEAD, *(_face(i, angle) for i, angle in enumerate(directions_rad))])
+
+
+def _face(number: int, direction_rad: float) -> str:
+    pose = _base_from_face(direction_rad)
+    rows = {
+        "id": number,
+        "pattern": "charuco",
+        "columns": _COLUMNS,
+        "rows": _ROWS,
+        "square": _SQUARE,
+        "marker": _MARKER,
+        "dictionary": "DICT_4X4_100",
+        "first_marker": number * (_COLUMNS * _ROWS // 2),
+        "translation": [round(float(value), 6) + 0.0 for value in pose.translation],
+        "quaternion": [round(float(value), 9) + 0.0 for value in pose.quaternion],
+    }
+    lines = [f"{key} = {toml_value(value)}" for key, value in rows.items()]
+    return "\n".join(["[[faces]]", *lines, ""])
+
+
+def _base_from_face(direction_rad: float) -> Pose:
+    """A face on the box's side that looks towards `direction_rad` in the robot's plane."""
+    normal = np.array([math.cos(direction_rad), math.sin(direction_rad), 0.0])
+    along = np.array([-normal[1], normal[0], 0.0])  # to the viewer's right
+    down = np.array([0.0, 0.0, -1.0])
+    across = (_COLUMNS - 2) * _SQUARE * along + (_ROWS - 2) * _SQUARE * down
+    corner = _BOX_HALF_WIDTH * normal + [0.0, 0.0, _BOX_HEIGHT] - across / 2
+    return Pose(np.stack([along, down, -normal], axis=-1), corner)

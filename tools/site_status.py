@@ -1,0 +1,119 @@
+"""What the nodes of a site say of themselves, put together."""
+
+from collections.abc import Iterable
+
+from msgspec import Struct
+
+from trigpoint.messages import DiagnosticStatus
+
+_NO_GAUGES = (
+    "version",
+    "contract",
+    "session",
+    "node",
+    "process",
+    "uptime",
+    "last_error",
+)
+STATES = ("ok", "warning", "error", "stale")
+
+
+class NodeStatus(Struct, frozen=True):
+    """One node. `state`: ok, warning, error, or silent (alive without diagnostics), or gone
+    (diagnostics without a token). Rates are a second; losses are totals since the node's start."""
+
+    name: str
+    state: str
+    message: str = ""
+    host: str = ""
+    version: str = ""
+    contract: str = ""
+    uptime_s: float = 0.0
+    rates: dict[str, float] = {}
+    totals: dict[str, int] = {}
+    depths: dict[str, int] = {}
+    losses: dict[str, int] = {}
+    gauges: dict[str, float] = {}
+    last_error: str = ""
+
+
+class SiteStatus(Struct, frozen=True):
+    """All nodes of a site, by name; `peers`: how many sessions the bus is connected to."""
+
+    site: str
+    peers: int
+    nodes: list[NodeStatus]
+
+
+def summarise(
+    site: str, *, peers: int, tokens: Iterable[str], statuses: Iterable[DiagnosticStatus]
+) -> SiteStatus:
+    """Put liveliness tokens and the nodes' latest diagnostics together."""
+    alive = {token.partition("/alive/")[2] for token in tokens}
+    latest = {(status.name, status.values.get("node", "")): status for status in statuses}
+    nodes = [_node(status, status.name in alive) for status in latest.values()]
+    spoken = {name for name, _ in latest}
+    nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
+    return SiteStatus(site, peers, sorted(nodes, key=lambda node: node.name))
+
+
+def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
+    values = status.values
+    state = STATES[min(status.level, 3)] if is_alive else "gone"
+    return NodeStatus(
+        name=status.name,
+        state=state,
+        message=status.message,
+        host=status.hardware_id,
+        version=values.get("version", ""),
+        contract=values.get("contract", ""),
+        uptime_s=_number(values.get("uptime", "")),
+        rates={name: _number(text) for name, text in _ending(values, ".rate")},
+        totals={name: int(_number(text)) for name, text in _ending(values, ".total")},
+        depths={name: int(_number(text)) for name, text in _ending(values, ".depth")},
+        losses={name: int(_number(text)) for name, text in _ending(values, ".lost")},
+        gauges={name: _number(text) for name, text in values.items() if _is_gauge(name)},
+        last_error=values.get("last_error", ""),
+    )
+
+
+def _is_gauge(name: str) -> bool:
+    return "." not in name and name not in _NO_GAUGES
+
+
+def _ending(values: dict[str, str], ending: str) -> list[tuple[str, str]]:
+    return [
+        (key.removesuffix(ending), text) for key, text in values.items() if key.endswith(ending)
+    ]
+
+
+def _number(text: str) -> float:
+    """A number that another node sent; 0 where it is none."""
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if abs(value) < 1e15 else 0.0
+
+
+def table(status: SiteStatus) -> str:
+    """The status for people."""
+    if not status.nodes:
+        return f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
+    rows = [("node", "state", "up", "a second", "lost", "")]
+    rows += [_row(node) for node in status.nodes]
+    widths = [max(len(row[column]) for row in rows) for column in range(5)]
+    lines = [f"Site {status.site}, {status.peers} other sessions on the bus"]
+    for row in rows:
+        cells = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
+        lines.append("  ".join([*cells, row[5]]).rstrip())
+    return "\n".join(lines)
+
+
+def _row(node: NodeStatus) -> tuple[str, str, str, str, str, str]:
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in node.rates.items() if rate)
+    losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
+    note = "" if node.message == "running" else node.message
+    if node.last_error and node.last_error != node.message:
+        note = f"{note}; last error: {node.last_error}".removeprefix("; ")
+    return node.name, node.state, f"{node.uptime_s:.0f} s", rates or "-", losses or "-", note

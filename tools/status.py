@@ -1,0 +1,82 @@
+"""`trigpoint status`: who is alive on a site, how fast, and what was lost."""
+
+import threading
+import time
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from trigpoint.bus import Bus
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.cdr import decode
+from trigpoint.config import load_site
+from trigpoint.errors import MessageError
+from trigpoint.messages import Diagnostics, DiagnosticStatus
+from trigpoint.node import stop_on_signals
+from trigpoint.topics import DIAGNOSTICS, alive_key
+
+from .site_status import SiteStatus, summarise, table
+
+LISTEN_S = 2.2
+"""Each node speaks once a second."""
+
+_PATIENCE_S = 5.0
+_CLEAR = "\x1b[2J\x1b[H"
+
+
+def main(
+    site: Annotated[Path, typer.Option(help="The site file.")],
+    json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Look until interrupted.")] = False,
+) -> None:
+    """Show the live site: who is alive, rates, losses and last errors."""
+    configuration = load_site(site)
+    watcher = Watcher()
+    with open_bus(configuration, patience_s=_PATIENCE_S) as bus:
+        if watch:
+            stop_on_signals([watcher])
+        while not watcher.stopping.is_set():
+            status = look(bus, configuration.name, watcher.stopping)
+            if json:
+                typer.echo(msgspec.json.encode(status).decode())
+            else:
+                typer.echo((_CLEAR if watch else "") + table(status))
+            if not watch:
+                return
+
+
+class Watcher:
+    """What a signal stops."""
+
+    def __init__(self) -> None:
+        self.stopping = threading.Event()
+
+    def stop(self) -> None:
+        self.stopping.set()
+
+
+def look(
+    bus: Bus, site: str, stopping: threading.Event, *, listen_s: float = LISTEN_S
+) -> SiteStatus:
+    """Listen for a while and say who is there."""
+    subscription = bus.subscribe(DIAGNOSTICS, DIAGNOSTICS.expression(site))
+    statuses: list[DiagnosticStatus] = []
+    deadline = time.monotonic() + listen_s
+    while not stopping.is_set() and (left_s := deadline - time.monotonic()) > 0:
+        if (sample := subscription.take(min(left_s, 0.2))) is not None:
+            statuses += _statuses(sample.payload)
+    subscription.close()
+    tokens = bus.alive(alive_key(site, "*", "*"))
+    return summarise(site, peers=len(bus.peers), tokens=tokens, statuses=statuses)
+
+
+def _statuses(payload: bytes) -> tuple[DiagnosticStatus, ...]:
+    """What one message says; nothing where it is garbage, which every node reports."""
+    try:
+        message = decode(DIAGNOSTICS.type_name, payload)
+    except MessageError:
+        return ()
+    assert isinstance(message, Diagnostics)
+    return message.statuses
