@@ -1,6 +1,6 @@
 """From a picture to the faces in it. `DETECTORS` says which class finds which pattern."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol
@@ -41,6 +41,11 @@ class Appearance:
     face: Face
     target: str
     face_id: int
+
+    @property
+    def is_unique(self) -> bool:
+        """Whether only one face of one robot looks so, which a picture shows once at most."""
+        return self.target != "" and self.face_id >= 0
 
     def sighting(self, corners: np.ndarray, pixels: np.ndarray, sigma: float) -> FaceSighting:
         """A sighting of this look; `corners`: (n,) ids; `pixels`: (n, 2)."""
@@ -93,6 +98,6 @@ def _appearance(same: list[tuple[int, Target, Face]]) -> Appearance:
     )
 
 
-def _open(path: str):  # noqa: ANN202 - a class whose constructor takes the looks
+def _open(path: str) -> Callable[[Sequence[Appearance]], TargetDetector]:
     module, _, name = path.partition(":")
     return getattr(import_module(f".{module}", __package__), name)

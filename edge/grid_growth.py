@@ -44,8 +44,8 @@ def _found_beside(grid: Grid, fit: PlanarFit, curvature: Curvature) -> Grid | No
     """The grid with the corners found in free places next to it, None where there is none."""
     places = _free_places(grid.places)
     predicted = fit.project(places.astype(float))
-    across = fit.project(places + [1.0, 0.0]) - predicted
-    down = fit.project(places + [0.0, 1.0]) - predicted
+    across = fit.project(places + np.array([1.0, 0.0])) - predicted
+    down = fit.project(places + np.array([0.0, 1.0])) - predicted
     spacing = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
     inside = _inside(predicted, curvature.smooth.shape)
     places, predicted, spacing = places[inside], predicted[inside], spacing[inside]
@@ -113,5 +113,3 @@ def _expected_dark(grid: Grid, places: np.ndarray) -> np.ndarray:
 
 def _chosen(grid: Grid, keep: np.ndarray) -> Grid:
     return Grid(grid.places[keep], grid.pixels[keep], grid.saddles[keep], grid.is_dark[keep])
-
-

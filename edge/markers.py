@@ -1,5 +1,11 @@
-"""Finds ArUco and AprilTag markers: one pass over a picture for each dictionary."""
+"""Reads which marker a quadrilateral is, softly: by how well its cells match each marker's.
 
+A detector that decides bit by bit gives up on markers of 12 to 16 pixels, half of those that a
+moving target shows. Here every quadrilateral is correlated with every marker in every turn; what
+is then a marker is settled by several of them agreeing on one board.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,58 +15,89 @@ from trigpoint.errors import TargetError
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
+from .quads import mapped, square_to_quads
+from .saddles import sampled
+
+# The cells of a quadrilateral must differ by this many grey levels (standard deviation).
+LEAST_CONTRAST = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """`ids`: (n,); `corners`: (n, 4, 2) pixels, clockwise from each marker's own top left."""
+    """What quadrilaterals could be as markers of one face.
 
-    ids: np.ndarray
+    `numbers`: (n,) counted from the face's first; `corners`: (n, 4, 2) pixels, clockwise from the
+    marker's own top left; `scores`: (n,) correlation with the marker's cells, at most 1; `quads`:
+    (n,) index of the quadrilateral.
+    """
+
+    numbers: np.ndarray
     corners: Array
+    scores: Array
+    quads: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.ids)
-
-    def of(self, face: Face) -> "Markers":
-        """Those whose ids the face uses."""
-        first = face.first_marker
-        own = (self.ids >= first) & (self.ids < first + face.marker_count)
-        return Markers(self.ids[own], self.corners[own])
+        return len(self.numbers)
 
 
-@dataclass(frozen=True, slots=True)
-class MarkerKind:
-    """What one pass can find."""
+class MarkerReader:
+    """Matches quadrilaterals with the markers of one dictionary and border."""
 
-    dictionary: str
-    border_bits: int
-    inverted: bool
+    def __init__(self, dictionary: str, border_bits: int, ids: Iterable[int]) -> None:
+        self._row = {marker: row for row, marker in enumerate(sorted(set(ids)))}
+        known = predefined_dictionary(dictionary)
+        self._side = known.markerSize + 2 * border_bits
+        cells = [_cells_of(known, marker, self._side, border_bits) for marker in self._row]
+        turned = [np.rot90(cell, -turn) for cell in cells for turn in range(4)]
+        # (markers, turns, cells)
+        self._templates = _normalised(np.array(turned).reshape(len(cells), 4, -1))
+        centres = (np.arange(self._side) + 0.5) / self._side
+        x, y = np.meshgrid(centres, centres)
+        self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
 
-    @classmethod
-    def of(cls, face: Face) -> "MarkerKind":
-        """The kind of a face's markers."""
-        return cls(face.dictionary or "", face.border_bits, face.inverted)
+    def scores(self, grey: np.ndarray, quads: Array) -> Array:
+        """Correlation (n, markers, 4 turns) of quads (n, 4, 2) with each marker; 0: no contrast.
+
+        In turn k the marker's top left is the quad's corner k.
+        """
+        pixels = mapped(square_to_quads(quads), self._centres)
+        cells = sampled(grey, pixels)
+        contrast = cells.std(axis=-1, keepdims=True)
+        normal = np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
+        return np.einsum("nc,mtc->nmt", normal, self._templates)
+
+    def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
+        """The face's likeliest marker for each quad, where it scores at least `least`."""
+        rows = [self._row[face.first_marker + i] for i in range(face.marker_count)]
+        own = scores[:, rows].reshape(len(quads), -1)
+        best = np.argmax(own, axis=1)
+        score = own[np.arange(len(quads)), best]
+        kept = np.flatnonzero(score >= least)
+        kept = kept[np.argsort(-score[kept], kind="stable")]
+        numbers, turns = np.divmod(best[kept], 4)
+        order = (turns[:, None] + np.arange(4)) % 4
+        corners = np.take_along_axis(quads[kept], order[..., None], axis=1)
+        return Markers(numbers, corners, score[kept], kept)
+
+    def agreement(self, grey: np.ndarray, face: Face, quads: Array, numbers: np.ndarray) -> Array:
+        """Score (n,) of quads as the upright markers `numbers` of a face."""
+        rows = [self._row[face.first_marker + int(number)] for number in numbers]
+        return self.scores(grey, quads)[np.arange(len(quads)), rows, 0]
 
 
-class MarkerFinder:
-    """Finds the markers of one kind."""
+def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
+    """One reader for each dictionary and border among marked faces; raises TargetError."""
+    ids: dict[tuple[str, int], set[int]] = {}
+    for face in faces:
+        _check_size(face)
+        own = range(face.first_marker, face.first_marker + face.marker_count)
+        ids.setdefault(reader_key(face), set()).update(own)
+    return {key: MarkerReader(*key, own) for key, own in ids.items()}
 
-    def __init__(self, kind: MarkerKind) -> None:
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.markerBorderBits = kind.border_bits
-        parameters.adaptiveThreshWinSizeMin = 5
-        parameters.adaptiveThreshWinSizeMax = 21
-        parameters.adaptiveThreshWinSizeStep = 16
-        # Small markers in a far view: 12 px of perimeter is a marker of 3 px, the least that bits
-        # could be read from.
-        parameters.minMarkerPerimeterRate = 0.02
-        self._detector = cv2.aruco.ArucoDetector(predefined_dictionary(kind.dictionary), parameters)
 
-    def find(self, grey: np.ndarray) -> Markers:
-        """The markers in a grey picture; in the negative of it where they are inverted."""
-        corners, ids, _ = self._detector.detectMarkers(grey)
-        if ids is None or len(ids) == 0:
-            return Markers(np.zeros(0, dtype=int), np.zeros((0, 4, 2)))
-        return Markers(np.asarray(ids).reshape(-1), np.asarray(corners, float).reshape(-1, 4, 2))
+def reader_key(face: Face) -> tuple[str, int]:
+    """The key of a face's reader in `readers_for`."""
+    return face.dictionary or "", face.border_bits
 
 
 def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
@@ -71,14 +108,24 @@ def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def marked_kinds(faces: list[Face]) -> dict[MarkerKind, MarkerFinder]:
-    """One finder for each kind of marker on the faces; raises TargetError."""
-    for face in faces:
-        size = len(predefined_dictionary(face.dictionary or "").bytesList)
-        if face.first_marker + face.marker_count > size:
-            raise TargetError(
-                f"face {face.id} needs markers {face.first_marker} to "
-                f"{face.first_marker + face.marker_count - 1}, but {face.dictionary} has {size}; "
-                "use a larger dictionary"
-            )
-    return {kind: MarkerFinder(kind) for kind in dict.fromkeys(MarkerKind.of(f) for f in faces)}
+def _check_size(face: Face) -> None:
+    size = len(predefined_dictionary(face.dictionary or "").bytesList)
+    last = face.first_marker + face.marker_count - 1
+    if last >= size:
+        raise TargetError(
+            f"face {face.id} needs markers {face.first_marker} to {last}, but {face.dictionary} "
+            f"has {size}; use a larger dictionary"
+        )
+
+
+def _cells_of(
+    dictionary: cv2.aruco.Dictionary, marker: int, side: int, border_bits: int
+) -> np.ndarray:
+    """A marker's cells, (side, side), one pixel each."""
+    return cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=border_bits)
+
+
+def _normalised(cells: np.ndarray) -> Array:
+    """Cells (…, c) with their mean taken away, and of length 1."""
+    centred = cells - cells.mean(axis=-1, keepdims=True)
+    return centred / np.maximum(np.linalg.norm(centred, axis=-1, keepdims=True), 1e-9)

@@ -17,6 +17,8 @@ LEAST_SIGMA_PX = 0.05
 USUAL_SIGMA_PX = 0.15
 USUAL_WEIGHT = 6.0
 LEAST_WILD_PX = 0.7
+# Of a face's grid spacing: real boards are not flat to better than this.
+LEAST_WILD_SHARE = 0.04
 WILD_SIGMAS = 5.0
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
@@ -79,18 +81,28 @@ def sound_corners(points: Array, pixels: Array, size: tuple[int, int]) -> tuple[
     where fewer than four remain or all scatter.
     """
     keep = np.ones(len(points), dtype=bool)
+    least = max(LEAST_WILD_PX, LEAST_WILD_SHARE * _spacing(pixels))
     while keep.sum() >= 4:
         fit = fit_plane(points[keep], pixels[keep], size)
         if fit is None:
             break
         distances = fit.residuals(points, pixels)
         usual = np.median(distances[keep]) / 1.18  # the median of a Rayleigh distribution
-        limit = max(LEAST_WILD_PX, WILD_SIGMAS * float(usual))
+        limit = max(least, WILD_SIGMAS * float(usual))
         worst = np.where(keep, distances, 0.0)
         if worst.max() <= limit:
             return keep, _sigma(distances[keep])
         keep &= distances < max(limit, 0.7 * float(worst.max()))
     return np.zeros(len(points), dtype=bool), USUAL_SIGMA_PX
+
+
+def _spacing(pixels: Array) -> float:
+    """Median distance of a pixel (n, 2) to the nearest other one; 0 for fewer than two."""
+    if len(pixels) < 2:
+        return 0.0
+    squared = np.sum((pixels[:, None] - pixels[None]) ** 2, axis=-1)
+    np.fill_diagonal(squared, np.inf)
+    return float(np.median(np.sqrt(squared.min(axis=1))))
 
 
 def _sigma(distances: Array) -> float:

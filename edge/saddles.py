@@ -92,10 +92,11 @@ def examine(curvature: Curvature, pixels: Array, *, tolerance: float = 1.0) -> S
 
 def sampled(image: np.ndarray, pixels: Array) -> Array:
     """Values (…) of an image at pixels (…, 2), interpolated."""
-    at = pixels.astype(np.float32).reshape(len(pixels), -1, 2)
-    if at.size == 0:
+    if pixels.size == 0:
         return np.zeros(pixels.shape[:-1])
-    values = cv2.remap(image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # Remap takes fewer than 2¹⁵ rows and columns, so the first dimension stays rows.
+    x, y = np.moveaxis(pixels.astype(np.float32).reshape(len(pixels), -1, 2), -1, 0)
+    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return values.reshape(pixels.shape[:-1]).astype(float)
 
 
