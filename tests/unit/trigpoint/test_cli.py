@@ -1,0 +1,203 @@
+import re
+import signal
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import typer
+
+from trigpoint import __version__
+from trigpoint.cli import COMMANDS, EXTRAS, GROUPS, Command, chosen_command, run
+from trigpoint.errors import BusError, ConfigError
+
+ABSENT = ("intrinsics", "distances", "secure", "recover", "info", "check", "export")
+
+
+@pytest.fixture(autouse=True)
+def handlers_are_put_back() -> object:
+    kept = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, kept)
+
+
+def put_command(monkeypatch: pytest.MonkeyPatch, function: object) -> None:
+    """Make `trigpoint edge` run `function`."""
+    module = ModuleType("pretended")
+    module.__dict__["main"] = function
+    monkeypatch.setitem(sys.modules, "pretended", module)
+    monkeypatch.setitem(COMMANDS, "edge", Command("pretended:main", "Pretends.", "edge"))
+
+
+def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"trigpoint {__version__}\n"
+
+
+def test_help_lists_every_command_without_importing_one() -> None:
+    code = "import sys; from trigpoint.cli import run; run(['--help']); print(*sys.modules)"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    listing, _, modules = result.stdout.rstrip().rpartition("\n")
+    for name, command in COMMANDS.items():
+        group, _, last = name.rpartition(" ")
+        text = GROUPS[group] if group else command.help
+        assert re.search(rf"^  {group or last} +{re.escape(text)}", listing, re.MULTILINE)
+    heavy = {"numpy", "zenoh", "cv2", "msgspec", "trigpoint.node", "trigpoint.bus"}
+    assert heavy.isdisjoint(modules.split())
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_command_of_the_table_opens(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    function = COMMANDS[name].load()
+    assert function.__doc__
+    assert run([*name.split(), "--help"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"Usage: trigpoint {name}" in out
+    assert function.__doc__.split()[0] in out
+
+
+def test_every_plug_in_opens() -> None:
+    for entry in entry_points(group="trigpoint.frames"):
+        assert callable(entry.load())
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_command_that_is_not_there_yet_is_no_command(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([name]) == 2
+    assert "No such command" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("edge --site a", "edge"),
+        ("--log-level debug edge", "edge"),
+        ("target draw a.toml", "target draw"),
+        ("target", ""),
+        ("--help", ""),
+        ("", ""),
+    ],
+)
+def test_chosen_command_is_read_off_the_line(arguments: str, expected: str) -> None:
+    assert chosen_command(arguments.split()) == expected
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nonsense"], ["--nonsense"], ["status"], ["target"], ["status", "--site"]]
+)
+def test_bad_use_is_one_line_and_exits_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert re.fullmatch(r"trigpoint: .+; see `trigpoint.*--help`\n", captured.err)
+
+
+def test_no_command_at_all_shows_the_help_and_exits_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([]) == 2
+    assert "Commands:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("error", "status"), [(ConfigError, 2), (BusError, 1)])
+def test_error_on_purpose_is_one_line_with_its_status(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: type[Exception],
+    status: int,
+) -> None:
+    def fail() -> None:
+        raise error("site.toml:3: no;\nmend it")
+
+    put_command(monkeypatch, fail)
+    assert run(["edge"]) == status
+    assert capsys.readouterr().err == "trigpoint: site.toml:3: no; mend it\n"
+
+
+@pytest.mark.parametrize("package", list(EXTRAS))
+def test_missing_extra_names_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str
+) -> None:
+    def fail() -> None:
+        raise ModuleNotFoundError(f"No module named '{package}.x'", name=f"{package}.x")
+
+    put_command(monkeypatch, fail)
+    assert run(["edge"]) == 1
+    assert capsys.readouterr().err == (
+        f"trigpoint: `trigpoint edge` needs the package «{package}», which is not installed here; "
+        "run: pip install 'trigpoint[edge]'\n"
+    )
+
+
+def test_a_module_of_ours_that_is_missing_is_no_missing_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail() -> None:
+        raise ModuleNotFoundError("No module named 'trigpoint.x'", name="trigpoint.x")
+
+    put_command(monkeypatch, fail)
+    with pytest.raises(ModuleNotFoundError):
+        run(["edge"])
+
+
+def test_a_mistake_in_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    put_command(monkeypatch, fail)
+    with pytest.raises(ZeroDivisionError):
+        run(["edge"])
+
+
+def test_interruption_exits_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    put_command(monkeypatch, interrupt)
+    assert run(["edge"]) == 130
+
+
+def test_a_commands_own_status_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise typer.Exit(1)
+
+    put_command(monkeypatch, fail)
+    assert run(["edge"]) == 1
+
+
+@pytest.mark.parametrize(("service", "status"), [(True, 0), (False, 143)])
+def test_termination_unwinds(monkeypatch: pytest.MonkeyPatch, service: bool, status: int) -> None:
+    unwound: list[bool] = []
+
+    def terminated() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            unwound.append(True)
+
+    put_command(monkeypatch, terminated)
+    row = Command("pretended:main", "Pretends.", service=service)
+    monkeypatch.setitem(COMMANDS, "edge", row)
+    with pytest.raises(SystemExit) as caught:
+        run(["edge"])
+    assert caught.value.code == status
+    assert unwound == [True]
+
+
+def test_reader_that_goes_away_is_no_error_to_speak_of(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m trigpoint --help | true"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert result.stderr == ""
+
+
+def test_module_runs_as_the_program() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "trigpoint", "--version"], capture_output=True, text=True, check=True
+    )
+    assert result.stdout == f"trigpoint {__version__}\n"
