@@ -57,28 +57,39 @@ def draw_robot(
     poses = camera_from_map @ map_from_base
     middle = poses[len(poses) // 2]
     _draw_shadow(canvas, middle)
-    _draw_body(canvas, middle, robot.target)
-    camera_in_base = middle.inverse().translation
-    for face in far_to_near(robot.target, camera_in_base):
-        to_face = face.base_from_face.inverse() @ camera_in_base
-        if to_face[2] < -1e-3:  # the board's z axis points away from whoever can read it
-            _draw_rim(canvas, middle, face)
-            _draw_face(canvas, face, poses, _light(face, map_from_base[0]))
+    _draw_body(canvas, middle)
+    behind, before = far_to_near(robot.target, middle.inverse().translation)
+    for face in behind:
+        _draw_sheet(canvas, face, poses, map_from_base)
+    _draw_mast(canvas, middle, robot.target)
+    for face in before:
+        _draw_sheet(canvas, face, poses, map_from_base)
 
 
-def far_to_near(target: Target, camera_in_base: Array) -> list[Face]:
-    """Sheets in the order in which to paint them.
+def far_to_near(target: Target, camera_in_base: Array) -> tuple[list[Face], list[Face]]:
+    """Sheets behind the robot's axis and before it, each in the order in which to paint them.
 
-    Sheets stand on rays from the robot's axis: one hides another only where it lies at a smaller
-    angle from the camera's direction, on the same side.
+    Sheets stand on rays from the axis: one hides another only where it lies at a smaller angle from
+    the camera's direction, on the same side.
     """
     direction = np.arctan2(camera_in_base[1], camera_in_base[0])
 
     def angle(face: Face) -> float:
         centre = face.base_from_face @ face.corners.mean(axis=0)
-        return -abs(float(wrap(np.arctan2(centre[1], centre[0]) - direction)))
+        return abs(float(wrap(np.arctan2(centre[1], centre[0]) - direction)))
 
-    return sorted(target.faces, key=angle)
+    faces = sorted(target.faces, key=angle, reverse=True)
+    behind = [face for face in faces if angle(face) > np.pi / 2]
+    return behind, faces[len(behind) :]
+
+
+def _draw_sheet(canvas: Canvas, face: Face, poses: Pose, map_from_base: Pose) -> None:
+    """Draw a face that shows the camera its front, on its plate."""
+    middle = poses[len(poses) // 2]
+    camera_in_face = (middle @ face.base_from_face).inverse().translation
+    if camera_in_face[2] < -1e-3:  # the z axis points into the board, away from the reader
+        _draw_plate(canvas, middle, face)
+        _draw_face(canvas, face, poses, _light(face, map_from_base[0]))
 
 
 def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
@@ -127,8 +138,12 @@ def _finer(pixels: slice) -> slice:
 
 
 def _square_px(model: CameraModel, camera_from_face: Pose, face: Face) -> float:
-    pixels = model.project(camera_from_face @ face.outline)
-    return float(np.linalg.norm(pixels[0] - pixels[3])) / face.rows
+    """The longer side of a square in the picture, but at most twice the shorter one: seen almost
+    from its edge, a pattern is grey and not moiré."""
+    top_left, top_right, _, bottom_left = model.project(camera_from_face @ face.outline)
+    across = float(np.linalg.norm(top_right - top_left)) / face.columns
+    down = float(np.linalg.norm(bottom_left - top_left)) / face.rows
+    return min(max(across, down), 2 * min(across, down))
 
 
 def _light(face: Face, map_from_base: Pose) -> float:
@@ -144,20 +159,23 @@ def _draw_shadow(canvas: Canvas, camera_from_base: Pose) -> None:
     canvas.grey *= 1 - 0.55 * mask.astype(np.float32) / 255
 
 
-def _draw_body(canvas: Canvas, camera_from_base: Pose, target: Target) -> None:
+def _draw_body(canvas: Canvas, camera_from_base: Pose) -> None:
     low, high = _disc(_BODY_RADIUS, 0.02), _disc(_BODY_RADIUS, _BODY_HEIGHT)
     _paint(canvas, camera_from_base @ np.vstack([low, high]), 58)
     middle = _disc(_BODY_RADIUS + 0.003, 0.09), _disc(_BODY_RADIUS + 0.003, 0.11)
     _paint(canvas, camera_from_base @ np.vstack(middle), 84)
     _paint(canvas, camera_from_base @ high, 92)
     _paint(canvas, camera_from_base @ _disc(0.06, _BODY_HEIGHT, (0.10, 0.0)), 150)
+
+
+def _draw_mast(canvas: Canvas, camera_from_base: Pose, target: Target) -> None:
     top = max(float((face.base_from_face @ panel(face))[:, 2].max()) for face in target.faces)
     mast = np.vstack([_disc(_MAST_RADIUS, _BODY_HEIGHT), _disc(_MAST_RADIUS, top)])
     _paint(canvas, camera_from_base @ mast, 120)
     _paint(canvas, camera_from_base @ _disc(_MAST_RADIUS, top), 160)
 
 
-def _draw_rim(canvas: Canvas, camera_from_base: Pose, face: Face) -> None:
+def _draw_plate(canvas: Canvas, camera_from_base: Pose, face: Face) -> None:
     """The thickness of the plate behind a sheet."""
     back = panel(face) + np.array([0, 0, 2 * HALF_THICKNESS])
     plate = camera_from_base @ face.base_from_face @ np.vstack([panel(face), back])
