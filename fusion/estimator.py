@@ -68,6 +68,10 @@ class Estimator(Protocol):
         """Work everything out anew from all that came in."""
         ...
 
+    def finish(self) -> None:
+        """`solve` to the end: locate every camera that can be located from all that came in."""
+        ...
+
     def robot(self, robot: str) -> RobotEstimate | None:
         """The robot at its last odometry message; None while it is not tied to the map."""
         ...

@@ -36,9 +36,7 @@ def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
         return np.linalg.norm(residual, axis=-1) / (batch.weights > 0)
 
 
-def _judge_one(
-    data: DataSet, source: int, state: State, length: Array
-) -> bool:
+def _judge_one(data: DataSet, source: int, state: State, length: Array) -> bool:
     entry = data.entries[source]
     observation = entry.observation
     count = observation.corner_count

@@ -17,7 +17,7 @@ from .assembly import Assembled, assemble, true_time_ns
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .faces import PosePrior, align
-from .filter import Filter, RobotEstimate
+from .filter import Filter, RobotEstimate, carried_on
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
 from .odometry_track import Added
@@ -62,6 +62,8 @@ class Smoother:
         self._since_solve = 0
         self._tries: dict[str, int] = {}
         self._undetermined: dict[str, tuple[str, ...]] = {}
+        # Where each robot is by its odometry since the filter's last step, and by which filter.
+        self._carried: dict[str, tuple[Filter, RobotEstimate]] = {}
         self.iterations = 0
 
     # -- input ------------------------------------------------------------------------------------
@@ -273,27 +275,32 @@ class Smoother:
             if aligned is not None:
                 entry.observation = aligned[0].judged(Verdict.ACCEPTED)
 
-    def _solve_consistently(
-        self, used: list[int], *, is_rough: bool
-    ) -> tuple[Assembled, Solution]:
+    def _solve_consistently(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
         """Solve until scales and time offsets, which the problem's making needs, stay put.
 
         Roughly: corners far off count linearly, and the last tenth of χ² is not waited for.
         """
         huber, tolerance = (_HUBER, 0.1) if is_rough else (np.inf, 1e-6)
+        before = self._state
+        assembled, solution = self._solve_once(used, huber, tolerance)
         for _ in range(_MOST_REBUILDS):
-            assembled = assemble(self.data, self._state, used)
-            solution = solve(
-                assembled.problem, assembled.start, huber=huber, tolerance=tolerance
-            )
-            self.iterations += solution.iterations
-            before, self._state = self._state, self._merged(solution.state)
-            for index, node in assembled.node_of.items():
-                entry = self.data.entries[index]
-                robot = entry.observation.robot
-                entry.map_from_base = solution.state.robots[robot].map_from_base[node]
             if is_rough or _is_consistent(before, self._state):
                 break
+            before = self._state
+            assembled, solution = self._solve_once(used, huber, tolerance)
+        return assembled, solution
+
+    def _solve_once(
+        self, used: list[int], huber: float, tolerance: float
+    ) -> tuple[Assembled, Solution]:
+        assembled = assemble(self.data, self._state, used)
+        solution = solve(assembled.problem, assembled.start, huber=huber, tolerance=tolerance)
+        self.iterations += solution.iterations
+        self._state = self._merged(solution.state)
+        for index, node in assembled.node_of.items():
+            entry = self.data.entries[index]
+            robot = entry.observation.robot
+            entry.map_from_base = solution.state.robots[robot].map_from_base[node]
         return assembled, solution
 
     def _merged(self, state: State) -> State:
@@ -345,7 +352,13 @@ class Smoother:
     def robot(self, robot: str) -> RobotEstimate | None:
         if self._filter is None or not self._filter.has_robot(robot):
             return None
-        return self._filter.robot(self.data, robot, self.data.tracks[robot].last_ns)
+        known_filter, estimate = self._carried.get(robot, (None, None))
+        if known_filter is not self._filter or estimate is None:
+            estimate = self._filter.robot(self.data, robot)
+        last_ns = self.data.tracks[robot].last_ns
+        estimate = carried_on(self.data, robot, estimate, last_ns, self._filter.scales(robot))
+        self._carried[robot] = (self._filter, estimate)
+        return estimate
 
     def cameras(self) -> dict[str, CameraEstimate]:
         if self._filter is None:

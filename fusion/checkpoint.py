@@ -1,0 +1,106 @@
+"""The checkpoint: everything that came in, written as it comes, so that a killed fusion goes on.
+
+A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack array of key and
+payload. Reading it again through the pipeline gives the same map under the same UUID. The end of a
+file that was cut off in a record is left out.
+"""
+
+import logging
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from trigpoint.clock import Clock, to_ns
+from trigpoint.errors import OperationError
+
+_MAGIC = b"trigpoint-checkpoint/1\n"
+_HEAD = struct.Struct("<II")
+_FLUSH_NS = to_ns(0.5)
+_MOST_RECORD = 16 * 1024 * 1024
+
+_log = logging.getLogger(__name__)
+
+
+class Checkpoint:
+    """An open checkpoint file; used by one thread."""
+
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self._path, self._clock = path, clock
+        path.parent.mkdir(parents=True, exist_ok=True)
+        sound = _sound_length(path)
+        try:
+            self._file = path.open("r+b" if path.exists() else "w+b")
+        except OSError as reason:
+            raise OperationError(
+                f"{path}: the checkpoint cannot be written ({reason.strerror}); give another --out"
+            ) from None
+        self._file.truncate(sound)
+        self._file.seek(sound)
+        if sound == 0:
+            self._file.write(_MAGIC)
+        self._flushed_ns = clock.elapsed_ns()
+
+    def write(self, key: str, payload: bytes) -> None:
+        """Append a message; it is on the disk within half a second and a call of `flush`."""
+        body = msgspec.msgpack.encode((key, payload))
+        self._file.write(_HEAD.pack(len(body), zlib.crc32(body)) + body)
+
+    def flush(self) -> None:
+        """Hand what was written to the disk, at most twice a second."""
+        if self._clock.elapsed_ns() - self._flushed_ns >= _FLUSH_NS:
+            self._flushed_ns = self._clock.elapsed_ns()
+            self._file.flush()
+            os.fdatasync(self._file.fileno())
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self._file.seek(0)
+        self._file.truncate(0)
+        self._file.write(_MAGIC)
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.flush()
+        os.fdatasync(self._file.fileno())
+        self._file.close()
+
+
+def read_checkpoint(path: Path) -> Iterator[tuple[str, bytes]]:
+    """(key, payload) of every sound record; nothing where there is no file."""
+    for _, key, payload in _records(path):
+        yield key, payload
+
+
+def _sound_length(path: Path) -> int:
+    """How many bytes of the file are whole records."""
+    length = len(_MAGIC) if path.exists() and path.read_bytes()[: len(_MAGIC)] == _MAGIC else 0
+    for end, _, _ in _records(path):
+        length = end
+    return length
+
+
+def _records(path: Path) -> Iterator[tuple[int, str, bytes]]:
+    """(end of the record, key, payload)."""
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        magic = file.read(len(_MAGIC))
+        if magic != _MAGIC:
+            if magic:
+                _log.error("%s is no checkpoint; it is replaced", path)
+            return
+        decoder = msgspec.msgpack.Decoder(tuple[str, bytes])
+        end = len(_MAGIC)
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            length, checksum = _HEAD.unpack(head)
+            body = file.read(length) if length <= _MOST_RECORD else b""
+            if len(body) != length or zlib.crc32(body) != checksum:
+                _log.warning("%s ends in a record that was cut off; that one is left out", path)
+                return
+            key, payload = decoder.decode(body)
+            end += _HEAD.size + length
+            yield end, key, payload

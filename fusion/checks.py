@@ -1,0 +1,18 @@
+"""What `doctor` asks of fusion on this machine."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+from trigpoint.checks import Check
+
+
+def checks() -> list[Check]:
+    """Whether the estimator's libraries are there."""
+    found = []
+    for package in ("numpy", "scipy", "opencv-python-headless"):
+        try:
+            found.append(Check(package, "ok", version(package), ""))
+        except PackageNotFoundError:
+            found.append(
+                Check(package, "error", "is not installed", "pip install 'trigpoint[fusion]'")
+            )
+    return found

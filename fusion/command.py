@@ -1,0 +1,44 @@
+"""The command `fusion`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint import cdr
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.clock import SystemClock
+from trigpoint.config import load_site
+from trigpoint.node import Node, stop_on_signals
+
+from .inputs import load_inputs
+from .node import KIND, NAME, FusionNode
+
+
+def main(
+    site: Annotated[Path, typer.Option(help="The site file.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of network.json and the checkpoint; «network» beside the site."),
+    ] = None,
+    network: Annotated[
+        Path | None, typer.Option(help="A network.json whose cameras are known beforehand.")
+    ] = None,
+) -> None:
+    """The live estimator: odometry and sightings in, the network and corrections out.
+
+    Writes network.json when it stops and on demand. Killed and started again with the same --out it
+    resumes its map.
+    """
+    loaded = load_site(site)
+    inputs = load_inputs(loaded, network=network)
+    folder = out if out is not None else loaded.path("network")
+    clock = SystemClock()
+    cdr.warm_up()
+    with open_bus(loaded) as bus:
+        with Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock) as node:
+            stop_on_signals([node])
+            fusion = FusionNode(bus, node, inputs, folder, clock)
+            fusion.start()
+            node.wait()
+        fusion.finish()

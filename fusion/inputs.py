@@ -1,0 +1,84 @@
+"""Reads the files that a pipeline needs: targets, intrinsics, an earlier network."""
+
+from pathlib import Path
+
+import numpy as np
+
+from trigpoint.camera_info import read_camera_info
+from trigpoint.config import Site
+from trigpoint.errors import ConfigError, InputError
+from trigpoint.geometry import CameraModel
+from trigpoint.network import load_network
+from trigpoint.target import Target, load_target
+
+from .dataset import KnownCameras, known_cameras
+from .pipeline import Inputs
+
+
+def load_inputs(site: Site, *, network: Path | None = None) -> Inputs:
+    """Everything that the site file names; raise InputError with one clear line."""
+    targets = {name: load_target(site.path(site.target_name(name))) for name in site.robots}
+    return make_inputs(site, targets, load_lenses(site), network=network)
+
+
+def make_inputs(
+    site: Site,
+    targets: dict[str, Target],
+    lenses: dict[str, CameraModel],
+    *,
+    network: Path | None = None,
+) -> Inputs:
+    """Inputs from targets and lenses that are loaded already."""
+    if site.fusion.estimator != "smoother":
+        raise ConfigError(
+            f"fusion.estimator «{site.fusion.estimator}» is not in this version; "
+            'write estimator = "smoother"'
+        )
+    known = KnownCameras.none() if network is None else load_known(network, site)
+    for name in known.poses:
+        lenses.setdefault(name, _lens_in(network, name))
+    return Inputs(site, targets, lenses, known)
+
+
+def load_lenses(site: Site) -> dict[str, CameraModel]:
+    """The lenses that files give; raise InputError where a file does not fit its camera."""
+    lenses = {}
+    for name, camera in site.cameras.items():
+        if camera.intrinsics is None or camera.estimates_intrinsics:
+            continue
+        path = site.path(camera.intrinsics)
+        lens = read_camera_info(path)
+        if (lens.width, lens.height) != (camera.width, camera.height):
+            raise InputError(
+                f"{path}: intrinsics for {lens.width} × {lens.height}, but camera {name} is set to "
+                f"{camera.width} × {camera.height}; give it the right file or size"
+            )
+        lenses[name] = lens
+    return lenses
+
+
+def load_known(path: Path, site: Site) -> KnownCameras:
+    """The cameras of an earlier network that this site has too; raise InputError for none."""
+    network = load_network(path)
+    folder = path if path.is_dir() else path.parent
+    file = folder / "covariance.npz"
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            joint, names = archive["covariance"], [str(name) for name in archive["cameras"]]
+    except (OSError, ValueError, KeyError):
+        raise InputError(
+            f"{file}: no joint covariance; keep covariance.npz beside network.json"
+        ) from None
+    if names != network.located or joint.shape != (6 * len(names), 6 * len(names)):
+        raise InputError(f"{file}: belongs to another network than {path}; calibrate again")
+    known = known_cameras(network, joint, site.cameras)
+    if not known.poses:
+        raise InputError(f"{path}: locates none of this site's cameras; check the names")
+    return known
+
+
+def _lens_in(network: Path | None, camera: str) -> CameraModel:
+    assert network is not None  # only a network has known cameras
+    record = load_network(network).cameras[camera].intrinsics
+    assert record is not None  # located cameras have a lens
+    return record.camera

@@ -1,0 +1,140 @@
+"""From messages to observations in order of time: what fits, what is late, what came twice.
+
+Pure: no bus, no clock. A sighting waits here until the odometry of its robot reaches its moment.
+"""
+
+import heapq
+from collections import Counter
+from dataclasses import dataclass, field
+
+from trigpoint.clock import to_ns
+from trigpoint.config import Site
+from trigpoint.geometry import CameraModel
+from trigpoint.messages import FaceSighting, Sightings
+from trigpoint.target import Target
+
+from .observations import Observation, View, observation_of, view_of
+
+_MOST_WAITING = 4096
+_REMEMBERED = 4096
+_CLOCK_TOLERANCE_NS = to_ns(5.0)
+
+
+@dataclass(order=True, slots=True)
+class _Waiting:
+    stamp_ns: int
+    order: int
+    observation: Observation = field(compare=False)
+
+
+class Intake:
+    """Sightings on their way to the estimator. Not thread-safe.
+
+    `counts`: what was left out, by reason; every message that is not used is counted here.
+    """
+
+    def __init__(self, site: Site, targets: dict[str, Target]) -> None:
+        self._site, self._targets = site, targets
+        self.counts: Counter[str] = Counter()
+        self.last_problem = ""
+        self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
+        self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
+        self._order = 0
+
+    @property
+    def depth(self) -> int:
+        """How many observations wait for odometry."""
+        return sum(len(queue) for queue in self._waiting.values())
+
+    def add(self, camera: str, message: Sightings, lens: CameraModel) -> None:
+        """Take the sightings of one picture."""
+        if (message.width, message.height) != (lens.width, lens.height):
+            self._leave_out(
+                "wrong_size",
+                f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
+                f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
+            )
+            return
+        if not message.faces or self._is_repeated(camera, message.stamp_ns):
+            return
+        for robot, views in self._views(camera, message).items():
+            self._queue(robot, observation_of(camera, robot, message.stamp_ns, tuple(views)))
+
+    def _is_repeated(self, camera: str, stamp_ns: int) -> bool:
+        seen = self._seen[camera]
+        if stamp_ns in seen:
+            self.counts["repeated"] += 1
+            return True
+        seen[stamp_ns] = None
+        if len(seen) > _REMEMBERED:
+            del seen[next(iter(seen))]
+        return False
+
+    def _views(self, camera: str, message: Sightings) -> dict[str, list[View]]:
+        views: dict[str, list[View]] = {}
+        for face in message.faces:
+            robots = self._robots_of(face)
+            if len(robots) != 1:
+                self._leave_out(
+                    "unknown_target",
+                    f"camera {camera} sees a target «{face.target}» that "
+                    f"{len(robots) or 'no'} robots carry; give each robot its own target",
+                )
+                continue
+            view = view_of(self._targets[robots[0]], face)
+            if view is None:
+                self._leave_out(
+                    "unknown_face",
+                    f"camera {camera} sees a face {face.face} that the target "
+                    f"«{self._targets[robots[0]].name}» does not have; use one target file",
+                )
+                continue
+            views.setdefault(robots[0], []).append(view)
+        return views
+
+    def _robots_of(self, face: FaceSighting) -> list[str]:
+        if not face.target:
+            return list(self._targets)
+        return [robot for robot, target in self._targets.items() if target.name == face.target]
+
+    def _queue(self, robot: str, observation: Observation) -> None:
+        queue = self._waiting[robot]
+        if len(queue) >= _MOST_WAITING:
+            heapq.heappop(queue)
+            self._leave_out("without_odometry", f"no odometry of {robot}; check its bridge")
+        self._order += 1
+        heapq.heappush(queue, _Waiting(observation.stamp_ns, self._order, observation))
+
+    def _leave_out(self, reason: str, text: str) -> None:
+        self.counts[reason] += 1
+        self.last_problem = text
+
+    def ready(self, robot: str, first_ns: int, last_ns: int) -> list[Observation]:
+        """The observations of a robot whose moments odometry covers now, in order of time.
+
+        Those from before its odometry began are left out.
+        """
+        queue, found = self._waiting[robot], []
+        while queue and queue[0].stamp_ns <= last_ns:
+            observation = heapq.heappop(queue).observation
+            if observation.stamp_ns < first_ns:
+                self.counts["before_odometry"] += 1
+            else:
+                found.append(observation)
+        self._drop_far_ahead(robot, last_ns)
+        return found
+
+    def _drop_far_ahead(self, robot: str, last_ns: int) -> None:
+        """A camera whose clock is far ahead would wait for ever."""
+        queue = self._waiting[robot]
+        ahead = [w for w in queue if w.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
+        if len(ahead) > 64:
+            camera = ahead[0].observation.camera
+            self.counts["far_ahead"] += len(ahead)
+            self.last_problem = (
+                f"camera {camera} is {(ahead[0].stamp_ns - last_ns) / 1e9:.0f} s ahead of the "
+                f"odometry of {robot}; synchronise its clock, or check that odometry comes"
+            )
+            kept = [w for w in queue if w.stamp_ns <= last_ns + _CLOCK_TOLERANCE_NS]
+            heapq.heapify(kept)
+            self._waiting[robot] = kept

@@ -1,0 +1,177 @@
+"""The live estimator on the bus: messages to the pipeline, its outputs to their keys."""
+
+import json
+import logging
+import threading
+from pathlib import Path
+
+from trigpoint import cdr, topics
+from trigpoint.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.clock import Clock
+from trigpoint.errors import MessageError, OperationError
+from trigpoint.network import encode_network
+from trigpoint.node import Node
+from trigpoint.topics import Topic, command_key
+
+from .checkpoint import Checkpoint, read_checkpoint
+from .pipeline import Inputs, Output, Pipeline
+
+KIND = "fusion"
+NAME = "fusion"
+
+# The robot's next odometry message ends the wait; without one the others are looked at this often.
+_TURN_S = 0.02
+_MOST_AT_ONCE = 512
+
+_log = logging.getLogger(__name__)
+
+
+class FusionNode:
+    """One site's estimator. The pipeline is used by one thread at a time, under a lock."""
+
+    def __init__(self, bus: Bus, node: Node, inputs: Inputs, out: Path, clock: Clock) -> None:
+        self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
+        self._site, self._out = inputs.site, out
+        self._lock = threading.Lock()
+        self._pipeline = Pipeline(inputs)
+        self._path = out / "checkpoint.bin"
+        self._resume()
+        self._checkpoint = Checkpoint(self._path, clock)
+        self._publishers: dict[str, Publisher] = {}
+        self._subscriptions: list[tuple[Topic, Subscription]] = []
+        self._problem = ""
+
+    def start(self) -> None:
+        """Subscribe, serve the commands, and start the working thread."""
+        name = self._site.name
+        for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
+            subscription = self._bus.subscribe(topic, topic.expression(name))
+            self._subscriptions.append((topic, subscription))
+            self._node.health.watch(topic.name, subscription)
+        self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
+        self._node.health.gauge("cameras_located", self._located)
+        for path, answer in (
+            ("fusion/network", self._answer_network),
+            ("fusion/map", self._answer_map),
+            ("fusion/reset", self._answer_reset),
+            ("clock", self._answer_clock),
+        ):
+            self._bus.serve(command_key(name, path), answer)
+        self._node.thread("estimate", self._run)
+
+    def finish(self) -> None:
+        """Work everything out to the end and write it. Called after the working thread ended."""
+        with self._lock:
+            self._checkpoint.close()
+            self._pipeline.finish()
+            self._pipeline.results().save(self._out)
+        _log.info("the network is in %s", self._out / "network.json")
+
+    # -- the working thread -----------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._node.stopping.is_set():
+            with self._lock:
+                pipeline = self._pipeline
+            first = self._subscriptions[0][1].take(_TURN_S)
+            with self._lock:
+                if pipeline is not self._pipeline:
+                    continue  # reset in the meantime; what was taken belongs to the old map
+                if first is not None:
+                    self._take(topics.ODOMETRY, first)
+                self._take_all()
+                outputs = self._pipeline.advance(self._clock.now_ns())
+                self._checkpoint.flush()
+            for output in outputs:
+                self._publish(output)
+            self._report()
+
+    def _take_all(self) -> None:
+        for topic, subscription in self._subscriptions:
+            for _ in range(_MOST_AT_ONCE):
+                sample = subscription.take(0.0)
+                if sample is None:
+                    break
+                self._take(topic, sample)
+
+    def _take(self, topic: Topic, sample: Sample) -> None:
+        try:
+            if sample.encoding != topic.encoding:
+                raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
+            message = cdr.decode(topic.type_name, sample.payload)
+        except MessageError as reason:
+            self._node.health.reject(sample, reason)
+            return
+        self._checkpoint.write(sample.key, sample.payload)
+        self._pipeline.push(topics.node_of(sample.key), message)
+
+    def _publish(self, output: Output) -> None:
+        key = output.topic.key(self._site.name, output.node)
+        if key not in self._publishers:
+            self._publishers[key] = self._bus.publisher(output.topic, key)
+        self._publishers[key].put(cdr.encode(output.message), attachment=output.attachment)
+        self._node.health.count(output.topic.name)
+
+    def _report(self) -> None:
+        """Bring what the pipeline left out into the diagnostics."""
+        for reason, count in self._pipeline.left_out.items():
+            known = self._node.health.total(f"left_out.{reason}")
+            if count > known:
+                self._node.health.count(f"left_out.{reason}", count - known)
+        if self._pipeline.last_problem != self._problem:
+            self._problem = self._pipeline.last_problem
+            self._node.health.fail(self._problem)
+
+    def _located(self) -> float:
+        with self._lock:
+            return float(len(self._pipeline.cameras()))
+
+    # -- the checkpoint ---------------------------------------------------------------------------
+
+    def _resume(self) -> None:
+        """Take up the map that a killed fusion left."""
+        count = 0
+        for key, payload in read_checkpoint(self._path):
+            topic = topics.topic_of(key)
+            if topic is None or not key.startswith(f"{self._site.name}/"):
+                raise OperationError(
+                    f"{self._path}: a checkpoint of another site ({key}); give another --out"
+                )
+            self._pipeline.push(topics.node_of(key), cdr.decode(topic.type_name, payload))
+            count += 1
+            if topic is topics.ODOMETRY:
+                self._pipeline.advance()
+        self._pipeline.advance()
+        if count:
+            _log.info(
+                "map %s resumed from %s (%d messages); the command %s starts a new one",
+                self._pipeline.map_id,
+                self._path,
+                count,
+                command_key(self._site.name, "fusion/reset"),
+            )
+
+    # -- commands, on the bus's threads -----------------------------------------------------------
+
+    def _answer_network(self, _request: bytes) -> bytes:
+        with self._lock:
+            results = self._pipeline.results()
+        results.save(self._out)
+        return encode_network(results.network)
+
+    def _answer_map(self, _request: bytes) -> bytes:
+        with self._lock:
+            map_id = self._pipeline.map_id
+        if map_id is None:
+            raise OperationError("there is no map yet: no odometry of the first robot has come")
+        return json.dumps({"map_id": str(map_id)}).encode()
+
+    def _answer_reset(self, _request: bytes) -> bytes:
+        with self._lock:
+            self._pipeline = Pipeline(self._inputs)
+            self._checkpoint.restart()
+        _log.info("reset: a new map begins with the next odometry message")
+        return b"{}"
+
+    def _answer_clock(self, _request: bytes) -> bytes:
+        return json.dumps({"now_ns": self._clock.now_ns()}).encode()

@@ -1,0 +1,264 @@
+"""From messages to the network and corrections; pure, and the same live and offline.
+
+`push` takes what came in, `advance` says what to send at a time, `finish` ends the session. The
+node feeds it from the bus, `calibrate` from a recording.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+from trigpoint import topics
+from trigpoint.clock import to_ns
+from trigpoint.config import Site
+from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.geometry import CameraModel
+from trigpoint.messages import (
+    CameraInfo,
+    Message,
+    Odometry,
+    Polygon,
+    PoseEstimate,
+    Sightings,
+    Transform,
+    Transforms,
+)
+from trigpoint.network import Network
+from trigpoint.target import Target
+from trigpoint.topics import Topic
+
+from .coverage import coverage
+from .dataset import DataSet, KnownCameras
+from .estimator import CameraEstimate, Estimator
+from .filter import RobotEstimate
+from .intake import Intake
+from .observations import Observation
+from .odometry_track import Added
+from .results import Results, results_of
+from .smoother import Smoother
+
+_TF_PERIOD_NS = to_ns(0.1)
+_CAMERA_PERIOD_NS = to_ns(1.0)
+_COVERAGE_PERIOD_NS = to_ns(5.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A message to send: `node` is the camera or robot of its key."""
+
+    topic: Topic
+    node: str
+    message: Message
+    attachment: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a pipeline is made from. `lenses`: those known beforehand; the others are announced."""
+
+    site: Site
+    targets: dict[str, Target]
+    lenses: dict[str, CameraModel] = field(default_factory=dict)
+    known: KnownCameras = field(default_factory=KnownCameras.none)
+
+
+class Pipeline:
+    """One map from its first message to its last. Not thread-safe."""
+
+    def __init__(self, inputs: Inputs) -> None:
+        self.site, self._inputs = inputs.site, inputs
+        data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
+        self._data = data
+        self._estimator: Estimator = Smoother(data)
+        self._intake = Intake(inputs.site, inputs.targets)
+        self.counts: Counter[str] = Counter()
+        self._outputs: list[Output] = []
+        self._sequence: Counter[str] = Counter()
+        self._corrected_ns: dict[str, int] = {}
+        self._sent_ns: dict[str, int] = {}
+        self._early: list[tuple[str, Sightings]] = []
+
+    @property
+    def map_id(self) -> UUID | None:
+        """The map's identity; None before the first robot's first odometry message."""
+        first = self.site.first_robot
+        track = self._data.tracks[first]
+        if not len(track):
+            return None
+        return uuid5(NAMESPACE_URL, f"trigpoint:{self.site.name}/{first}/{track.first_ns}")
+
+    @property
+    def last_problem(self) -> str:
+        """The last message that could not be used, in words; "" where there was none."""
+        return self._intake.last_problem
+
+    @property
+    def waiting(self) -> int:
+        """How many observations wait for odometry."""
+        return self._intake.depth
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """What was not used, by reason."""
+        return dict(self._intake.counts + self.counts)
+
+    # -- input ------------------------------------------------------------------------------------
+
+    def push(self, node: str, message: Message) -> None:
+        """Take a message of a camera or robot; one of nobody in the site file is counted."""
+        if isinstance(message, Odometry) and node in self.site.robots:
+            self._push_odometry(node, message)
+        elif isinstance(message, Sightings) and node in self.site.cameras:
+            self._push_sightings(node, message)
+        elif isinstance(message, CameraInfo) and node in self.site.cameras:
+            self._push_camera_info(node, message)
+        else:
+            self.counts["unknown_sender"] += 1
+
+    def _push_odometry(self, robot: str, message: Odometry) -> None:
+        added = self._estimator.add_odometry(robot, message.stamp_ns, message.pose)
+        if added is Added.STALE:
+            self.counts["stale_odometry"] += 1
+            return
+        if added is Added.JUMP:
+            self.counts["odometry_jumps"] += 1
+        estimate = self._estimator.robot(robot)
+        if estimate is not None:
+            self._say_where(robot, estimate, message)
+
+    def _say_where(self, robot: str, estimate: RobotEstimate, message: Odometry) -> None:
+        stamp_ns, pose = message.stamp_ns, estimate.map_from_base
+        self._send(
+            topics.ROBOT_POSE, robot, PoseEstimate(stamp_ns, "map", pose, estimate.covariance)
+        )
+        if not self._is_due(f"tf/{robot}", stamp_ns, _TF_PERIOD_NS):
+            return
+        odom_from_base = self._data.tracks[robot].odom_from_base[-1]
+        transforms = (
+            Transform(stamp_ns, "map", f"{robot}/odom", pose @ odom_from_base.inverse()),
+            Transform(stamp_ns, f"{robot}/odom", f"{robot}/base", odom_from_base),
+        )
+        self._send(topics.TF, "", Transforms(transforms))
+
+    def _push_camera_info(self, camera: str, message: CameraInfo) -> None:
+        if camera in self._inputs.lenses:
+            return  # a file says what it is
+        if camera not in self._data.lenses:
+            self._data.lenses[camera] = message.camera
+            early, self._early = self._early, []
+            for node, sightings in early:
+                self._push_sightings(node, sightings)
+
+    def _push_sightings(self, camera: str, message: Sightings) -> None:
+        lens = self._data.lenses.get(camera)
+        if lens is not None:
+            self._intake.add(camera, message, lens)
+        elif len(self._early) < 4096:
+            self._early.append((camera, message))
+        else:
+            self.counts["without_intrinsics"] += 1
+
+    # -- work -------------------------------------------------------------------------------------
+
+    def advance(self, now_ns: int | None = None) -> list[Output]:
+        """Use what is ready; return what is to be sent.
+
+        `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
+        """
+        for robot, track in self._data.tracks.items():
+            if not len(track):
+                continue
+            for observation in self._intake.ready(robot, track.first_ns, track.last_ns):
+                self._use(observation, now_ns)
+        outputs, self._outputs = self._outputs, []
+        return outputs
+
+    def _use(self, observation: Observation, now_ns: int | None) -> None:
+        late_ns = to_ns(self.site.fusion.late)
+        if now_ns is not None and now_ns - observation.stamp_ns > late_ns:
+            self.counts["late"] += 1
+            self._estimator.keep_observation(observation)
+            return
+        update = self._estimator.add_observation(observation)
+        self.counts["observations"] += 1
+        if update.correction is not None:
+            self._correct(observation.robot, update.correction)
+        self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
+
+    def _correct(self, robot: str, estimate: RobotEstimate) -> None:
+        period_ns = to_ns(1 / self.site.fusion.correction_rate)
+        last_ns = self._corrected_ns.get(robot)
+        # Half a period of grace, so that pictures at just that rate are not halved by jitter.
+        if last_ns is not None and 0 <= estimate.stamp_ns - last_ns < period_ns // 2:
+            return
+        map_id = self.map_id
+        if map_id is None:
+            return
+        self._corrected_ns[robot] = estimate.stamp_ns
+        self._sequence[robot] += 1
+        self._send(
+            topics.CORRECTION,
+            robot,
+            PoseEstimate(estimate.stamp_ns, "map", estimate.map_from_base, estimate.covariance),
+            encode_mark(CorrectionMark(map_id, self._sequence[robot])),
+        )
+
+    def _say_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
+        if not self._is_due("cameras", stamp_ns, 0 if is_urgent else _CAMERA_PERIOD_NS):
+            return
+        cameras = self._estimator.cameras()
+        if not cameras:
+            return
+        transforms = []
+        for name, camera in cameras.items():
+            pose = camera.map_from_camera
+            self._send(
+                topics.CAMERA_POSE, name, PoseEstimate(stamp_ns, "map", pose, camera.covariance)
+            )
+            transforms.append(Transform(stamp_ns, "map", f"{name}/optical", pose))
+        self._send(topics.TF, "", Transforms(tuple(transforms)))
+        if self._is_due("coverage", stamp_ns, 0 if is_urgent else _COVERAGE_PERIOD_NS):
+            self._say_coverage(stamp_ns, cameras)
+
+    def _say_coverage(self, stamp_ns: int, cameras: dict[str, CameraEstimate]) -> None:
+        target = self._inputs.targets[self.site.first_robot]
+        for name, camera in cameras.items():
+            points = coverage(camera.map_from_camera, camera.lens, target)
+            if len(points):
+                self._send(topics.COVERAGE, name, Polygon(stamp_ns, "map", points))
+
+    def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
+        last_ns = self._sent_ns.get(what)
+        if last_ns is not None and 0 <= stamp_ns - last_ns < period_ns:
+            return False
+        self._sent_ns[what] = stamp_ns
+        return True
+
+    def _send(self, topic: Topic, node: str, message: Message, attachment: bytes = b"") -> None:
+        self._outputs.append(Output(topic, node, message, attachment))
+
+    # -- results ----------------------------------------------------------------------------------
+
+    def finish(self) -> list[Output]:
+        """Work everything out to the end from all that came in; what is to be sent last."""
+        self.advance()
+        self._estimator.finish()
+        last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
+        self._say_cameras(last_ns, is_urgent=True)
+        return self.advance()
+
+    def results(self) -> Results:
+        """The network as it is known now, with covariance and trajectories."""
+        return results_of(self._data, self._estimator, self.map_id)
+
+    def network(self) -> Network:
+        """The network as it is known now."""
+        return self.results().network
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        """The located cameras as they are known now."""
+        return self._estimator.cameras()
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        """The robot at its last odometry message."""
+        return self._estimator.robot(robot)

@@ -1,0 +1,132 @@
+"""The command `calibrate`: the estimator over a recorded session."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+
+from trigpoint import cdr, topics
+from trigpoint.errors import InputError, MessageError
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.results import Results
+from trigpoint.messages import Message, Odometry, Sightings
+from trigpoint.network import encode_network
+from trigpoint.recorder.recording import Recording, open_recording
+
+from .session_inputs import session_inputs
+from .truth import NetworkError, load_truth, network_error
+
+_TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
+
+
+def main(
+    session: Annotated[Path, typer.Argument(help="An .mcap file or a folder with one.")],
+    site: Annotated[
+        Path | None, typer.Option(help="The site file, if not the one in the session.")
+    ] = None,
+    network: Annotated[
+        Path | None, typer.Option(help="A network.json whose cameras are known beforehand.")
+    ] = None,
+    estimator: Annotated[
+        Literal["smoother", "particle", "ekf"] | None,
+        typer.Option(help="The estimator, if not the one in the site file."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to; «calibration» beside the session.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the network file instead.")] = False,
+) -> None:
+    """Work out the network of a recorded session, faster than it took.
+
+    Writes network.json, covariance.npz and each robot's trajectory. Where a truth.json lies beside
+    the session, the errors against it are stated too.
+    """
+    recording = open_recording(session)
+    inputs = session_inputs(recording, site=site, network=network)
+    if estimator is not None:
+        fusion = msgspec.structs.replace(inputs.site.fusion, estimator=estimator)
+        if estimator != "smoother":
+            raise InputError(f"the estimator «{estimator}» is not in this version; use smoother")
+        chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
+        inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
+    results = calibrated(recording, inputs)
+    folder = out if out is not None else recording.path.parent / "calibration"
+    results.save(folder)
+    if json:
+        typer.echo(encode_network(results.network).decode(), nl=False)
+        return
+    _print(results, _error(recording, results))
+    typer.echo(f"written to {folder}")
+
+
+def calibrated(recording: Recording, inputs: Inputs) -> Results:
+    """The results of a whole session; raise InputError where nothing in it can be used."""
+    pipeline = Pipeline(inputs)
+    messages = messages_of(recording)
+    if not any(isinstance(message, Odometry) for _, message in messages):
+        raise InputError(f"{recording.path}: no odometry of a robot is in it; record a drive")
+    for node, message in messages:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    for reason, count in sorted(pipeline.left_out.items()):
+        if reason not in ("observations",):
+            typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
+    if pipeline.last_problem:
+        typer.echo(f"note: {pipeline.last_problem}", err=True)
+    return pipeline.results()
+
+
+def messages_of(recording: Recording) -> list[tuple[str, Message]]:
+    """(camera or robot, message) of a session in the order of their stamps, lenses first."""
+    found: list[tuple[int, int, int, str, Message]] = []
+    broken = 0
+    for sample in recording.samples(_TOPICS):
+        try:
+            message = cdr.decode(sample.topic.type_name, sample.payload)
+        except MessageError:
+            broken += 1
+            continue
+        assert not isinstance(message, (bytes, bytearray))
+        stamp_ns = 0
+        if isinstance(message, (Odometry, Sightings)):
+            stamp_ns = message.stamp_ns
+        is_sightings = isinstance(message, Sightings)
+        found.append((stamp_ns, is_sightings, len(found), topics.node_of(sample.key), message))
+    if broken:
+        typer.echo(f"left out: {broken} messages that do not decode", err=True)
+    found.sort(key=lambda item: item[:3])
+    return [(node, message) for *_, node, message in found]
+
+
+def _error(recording: Recording, results: Results) -> NetworkError | None:
+    path = recording.path.parent / "truth.json"
+    if not path.exists():
+        return None
+    return network_error(results.network, results.covariance, load_truth(path))
+
+
+def _print(results: Results, error: NetworkError | None) -> None:
+    truth = "   error cm    deg  sigmas" if error else ""
+    typer.echo(f"camera      status        sigma cm    deg   sightings rejected  rms px{truth}")
+    for name, camera in results.network.cameras.items():
+        line = f"{name:<11} {camera.status:<12}"
+        if camera.status == "located":
+            turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
+            line += f"  {100 * camera.position_sigma:8.2f} {turn:6.2f}"
+            line += f"  {camera.sightings:10d} {camera.rejected:8d} {camera.reprojection_rms:7.2f}"
+        if error and name in error.cameras:
+            mine = error.cameras[name]
+            line += f" {100 * mine.position:10.2f} {math.degrees(mine.rotation):6.2f}"
+            line += f" {mine.sigmas:7.1f}"
+        typer.echo(line.rstrip())
+        for reason in camera.undetermined:
+            typer.echo(f"            not determined: {reason}")
+    if results.network.statistics.chi2_per_dof is not None:
+        typer.echo(f"chi² per degree of freedom: {results.network.statistics.chi2_per_dof:.3f}")
+    if error and error.distance is not None:
+        typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
+        typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")

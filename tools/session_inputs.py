@@ -1,0 +1,62 @@
+"""What a recorded session needs to be worked out: its site, targets and lenses."""
+
+from pathlib import Path
+
+from trigpoint.camera_info import parse_camera_info
+from trigpoint.config import Site, load_site, parse_site
+from trigpoint.errors import InputError
+from trigpoint.fusion.inputs import load_inputs, make_inputs
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.geometry import CameraModel
+from trigpoint.recorder.recording import Recording
+from trigpoint.target import parse_target
+
+
+def session_inputs(recording: Recording, *, site: Path | None, network: Path | None) -> Inputs:
+    """Inputs by a site file, or by the one that is attached to the session.
+
+    Raises InputError where the session has none or lacks a file that it names.
+    """
+    if site is not None:
+        return load_inputs(load_site(site), network=network)
+    if not recording.site_text:
+        raise InputError(f"{recording.path}: no site.toml is attached; give it with --site")
+    attached = parse_site(
+        recording.site_text,
+        directory=recording.path.parent,
+        file=f"{recording.path}: attached site.toml",
+    )
+    targets = {}
+    for robot in attached.robots:
+        name = attached.target_name(robot)
+        targets[robot] = parse_target(_attachment(recording, name), file=f"attached {name}")
+    return make_inputs(attached, targets, _attached_lenses(recording, attached), network=network)
+
+
+def _attached_lenses(recording: Recording, site: Site) -> dict[str, CameraModel]:
+    """Intrinsics files that are attached; the other cameras' lenses are in their camera_info."""
+    lenses = {}
+    for name, camera in site.cameras.items():
+        if camera.intrinsics is None or camera.estimates_intrinsics:
+            continue
+        text = _find(recording, camera.intrinsics)
+        if text is not None:
+            lenses[name] = parse_camera_info(text, file=f"attached {camera.intrinsics}")
+    return lenses
+
+
+def _attachment(recording: Recording, name: str) -> str:
+    text = _find(recording, name)
+    if text is None:
+        raise InputError(
+            f"{recording.path}: «{name}» is not attached; give the site file with --site"
+        )
+    return text
+
+
+def _find(recording: Recording, name: str) -> str | None:
+    """An attached file by the path that the site file names, or by its last part."""
+    for candidate in (name, Path(name).name):
+        if candidate in recording.attachments:
+            return recording.attachments[candidate].decode("utf-8", errors="replace")
+    return None

@@ -1,0 +1,94 @@
+"""The truth that a simulator leaves beside a session, and errors against it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from trigpoint.errors import InputError, read_text
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.network import Network, PoseRecord
+
+
+class TruthFile(msgspec.Struct, frozen=True):
+    """truth.json: camera and robot name to pose and trajectory file."""
+
+    cameras: dict[str, PoseRecord]
+    robots: dict[str, str] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class CameraError:
+    """A located camera against the truth: metres, radians, and the distance in its own sigmas.
+
+    `sigmas`: root of eᵀP⁻¹e over the position's three coordinates.
+    """
+
+    position: float
+    rotation: float
+    sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkError:
+    """A network against the truth.
+
+    `distance`: mean absolute error of the distances between cameras, metres; `nees`: eᵀP⁻¹e over
+    all 6n errors and the joint covariance, per degree of freedom; None with fewer than two cameras.
+    """
+
+    cameras: dict[str, CameraError]
+    distance: float | None
+    nees: float | None
+
+
+def load_truth(path: Path) -> TruthFile:
+    """Read truth.json; raise InputError with one clear line."""
+    text = read_text(path, "truth file", InputError)
+    try:
+        return msgspec.json.decode(text.encode(), type=TruthFile)
+    except msgspec.DecodeError as reason:
+        raise InputError(f"{path}: no truth file ({reason}); leave it out or mend it") from None
+
+
+def network_error(network: Network, covariance: Array, truth: TruthFile) -> NetworkError:
+    """Errors of the located cameras that the truth knows; `covariance`: joint, (6n, 6n)."""
+    names = [name for name in network.located if name in truth.cameras]
+    cameras, errors = {}, []
+    for name in names:
+        record = network.cameras[name]
+        assert record.map_from_camera is not None  # it is located
+        error = record.map_from_camera.pose.difference(truth.cameras[name].pose)
+        errors.append(error)
+        position = record.covariance_matrix[:3, :3]
+        cameras[name] = CameraError(
+            float(np.linalg.norm(error[:3])),
+            float(np.linalg.norm(error[3:])),
+            float(np.sqrt(error[:3] @ np.linalg.solve(position, error[:3]))),
+        )
+    if len(names) < 2:
+        return NetworkError(cameras, None, None)
+    rows = np.concatenate([np.arange(6) + 6 * network.located.index(name) for name in names])
+    joint = np.concatenate(errors)
+    nees = joint @ np.linalg.solve(covariance[np.ix_(rows, rows)], joint) / len(joint)
+    return NetworkError(cameras, _distance_error(network, truth, names), float(nees))
+
+
+def _distance_error(network: Network, truth: TruthFile, names: list[str]) -> float:
+    estimated = _places([network.cameras[name].map_from_camera for name in names])
+    true = _places([truth.cameras[name] for name in names])
+    first, second = np.triu_indices(len(names), k=1)
+    distances = [np.linalg.norm(p[first] - p[second], axis=1) for p in (estimated, true)]
+    return float(np.mean(np.abs(distances[0] - distances[1])))
+
+
+def _places(records: list[PoseRecord | None]) -> Array:
+    return np.array([record.translation for record in records if record is not None])
+
+
+def pose_error(estimated: Pose, true: Pose) -> tuple[float, float]:
+    """Distance (m) and angle (rad) between two poses."""
+    error = estimated.difference(true)
+    return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
