@@ -63,7 +63,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "detect": Command("trigpoint.tools.detect:main", "The sightings in pictures.", "edge"),
     "target draw": Command(
-        "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge"
+        "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge,tools"
     ),
     "target check": Command(
         "trigpoint.tools.target_files:check", "What is wrong with a target file.", "edge"
@@ -83,6 +83,7 @@ EXTRAS: dict[str, str] = {
     "mcap": "recorder",
     "rerun": "recorder",
     "pyarrow": "recorder",
+    "reportlab": "tools",
 }
 """Package -> the extra that brings it, where the command's own row names none."""
 

@@ -1,0 +1,87 @@
+"""What is black on a face, as rectangles in the face frame; for printing and for tests.
+
+Every function returns rectangles as (n, 4): x, y, width, height, metres, y down the page; none
+lies over another.
+"""
+
+import cv2
+import numpy as np
+
+from trigpoint.edge.detector_charuco import charuco_layout
+from trigpoint.edge.markers import predefined_dictionary
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Pattern
+
+
+def black_rectangles(face: Face) -> Array:
+    """The pattern of a face; raises TargetError for an unknown dictionary."""
+    match face.pattern:
+        case Pattern.CHECKERBOARD:
+            return _checkerboard(face)
+        case Pattern.CHARUCO:
+            return _charuco(face)
+        case Pattern.APRILGRID:
+            tags = face.corners[:, :2].reshape(-1, 4, 2)
+            return np.concatenate([_cells(face, number, tag) for number, tag in enumerate(tags)])
+
+
+def _charuco(face: Face) -> Array:
+    """Inverted: light where it is dark otherwise; so the markers' squares are what is dark."""
+    markers = charuco_layout(face)
+    cells = [_cells(face, number, marker) for number, marker in enumerate(markers)]
+    squares, holds = _squares(face), _holding(face, markers.mean(axis=1))
+    if face.inverted:
+        frames = [_frame(face, square) for square in squares[holds]]
+        return np.concatenate([*frames, *cells])
+    return np.concatenate([_sized(squares[~holds], face.square), *cells])
+
+
+def _squares(face: Face) -> Array:
+    """The lower corner of every square, row by row, (rows · columns, 2); corner 0 is (0, 0)."""
+    column, row = np.meshgrid(np.arange(face.columns) - 1, np.arange(face.rows) - 1)
+    return np.stack([column, row], axis=-1).reshape(-1, 2) * face.square
+
+
+def _checkerboard(face: Face) -> Array:
+    squares = _squares(face)
+    is_black = np.rint(squares.sum(axis=1) / face.square).astype(int) % 2 == 0
+    return _sized(squares[is_black], face.square)
+
+
+def _holding(face: Face, centres: Array) -> np.ndarray:
+    """Which of the squares hold a marker, (rows · columns,) bool."""
+    offset = np.abs(_squares(face)[:, None] + face.square / 2 - centres[None])
+    return np.any(np.all(offset < face.square / 4, axis=-1), axis=1)
+
+
+def _frame(face: Face, corner: Array) -> Array:
+    """What a square has about its marker: above, below, left and right."""
+    square, marker = face.square, face.marker or 0.0
+    edge = (square - marker) / 2
+    return np.array(
+        [
+            [0, 0, square, edge],
+            [0, square - edge, square, edge],
+            [0, edge, edge, marker],
+            [square - edge, edge, edge, marker],
+        ]
+    ) + np.array([*corner, 0, 0])
+
+
+def _cells(face: Face, number: int, quad: Array) -> Array:
+    """The black cells of one marker, those side by side in a row as one rectangle."""
+    dictionary = predefined_dictionary(face.dictionary or "")
+    side = dictionary.markerSize + 2 * face.border_bits
+    marker = face.first_marker + number
+    bits = cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=face.border_bits)
+    cell = (face.marker or 0.0) / side
+    found = []
+    for row, line in enumerate((bits == 0) != face.inverted):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))
+        for start, end in edges.reshape(-1, 2):
+            found.append([start * cell, row * cell, (end - start) * cell, cell])
+    return np.array(found).reshape(-1, 4) + np.array([*quad[0], 0, 0])
+
+
+def _sized(corners: Array, side: float) -> Array:
+    return np.column_stack([corners, np.full((len(corners), 2), side)])
