@@ -12,19 +12,25 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
+from trigpoint.target import Face
 
 from .detector import Appearance
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown
 from .picture import as_grey
-from .planar_fit import sound_corners
+from .planar_fit import fit_plane, sound_corners
 from .refine import nearest_spacing, refined_saddles
-from .saddles import Curvature, find_saddles
+from .saddles import Curvature, find_saddles, sampled
 
 # Of a board's corners, how many must be seen.
 LEAST_SHARE = 0.75
+# Of a grid as it was joined, how many corners must lie on one plane; chance grids of noise do not.
+LEAST_KEPT = 0.6
 # An outermost row or column with fewer of its corners is no part of the board.
 LEAST_BORDER_SHARE = 0.34
+MOST_GRIDS = 16
+# Of the pairs of neighbouring squares, how many must be light and dark the right way round.
+LEAST_ALTERNATING = 0.85
 
 
 class CheckerboardDetector:
@@ -48,10 +54,11 @@ class CheckerboardDetector:
         """The boards found in a picture `step` times smaller, measured in the full one."""
         curvature = Curvature.of(small)
         saddles = find_saddles(curvature)
-        if len(saddles) < min(self._least, LEAST_SEED):
+        least = min(self._least, LEAST_SEED)
+        if len(saddles) < least:
             return ()
         found = []
-        for grid in find_grids(saddles):
+        for grid in find_grids(saddles)[:MOST_GRIDS]:
             sighting = self._match(grid, curvature, grey, step)
             if sighting is not None and not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
@@ -62,8 +69,9 @@ class CheckerboardDetector:
     ) -> FaceSighting | None:
         """The sighting that a grid is, grown where it is not whole; None where it is none."""
         size = (curvature.smooth.shape[1], curvature.smooth.shape[0])
+        whole = len(grid)
         grid = cleaned(grid, size)
-        if len(grid) == 0:
+        if len(grid) < max(LEAST_KEPT * whole, min(self._least, LEAST_SEED)):
             return None
         look = self._look_of(grid)
         if look is None or len(grid) < look.face.corner_count:
@@ -148,7 +156,24 @@ def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Face
     keep, sigma = sound_corners(points, pixels, (grey.shape[1], grey.shape[0]))
     if keep.sum() < LEAST_SHARE * look.face.corner_count:
         return None
+    if not _alternates(grey, look.face, points[keep], pixels[keep]):
+        return None
     return look.sighting(ids[keep], pixels[keep], sigma)
+
+
+def _alternates(grey: np.ndarray, face: Face, points: Array, pixels: Array) -> bool:
+    """Whether the squares inside the corners are dark and light in turn, the first one dark."""
+    fit = fit_plane(points, pixels, (grey.shape[1], grey.shape[0]))
+    if fit is None:
+        return False
+    x, y = np.meshgrid(np.arange(face.columns - 2), np.arange(face.rows - 2))
+    centres = face.square * (np.stack([x, y], axis=-1) + 0.5)
+    values = sampled(grey, fit.project(centres.reshape(-1, 2))).reshape(x.shape)
+    # Square (0, 0) inside the corners is (1, 1) of the board: dark, like all of even x + y.
+    rising = np.where((x + y) % 2 == 0, values, -values)
+    across, down = rising[:, 1:] + rising[:, :-1], rising[1:] + rising[:-1]
+    right = np.concatenate([across.reshape(-1), down.reshape(-1)]) < 0
+    return bool(right.mean() >= LEAST_ALTERNATING) if len(right) else True
 
 
 def _same_place(first: FaceSighting, second: FaceSighting) -> bool:

@@ -42,6 +42,8 @@ class Grid:
     @property
     def extent(self) -> tuple[int, int]:
         """How many corners wide and high the grid is."""
+        if len(self) == 0:
+            return 0, 0
         width, height = self.places.max(axis=0) - self.places.min(axis=0) + 1
         return int(width), int(height)
 

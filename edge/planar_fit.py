@@ -23,6 +23,7 @@ WILD_SIGMAS = 5.0
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 8
+_RUNAWAY = 1e4
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +59,34 @@ class PlanarFit:
 
 
 def fit_plane(points: Array, pixels: Array, size: tuple[int, int]) -> PlanarFit | None:
-    """The fit to face points (n, 2) and pixels (n, 2), n ≥ 4; None where they fix no plane.
+    """The fit to face points (n, 2) and pixels (n, 2); None where they fix no plane (n < 4).
 
     `size`: the picture's width and height.
     """
+    if len(points) < 4:
+        return None
     centre = (np.array(size, dtype=float) - 1) / 2
     scale = float(np.hypot(*size)) / 2
     target = (pixels - centre) / scale
-    homography, _ = cv2.findHomography(points.astype(np.float64), target.astype(np.float64), 0)
+    normal = _normalising(points)
+    source = points @ normal[:2, :2].T + normal[:2, 2]
+    homography, _ = cv2.findHomography(source, target, 0)
     if homography is None or not np.all(np.isfinite(homography)):
         return None
-    fit = PlanarFit(homography / np.linalg.norm(homography), np.zeros(2), centre, scale)
+    start = homography.astype(float) / np.linalg.norm(homography)
+    fit = PlanarFit(start, np.zeros(2), centre, scale)
     if len(points) > 4:
-        fit = _refined(fit, points, target)
-    return fit if np.all(np.isfinite(fit.homography)) else None
+        fit = _refined(fit, source, target)
+    if fit is None:
+        return None
+    return PlanarFit(fit.homography @ normal, fit.radial, centre, scale)
+
+
+def _normalising(points: Array) -> Array:
+    """The similarity (3, 3) that moves points (n, 2) to mean 0 and a spread of 1."""
+    mean = points.mean(axis=0)
+    scale = 1 / max(float(np.sqrt(np.mean((points - mean) ** 2))), 1e-12)
+    return np.array([[scale, 0, -scale * mean[0]], [0, scale, -scale * mean[1]], [0, 0, 1]])
 
 
 def sound_corners(points: Array, pixels: Array, size: tuple[int, int]) -> tuple[np.ndarray, float]:
@@ -112,8 +127,11 @@ def _sigma(distances: Array) -> float:
     return max(LEAST_SIGMA_PX, float(np.sqrt(power / (freedom + USUAL_WEIGHT))))
 
 
-def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit:
-    """Gauss-Newton over the homography's nine numbers (its scale held) and the radial ones."""
+def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit | None:
+    """Gauss-Newton over the homography's nine numbers (its scale held) and the radial ones.
+
+    None where it runs away, since the points lie on no plane in front of the camera.
+    """
     homography, radial = fit.homography, fit.radial
     weight = _PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR
     for _ in range(_ITERATIONS):
@@ -123,8 +141,10 @@ def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit:
         prior[0, 9] = prior[1, 10] = weight
         prior[2, :9] = homography.reshape(-1)
         rows = np.vstack([jacobian, prior])
+        if not np.max(np.abs(rows)) < _RUNAWAY:
+            return None
         right = np.concatenate([error, -weight * radial, [0.0]])
-        step = np.linalg.lstsq(rows, right, rcond=None)[0]
+        step = np.linalg.solve(rows.T @ rows + 1e-9 * np.eye(11), rows.T @ right)
         homography = homography + step[:9].reshape(3, 3)
         homography = homography / np.linalg.norm(homography)
         radial = np.clip(radial + step[9:], -0.9, 0.9)

@@ -16,8 +16,8 @@ from trigpoint.geometry.rotation import Array
 SMOOTHING_PX = 1.0
 RING_RADIUS_PX = 2.5
 RING_SAMPLES = 16
-MOST_CANDIDATES = 3000
-MOST_SADDLES = 1200
+MOST_CANDIDATES = 2500
+MOST_SADDLES = 800
 # A corner of contrast C smoothed by s has sqrt(-det H) = C / (π s²); 2 is a contrast of about 15
 # grey levels in a sharp picture, five times the noise of a bad camera.
 LEAST_STRENGTH = 2.0
