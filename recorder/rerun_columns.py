@@ -11,6 +11,15 @@ TIMELINE = "time"
 FLUSH_BYTES = 8 * 2**20
 
 
+def open_stream(site: str, start_ns: int) -> rr.RecordingStream:
+    """A rerun recording without a place to go yet; rerun's own errors are raised, not printed."""
+    rr.set_strict_mode(True)
+    stream = rr.RecordingStream("trigpoint")
+    stream.send_recording_name(f"site {site}")
+    stream.send_recording_start_time_nanos(start_ns)
+    return stream
+
+
 class _Archetype(Protocol):
     @classmethod
     def columns(cls, **components: Any) -> Iterable[rr.ComponentColumn]: ...

@@ -92,6 +92,12 @@ class Scene:
             return None
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
+    @property
+    def size_m(self) -> float:
+        """The longest side of the extent, 0 where nothing stands in the map."""
+        extent = self.extent
+        return float(np.max(extent[1] - extent[0])) if extent else 0.0
+
     def _add_to_camera(self, camera: CameraScene, topic: Topic, message: Message) -> None:
         match message:
             case CameraInfo():

@@ -3,8 +3,6 @@
 import logging
 from pathlib import Path
 
-import rerun as rr
-
 from trigpoint import cdr
 from trigpoint.config import Site, parse_site
 from trigpoint.errors import MessageError, OperationError
@@ -13,10 +11,8 @@ from trigpoint.topics import node_of
 
 from .recording import Recording
 from .rerun_blueprint import blueprint
-from .rerun_columns import Columns
+from .rerun_columns import Columns, open_stream
 from .rerun_scene import Scene
-
-APPLICATION = "trigpoint"
 
 _LOG = logging.getLogger(__name__)
 
@@ -28,7 +24,7 @@ def write_rrd(recording: Recording, path: Path) -> int:
     session has no site.toml or is damaged, OperationError where the file cannot be written.
     """
     site = attached_site(recording)
-    stream = open_stream(site, recording.start_ns)
+    stream = open_stream(site.name, recording.start_ns)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         stream.save(path)
@@ -44,15 +40,6 @@ def write_rrd(recording: Recording, path: Path) -> int:
     stream.flush()
     stream.disconnect()
     return shown
-
-
-def open_stream(site: Site, start_ns: int) -> rr.RecordingStream:
-    """A rerun recording without a place to go yet; rerun's own errors are raised, not printed."""
-    rr.set_strict_mode(True)
-    stream = rr.RecordingStream(APPLICATION)
-    stream.send_recording_name(f"Trigpoint, site {site.name}")
-    stream.send_recording_start_time_nanos(start_ns)
-    return stream
 
 
 def attached_site(recording: Recording) -> Site:

@@ -21,14 +21,15 @@ import rerun_cli
 
 from trigpoint.errors import OperationError
 
-LOOPBACK = "127.0.0.1"
+from .viewer_page import LOOPBACK, ViewerPage
+
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """`stream`: where data come in and viewers fetch them; `web`: the viewer for browsers."""
+    """`stream`: where data come in and viewers fetch them; `web`: the files of the web viewer."""
 
     stream: int
     web: int
@@ -52,8 +53,11 @@ class Viewer:
         self._folder = tempfile.TemporaryDirectory(prefix="trigpoint-rerun-")
         self._output = (Path(self._folder.name) / "output.txt").open("w+b")
         self._process = self._start(file)
+        self._page: ViewerPage | None = None
         try:
             self._wait_until_ready()
+            if is_web:
+                self._page = ViewerPage(files_port=self._ports.web, stream_port=self._ports.stream)
         except BaseException:
             self.close()
             raise
@@ -65,8 +69,10 @@ class Viewer:
 
     @property
     def web_url(self) -> str:
-        """What to open in a browser."""
-        return f"http://{LOOPBACK}:{self._ports.web}/?url={quote(self.stream_url, safe='')}"
+        """What to open in a browser; "" where there is a window."""
+        if self._page is None:
+            return ""
+        return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.stream_url, safe='')}"
 
     @property
     def is_running(self) -> bool:
@@ -74,6 +80,9 @@ class Viewer:
 
     def close(self) -> None:
         """Stop it; harmless where it has ended already."""
+        if self._page is not None:
+            self._page.close()
+            self._page = None
         self._process.terminate()
         try:
             self._process.wait(STOP_TIMEOUT_S)

@@ -1,0 +1,186 @@
+"""The commands `record`, `view`, `review` and `replay`."""
+
+import os
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.clock import SystemClock, to_seconds
+from trigpoint.config import Site, load_site, parse_site
+from trigpoint.node import Node, stop_on_signals
+from trigpoint.target import load_target
+
+from . import node as recorder
+from . import replay as player
+from .recording import Recording, open_recording
+from .viewer import Viewer
+
+SiteFile = Annotated[Path, typer.Option(help="The site file.")]
+Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with one.")]
+Web = Annotated[
+    bool, typer.Option("--web", help="Serve to a browser on this machine and print the address.")
+]
+
+_FLUSH_TIMEOUT_S = 1.0
+_LOOK_PERIOD_S = 0.2
+
+
+def record(
+    site: SiteFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The session's folder; without it, a new one in the recorder's directory "
+            "of the site file.",
+            file_okay=False,
+        ),
+    ] = None,
+) -> None:
+    """Record every key of the site to an MCAP file until stopped (Ctrl-C).
+
+    Pictures are recorded where the site file says `pictures = true` under [recorder].
+    """
+    loaded = load_site(site)
+    clock = SystemClock()
+    path = recorder.session_path(loaded, out, now_ns=clock.now_ns())
+    with (
+        open_bus(loaded) as bus,
+        recorder.Recorder(loaded, path, clock=clock) as session,
+        Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME) as node,
+    ):
+        stop_on_signals([node])
+        session.start(bus, node)
+        typer.echo(f"recording site {loaded.name} to {path}")
+        node.wait()
+    _say_recorded(path, session.sink.counts, session.sink.lost)
+
+
+def view(site: SiteFile, web: Web = False) -> None:
+    """Show the live site in rerun until stopped (Ctrl-C) or until its window is closed."""
+    from .rerun_columns import open_stream
+    from .view import KIND, LiveView
+
+    loaded = load_site(site)
+    targets = {
+        robot: load_target(loaded.path(loaded.target_name(robot))) for robot in loaded.robots
+    }
+    with Viewer(is_web=web) as viewer, open_bus(loaded) as bus:
+        stream = open_stream(loaded.name, time.time_ns())
+        stream.connect_grpc(viewer.stream_url)
+        with Node(bus, site=loaded.name, kind=KIND, name=_own_name()) as node:
+            stop_on_signals([node])
+            LiveView(loaded, targets, stream).start(bus, node)
+            node.thread("viewer", lambda: _watch(viewer, node))
+            _say_viewer(viewer)
+            node.wait()
+        if viewer.is_running:
+            stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+        stream.disconnect()
+
+
+def review(
+    session: Session,
+    web: Web = False,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.rrd", help="Write a rerun file and open nothing.", dir_okay=False
+        ),
+    ] = None,
+) -> None:
+    """Show a recorded session in rerun."""
+    from .review import write_rrd
+
+    recording = open_recording(session)
+    if save is not None:
+        shown = write_rrd(recording, save)
+        typer.echo(f"{save}: {shown} messages, {save.stat().st_size / 1e6:.1f} MB")
+        return
+    with tempfile.TemporaryDirectory(prefix="trigpoint-review-") as folder:
+        file = Path(folder) / f"{recording.path.stem}.rrd"
+        write_rrd(recording, file)
+        with Viewer(file, is_web=web) as viewer, suppress(KeyboardInterrupt):
+            _say_viewer(viewer)
+            while viewer.is_running:
+                time.sleep(_LOOK_PERIOD_S)
+
+
+def replay(
+    session: Session,
+    rate: Annotated[float, typer.Option(help="Times the recorded pace.", min=0.001)] = 1.0,
+    keys: Annotated[
+        str,
+        typer.Option(
+            metavar="EXPR",
+            help="Only keys that match, e.g. 'camera/*/sightings' (* one chunk, ** any number).",
+        ),
+    ] = "**",
+    site: Annotated[
+        Path | None,
+        typer.Option(help="Replay into this site, not into the one that the session has attached."),
+    ] = None,
+) -> None:
+    """Put a session back on the bus with its bytes as they were recorded.
+
+    Stamps in the messages stay those of the recording; only the pace is by the clock of now. Keys
+    whose sender runs on the site now are left out, diagnostics always.
+    """
+    recording = open_recording(session)
+    loaded = load_site(site) if site else _attached(recording)
+    clock = SystemClock()
+    with open_bus(loaded) as bus:
+        plan = player.plan(recording, bus, site=loaded.name, keys=keys)
+        with Node(bus, site=loaded.name, kind="replay", name=_own_name()) as node:
+            stop_on_signals([node])
+            _say_plan(recording, plan, loaded.name, rate)
+            counts = player.replay(
+                recording, bus, plan.routes, rate=rate, clock=clock, stopping=node.stopping
+            )
+    for key, count in counts.items():
+        typer.echo(f"{count:8d}  {key}")
+    typer.echo(f"{sum(counts.values()):8d}  messages put on site {loaded.name}")
+
+
+def _attached(recording: Recording) -> Site:
+    file = f"{recording.path}: site.toml"
+    return parse_site(recording.site_text, directory=recording.path.parent, file=file)
+
+
+def _own_name() -> str:
+    """Any number of views and replays may run on a site."""
+    return f"p{os.getpid()}"
+
+
+def _watch(viewer: Viewer, node: Node) -> None:
+    """A closed window ends the view."""
+    while not node.stopping.wait(_LOOK_PERIOD_S):
+        if not viewer.is_running:
+            node.stop()
+
+
+def _say_viewer(viewer: Viewer) -> None:
+    if viewer.web_url:
+        typer.echo(f"open in a browser on this machine: {viewer.web_url}")
+
+
+def _say_plan(recording: Recording, plan: player.Plan, site: str, rate: float) -> None:
+    seconds = to_seconds(recording.end_ns - recording.start_ns) / rate
+    typer.echo(f"replaying {len(plan.routes)} keys on site {site}, {seconds:.0f} s at {rate:g} ×")
+    for key, reason in plan.left_out.items():
+        typer.echo(f"left out: {key}: {reason}")
+
+
+def _say_recorded(path: Path, counts: dict[str, int], lost: int) -> None:
+    for key, count in counts.items():
+        typer.echo(f"{count:8d}  {key}")
+    if not counts:
+        typer.echo(
+            "nothing was sent on the site while it was recorded; `trigpoint status` shows it"
+        )
+    size = path.stat().st_size / 1e6
+    typer.echo(f"{sum(counts.values()):8d}  messages, {size:.1f} MB, {lost} lost: {path}")

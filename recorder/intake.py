@@ -1,0 +1,80 @@
+"""From the bus to whoever records or draws: every sound sample of a site, and no other."""
+
+from collections.abc import Callable, Collection
+from functools import partial
+
+from trigpoint import cdr
+from trigpoint.bus import Bus, Sample, Subscription
+from trigpoint.config import Site
+from trigpoint.errors import MessageError
+from trigpoint.messages import Message
+from trigpoint.node import Node
+from trigpoint.topics import IMAGE, TOPICS, Topic, topic_of
+
+Take = Callable[[Topic, Sample, Message], None]
+
+_PATIENCE_S = 0.2
+
+
+def recorded_topics(*, pictures: bool) -> list[Topic]:
+    """The contract's topics that are recorded; pictures only where they are wanted."""
+    return [topic for topic in TOPICS if topic.recorded and (pictures or topic is not IMAGE)]
+
+
+class Intake:
+    """Subscribes topics, each with a thread of its own, and hands their sound samples to `take`.
+
+    A sample that is not sound is rejected, counted, and its sender named in the diagnostics. What
+    has arrived when the node stops is still handed on.
+    """
+
+    def __init__(
+        self, bus: Bus, node: Node, site: Site, topics: Collection[Topic], take: Take
+    ) -> None:
+        self._node, self._site, self._take = node, site, take
+        cdr.warm_up()
+        for topic in topics:
+            subscription = bus.subscribe(topic, topic.expression(site.name))
+            node.health.watch(topic.name, subscription)
+            node.thread(topic.name, partial(self._run, topic, subscription))
+
+    def _run(self, topic: Topic, subscription: Subscription) -> None:
+        while not self._node.stopping.is_set():
+            if sample := subscription.take(_PATIENCE_S):
+                self._hand_on(topic, sample)
+        subscription.close()
+        while sample := subscription.take(0.0):
+            self._hand_on(topic, sample)
+
+    def _hand_on(self, topic: Topic, sample: Sample) -> None:
+        try:
+            message = sound_message(topic, sample, self._site)
+        except MessageError as reason:
+            self._node.health.reject(sample, reason)
+            return
+        self._take(topic, sample, message)
+
+
+def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
+    """The message in a sample; raise MessageError where it is not what the contract says."""
+    if topic_of(sample.key) is not topic:
+        raise MessageError(f"{sample.key} is not a key of the contract")
+    if sample.encoding != topic.encoding:
+        raise MessageError(f"the encoding is «{sample.encoding}», not «{topic.encoding}»")
+    _check_known(topic, sample.key, site)
+    return cdr.decode(topic.type_name, sample.payload)
+
+
+def _check_known(topic: Topic, key: str, site: Site) -> None:
+    match = topic.match(key)
+    name = match[1] if match else ""
+    if topic.path.startswith("robot/"):
+        kind, known = "robot", site.robots.keys()
+    elif "{id}" in topic.path:
+        kind, known = "camera", site.cameras.keys()
+    else:
+        return
+    if name not in known:
+        raise MessageError(
+            f"the site file has no {kind} «{name}»; add it there and start this node again"
+        )

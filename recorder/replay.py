@@ -1,0 +1,152 @@
+"""Puts a recorded session back on the bus: the same bytes, at the recorded pace."""
+
+import threading
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from trigpoint.bus import Bus, Publisher
+from trigpoint.clock import Clock, to_seconds
+from trigpoint.errors import InputError, OperationError
+from trigpoint.topics import (
+    CORRECTION,
+    DIAGNOSTICS,
+    Topic,
+    alive_key,
+    key_matches,
+    node_of,
+    topic_of,
+)
+
+from .recording import Recording
+
+_DISCOVERY_S = 0.5
+"""Subscribers need a moment to be known to a new publisher; what is put before is lost to them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One key of the recording, and the key on the bus that its messages go to."""
+
+    key: str
+    topic: Topic
+    sent_as: str
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is replayed; `left_out`: key -> why it is not."""
+
+    routes: tuple[Route, ...]
+    left_out: dict[str, str]
+
+
+def plan(recording: Recording, bus: Bus, *, site: str, keys: str) -> Plan:
+    """Choose the keys that match `keys` (with or without the site) and that nobody alive sends.
+
+    Diagnostics are never replayed: they would speak for nodes that do not run. Raises InputError
+    where no key matches, OperationError where every matching one has a living sender.
+    """
+    matching = {
+        key: topic for key in recording.counts if (topic := topic_of(key)) and _is_wanted(keys, key)
+    }
+    if not matching:
+        known = ", ".join(recording.counts)
+        raise InputError(f"{recording.path}: no key matches «{keys}»; it has {known}")
+    alive = bus.alive(f"{site}/alive/**")
+    obstacles = {
+        key: _obstacle(topic, node_of(key), site, alive) for key, topic in matching.items()
+    }
+    left_out = {key: reason for key, reason in obstacles.items() if reason}
+    routes = tuple(
+        Route(key, topic, f"{site}/{key.partition('/')[2]}")
+        for key, topic in matching.items()
+        if key not in left_out
+    )
+    if not routes:
+        reasons = "; ".join(sorted(set(left_out.values())))
+        raise OperationError(f"nothing to replay on site {site}: {reasons}")
+    return Plan(routes, left_out)
+
+
+def replay(
+    recording: Recording,
+    bus: Bus,
+    routes: Collection[Route],
+    *,
+    rate: float,
+    clock: Clock,
+    stopping: threading.Event,
+) -> dict[str, int]:
+    """Put the messages, log time by log time divided by `rate`; return how many each key got.
+
+    Blocks until the end or until `stopping` is set. Header stamps stay as they were recorded. A
+    reliable topic waits for a slow receiver; what was missed of the pace is caught up.
+    """
+    publishers = {route.key: bus.publisher(route.topic, route.sent_as) for route in routes}
+    try:
+        clock.wait(stopping, _DISCOVERY_S)
+        pace = _Pace(rate, clock, stopping)
+        return _put_all(recording, {route.topic for route in routes}, publishers, pace)
+    finally:
+        for publisher in publishers.values():
+            publisher.close()
+
+
+class _Pace:
+    """Waits until a log time is due; the first one is due at once."""
+
+    def __init__(self, rate: float, clock: Clock, stopping: threading.Event) -> None:
+        self._rate, self._clock, self._stopping = rate, clock, stopping
+        self._first_ns: int | None = None
+        self._started_ns = clock.elapsed_ns()
+
+    def is_due(self, log_ns: int) -> bool:
+        """Wait; False where the replay is to stop."""
+        if self._first_ns is None:
+            self._first_ns = log_ns
+        due_s = to_seconds(log_ns - self._first_ns) / self._rate
+        ahead_s = due_s - to_seconds(self._clock.elapsed_ns() - self._started_ns)
+        if ahead_s > 0:
+            return not self._clock.wait(self._stopping, ahead_s)
+        return not self._stopping.is_set()
+
+
+def _put_all(
+    recording: Recording, topics: Collection[Topic], publishers: dict[str, Publisher], pace: _Pace
+) -> dict[str, int]:
+    counts = dict.fromkeys(publishers, 0)
+    for sample in recording.samples(topics):
+        if publisher := publishers.get(sample.key):
+            if not pace.is_due(sample.log_ns):
+                break
+            publisher.put(sample.payload)
+            counts[sample.key] += 1
+    return counts
+
+
+def _is_wanted(expression: str, key: str) -> bool:
+    return key_matches(expression, key) or key_matches(expression, key.partition("/")[2])
+
+
+def _obstacle(topic: Topic, node: str, site: str, alive: Collection[str]) -> str:
+    """Why a key may not be replayed now, "" where it may."""
+    if topic is DIAGNOSTICS:
+        return "diagnostics are not replayed"
+    senders = [_sender(topic, node, site)]
+    if topic is CORRECTION:
+        senders.append(alive_key(site, "robot", node))  # it would drive by an old correction
+    for token in alive:
+        if any(key_matches(sender, token) for sender in senders):
+            return f"{token.partition('/alive/')[2]} runs there; stop it or choose another --site"
+    return ""
+
+
+def _sender(topic: Topic, node: str, site: str) -> str:
+    """The liveliness token of whoever sends a topic."""
+    if topic.path in ("camera/{id}/pose", "coverage/{id}"):
+        return alive_key(site, "fusion", "*")
+    if topic.path.startswith("camera/"):
+        return alive_key(site, "edge", node)
+    if topic.name == "odom":
+        return alive_key(site, "robot", node)
+    return alive_key(site, "fusion", "*")
