@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 from cobs import cobs
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from trigpoint.robot.protocol import Damaged, DamageKind
@@ -79,11 +79,10 @@ def test_reading_goes_on_after_any_garbage(garbage: bytes, frame: Frame) -> None
     assert reader.feed(encode_frame(frame)) == [frame]
 
 
-@given(frames, st.integers(1, 200))
-def test_rest_of_a_frame_that_began_before_is_no_damage(frame: Frame, start: int) -> None:
+@given(frames, st.integers(0, 1000))
+def test_rest_of_a_frame_that_began_before_is_no_damage(frame: Frame, place: int) -> None:
     encoded = encode_frame(frame)
-    assume(start < len(encoded))
-    assert decode_frame(encoded[start:-1]) != frame
+    start = 1 + place % (len(encoded) - 1)
     reader = FrameReader()
     assert [item for item in reader.feed(encoded[start:]) if isinstance(item, Damaged)] == []
 
