@@ -102,6 +102,7 @@ class FusionNode:
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return
+        self._node.health.count(f"received {sample.key}")
         self._checkpoint.write(sample.key, sample.payload)
         self._pipeline.push(topics.node_of(sample.key), message)
 
@@ -110,7 +111,7 @@ class FusionNode:
         if key not in self._publishers:
             self._publishers[key] = self._bus.publisher(output.topic, key)
         self._publishers[key].put(cdr.encode(output.message), attachment=output.attachment)
-        self._node.health.count(output.topic.name)
+        self._node.health.count(f"sent {key}")
 
     def _report(self) -> None:
         """Bring what the pipeline left out into the diagnostics."""

@@ -39,13 +39,13 @@ class RobotNode:
             handle=self._handle,
             failed=node.health.fail,
         )
+        self._odometry_key = ODOMETRY.key(site.name, robot)
         self._publisher: Publisher | None = None
 
     def start(self) -> None:
         """Declare what the bridge sends and takes, and start its threads."""
         warm_up()
-        publisher = self._bus.publisher(ODOMETRY, ODOMETRY.key(self._site.name, self._robot))
-        self._publisher = publisher
+        self._publisher = self._bus.publisher(ODOMETRY, self._odometry_key)
         key = CORRECTION.key(self._site.name, self._robot)
         corrections = self._bus.subscribe(CORRECTION, key)
         self._show()
@@ -84,6 +84,7 @@ class RobotNode:
         odometry = self._bridge.on_event(event)
         if odometry is not None and self._publisher is not None:
             self._publisher.put(encode(odometry))
+            self._node.health.count(f"sent {self._odometry_key}")
 
     def _take(self, corrections: Subscription) -> None:
         while not self._node.stopping.is_set():
@@ -92,6 +93,7 @@ class RobotNode:
                 self._correct(sample)
 
     def _correct(self, sample: Sample) -> None:
+        self._node.health.count(f"received {sample.key}")
         try:
             correction = decode(CORRECTION.type_name, sample.payload)
             mark = decode_mark(sample.attachment)

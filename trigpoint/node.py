@@ -89,6 +89,7 @@ class Node:
     ) -> None:
         self.stop()
         self._join()
+        self._publisher.put(encode(self.diagnostics()))  # the last word has the final counts
         for declared in (self._token, self._others, self._publisher):
             declared.close()
         _log.info("%s stopped", self.label)
