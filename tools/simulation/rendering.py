@@ -17,6 +17,7 @@ from .world import SimulatedRobot, World
 
 EXPOSURES = 4  # instants over the exposure time that are averaged where a robot moves
 _NOISE_SIDE = 2048
+_REACH = 2  # of the lens's blur, pixels
 
 
 class CameraRenderer:
@@ -30,7 +31,8 @@ class CameraRenderer:
         self._rays = subpixel_rays(self._camera.model)
         self._background = draw_background(self._camera, world.walls, self._rays)
         self._vignette = vignette(self._camera)
-        self._empty = self._developed(self._background.picture, np.s_[:, :])
+        height, width = self._vignette.shape
+        self._empty = self._developed(self._background.picture, np.s_[0:height, 0:width])
 
     def picture(self, index: int) -> np.ndarray:
         """Picture `index` (from 0) of the camera's time grid; (h, w) uint8."""
@@ -40,9 +42,21 @@ class CameraRenderer:
     def picture_at(self, t_s: float) -> np.ndarray:
         """A picture without noise, its exposure's middle at world time `t_s`."""
         picture = self._empty.copy()
-        for robot in self._far_to_near(t_s):
-            self._draw(picture, robot, t_s)
+        in_view = [(robot, self._region(robot, t_s)) for robot in self._far_to_near(t_s)]
+        drawn = [(robot, region) for robot, region in in_view if region is not None]
+        if drawn:
+            light = self._background.picture.copy()
+            for robot, region in drawn:
+                self._draw(light, region, robot, t_s)
+            for _, region in drawn:
+                picture[region] = self._developed(light, region)
         return picture
+
+    def _region(self, robot: SimulatedRobot, t_s: float) -> Region | None:
+        camera_from_map = self._camera.map_from_camera.inverse()
+        return region_of(
+            self._camera.model, camera_from_map @ robot.map_from_base(t_s), robot.target
+        )
 
     def _far_to_near(self, t_s: float) -> list[SimulatedRobot]:
         eye = self._camera.map_from_camera.translation
@@ -52,26 +66,26 @@ class CameraRenderer:
 
         return sorted(self._world.robots.values(), key=distance)
 
-    def _draw(self, picture: np.ndarray, robot: SimulatedRobot, t_s: float) -> None:
+    def _draw(self, light: np.ndarray, region: Region, robot: SimulatedRobot, t_s: float) -> None:
         """Draw a robot over its part of the picture, where no wall is before it."""
+        canvas = Canvas(self._camera.model, self._rays, region, light[region].copy())
         camera_from_map = self._camera.map_from_camera.inverse()
-        middle = camera_from_map @ robot.map_from_base(t_s)
-        region = region_of(self._camera.model, middle, robot.target)
-        if region is None:
-            return
-        canvas = Canvas(self._camera.model, self._rays, region, picture[region].astype(np.float32))
-        canvas.grey /= self._vignette[region]
         draw_robot(canvas, robot, camera_from_map, self._instants(robot, t_s))
-        drawn = self._developed(canvas.grey, region)
         near = self._ground_distance(robot.map_from_base(t_s))
         free = self._background.wall_distance[region] > near
-        np.copyto(picture[region], drawn, where=free)
+        np.copyto(light[region], canvas.grey, where=free)
 
     def _developed(self, light: np.ndarray, region: Region) -> np.ndarray:
-        """The grey values of a part of the picture: blurred by the lens, darker to the edge."""
-        if self._camera.blur_px > 0:
-            light = cv2.GaussianBlur(light, (5, 5), self._camera.blur_px)
-        return cv2.convertScaleAbs(light * self._vignette[region])
+        """The grey values of a part of `light`: blurred by the lens, darker to the edge."""
+        if self._camera.blur_px <= 0:
+            return cv2.convertScaleAbs(light[region] * self._vignette[region])
+        top, left = max(0, region[0].start - _REACH), max(0, region[1].start - _REACH)
+        around = light[top : region[0].stop + _REACH, left : region[1].stop + _REACH]
+        size = (2 * _REACH + 1, 2 * _REACH + 1)
+        blurred = cv2.GaussianBlur(around, size, self._camera.blur_px)
+        rows = slice(region[0].start - top, region[0].stop - top)
+        columns = slice(region[1].start - left, region[1].stop - left)
+        return cv2.convertScaleAbs(blurred[rows, columns] * self._vignette[region])
 
     def _ground_distance(self, map_from_base: Pose) -> float:
         gap = map_from_base.translation - self._camera.map_from_camera.translation

@@ -41,8 +41,12 @@ def seen_faces(
     map_from_camera: Pose,
     model: CameraModel,
     walls: tuple[Wall, ...],
+    others: tuple[tuple[Target, Pose], ...] = (),
 ) -> list[SeenFace]:
-    """Every face that shows its front, with the corners that nothing hides; it may have none."""
+    """Every face that shows its front, with the corners that nothing hides; it may have none.
+
+    `others`: the other robots' targets with their map_from_base; they may stand in between.
+    """
     eye = map_from_camera.translation
     camera_from_map = map_from_camera.inverse()
     if not _may_be_inside(model, camera_from_map @ map_from_base, target):
@@ -55,7 +59,9 @@ def seen_faces(
             continue
         points = camera_from_map @ corners
         seen = _well_inside(model, points) & ~_hidden_by_walls(eye, corners, walls)
-        seen &= ~_hidden_by_faces(eye, corners, target, face, map_from_base)
+        seen &= ~_hidden_by_faces(eye, corners, target, map_from_base, own=face)
+        for other, map_from_other in others:
+            seen &= ~_hidden_by_faces(eye, corners, other, map_from_other)
         pixels = model.project(np.where(seen[:, None], points, [0.0, 0.0, 1.0]))
         square = _smallest_square(face, model.project(points)) if np.any(seen) else 0.0
         ids = np.flatnonzero(seen).astype(np.uint16)
@@ -112,11 +118,12 @@ def _smallest_square(face: Face, pixels: Array) -> float:
 
 
 def _hidden_by_faces(
-    eye: Array, points: Array, target: Target, own: Face, map_from_base: Pose
+    eye: Array, points: Array, target: Target, map_from_base: Pose, *, own: Face | None = None
 ) -> np.ndarray:
+    """Which points a target's sheets hide; `own`: the face that the points lie on."""
     hidden = np.zeros(len(points), dtype=bool)
     for face in target.faces:
-        if face.id != own.id:
+        if face is not own:
             face_from_map = (map_from_base @ face.base_from_face).inverse()
             hidden |= _crosses_panel(face_from_map @ eye, face_from_map @ points, panel(face))
     return hidden

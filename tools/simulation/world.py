@@ -120,12 +120,14 @@ class World:
     def seen(self, camera: str, robot: str, t_s: float) -> list[SeenFace]:
         """The faces of a robot that show a camera their front, with the corners in sight."""
         eye = self.camera(camera)
+        others = [other for name, other in self.robots.items() if name != robot]
         return seen_faces(
             self.target(robot),
             self.map_from_base(robot, t_s),
             eye.map_from_camera,
             eye.model,
             self.walls,
+            tuple((other.target, other.map_from_base(t_s)) for other in others),
         )
 
     def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:

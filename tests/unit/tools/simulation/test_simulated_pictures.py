@@ -1,5 +1,7 @@
 """Rendered pictures, held against the projected truth."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,22 @@ from trigpoint.tools.simulation.lens_grid import directions_on_grid
 from trigpoint.tools.simulation.rendering import CameraRenderer
 from trigpoint.tools.simulation.world import World, load_world
 
+TWO_ROBOTS = """
+site = "hall"
+hold_first = 1.0
+
+[cameras.c1]
+position = [0.0, -1.4, 1.5]
+yaw = 90.0
+pitch = 28.0
+
+[robots.r1]
+waypoints = [[-1.0, 0.0], [1.0, 0.0]]
+
+[robots.r2]
+waypoints = [[1.0, 0.6], [-1.0, 0.6]]
+target = "checkerboard"
+"""
 IN_VIEW = {"c1": 62.0, "c2": 13.9, "c3": 41.4, "c4": 34.5, "c5": 27.2, "c6": 54.8}
 
 
@@ -114,3 +132,17 @@ def test_directions_on_a_grid_are_those_of_the_lens(model: CameraModel) -> None:
     rays = np.concatenate([directions, np.ones((*directions.shape[:2], 1))], axis=-1)
     back = model.project(rays)
     assert np.abs(back - np.stack(np.meshgrid(u, v), axis=-1)).max() < 1e-6
+
+
+def test_the_nearer_robot_is_drawn_over_the_farther_one(tmp_path: Path) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(TWO_ROBOTS, encoding="utf-8")
+    world = load_world(str(file), seed=0)
+    alone = load_world(str(file), seed=0)
+    del alone.robots["r2"]
+    both = CameraRenderer(world, "c1").picture_at(3.9)
+    near = CameraRenderer(alone, "c1").picture_at(3.9)
+    changed = both != near
+    assert changed.any()
+    corners = np.vstack([face.pixels for face in world.seen("c1", "r1", 3.9)]).round().astype(int)
+    assert not changed[corners[:, 1], corners[:, 0]].any()

@@ -60,6 +60,19 @@ def test_robots_with_the_same_pattern_are_not_named_in_sightings(tmp_path: Path)
     assert {face.target for face in faces} == {""}
 
 
+def test_a_robot_hides_part_of_the_one_behind_it(tmp_path: Path) -> None:
+    level = TWO_ROBOTS.replace("-1.4, 1.5]", "-1.4, 0.8]").replace("28.0", "4.0")
+    both = load_world(write(tmp_path / "w.toml", level), seed=3)
+    alone = level.split("[robots.r1]")[0] + "[robots.r2]" + level.split("[robots.r2]")[1]
+    free = load_world(write(tmp_path / "alone.toml", alone), seed=3)
+    times = np.arange(2.0, 6.0, 0.1)
+    counts = [
+        sum(len(face.corners) for t_s in times for face in world.seen("c1", "r2", float(t_s)))
+        for world in (both, free)
+    ]
+    assert 0 < counts[0] < counts[1]
+
+
 def test_truth_does_not_depend_on_the_seed_but_odometry_does(lab: World) -> None:
     other = load_world("lab", seed=2)
     t_s = np.linspace(0, lab.duration_s, 50)
