@@ -1,13 +1,30 @@
-"""Where pictures come from. One source, one class; `SOURCES` says which URL scheme opens which."""
+"""Where pictures come from. One source, one class; `SOURCES` says which URL scheme opens which.
+
+Further schemes are plug-ins: entry points of the group `trigpoint.frames` whose name is the scheme.
+"""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from trigpoint.clock import Clock
+from trigpoint.config import CameraConfig
+from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel
+
+SOURCES: dict[str, str] = {
+    "dir": "trigpoint.edge.frames_directory:DirectoryFrames",
+    "file": "trigpoint.edge.frames_video:VideoFrames",
+    "v4l2": "trigpoint.edge.frames_live:V4l2Frames",
+    "rtsp": "trigpoint.edge.frames_live:RtspFrames",
+}
+PLUG_INS = "trigpoint.frames"
+_LOCAL_SCHEMES = ("dir", "file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +37,11 @@ class Frame:
 
 
 class FrameSource(Protocol):
-    """An open source. Built as `Source(url, camera, clock=clock)` with a CameraConfig and a Clock;
-    raises FrameError where it cannot be opened."""
+    """An open source. Built as `Source(url, camera, clock=clock)` with a CameraConfig and a Clock.
+
+    The constructor raises InputError where the URL names nothing that can be opened, now or later
+    (a missing file), and FrameError where it may come back (a camera that is unplugged).
+    """
 
     @property
     def intrinsics(self) -> CameraModel | None:
@@ -42,3 +62,30 @@ class FrameSource(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+def open_source(url: str, camera: CameraConfig, *, clock: Clock, directory: Path) -> FrameSource:
+    """Open the source of a URL; paths in dir:// and file:// start from `directory`.
+
+    Raises InputError for an unknown scheme, and what the source's constructor raises.
+    """
+    scheme, _, rest = url.partition("://")
+    if scheme in _LOCAL_SCHEMES:
+        url = f"{scheme}://{directory / rest}"
+    return source_class(scheme)(url, camera, clock=clock)
+
+
+def source_class(scheme: str) -> Callable[..., FrameSource]:
+    """The class behind a scheme; raise InputError that lists the known ones."""
+    if scheme in SOURCES:
+        return EntryPoint(scheme, SOURCES[scheme], PLUG_INS).load()
+    plug_ins = entry_points(group=PLUG_INS)
+    if scheme not in plug_ins.names:
+        known = ", ".join(f"{name}://" for name in sorted({*SOURCES, *plug_ins.names}))
+        raise InputError(f"pictures from «{scheme}://» are not known here; use one of {known}")
+    return plug_ins[scheme].load()
+
+
+def local_path(url: str) -> Path:
+    """What stands behind the scheme, as a path."""
+    return Path(url.partition("://")[2])

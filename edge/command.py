@@ -1,0 +1,57 @@
+"""The command `edge`."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import typer
+
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.config import load_site
+from trigpoint.node import Node, stop_on_signals
+
+from .detector import detector_for
+from .node import KIND, EdgeNode, load_targets
+from .quiet import quieten_opencv
+
+_LOOK_S = 0.1
+
+
+def main(
+    site: Annotated[Path, typer.Option(help="The site file.")],
+    camera: Annotated[
+        list[str], typer.Option(help="A camera's name in the site file; may be given again.")
+    ],
+) -> None:
+    """The agent of one or several cameras: finds the robots' targets in their pictures."""
+    loaded = load_site(site)
+    targets = load_targets(loaded)
+    names = list(dict.fromkeys(camera))
+    for name in names:
+        loaded.camera(name)  # a wrong name is told before anything is opened
+    # The cameras of an agent share the cores by their own threads; OpenCV's would fight for them.
+    cv2.setNumThreads(1)
+    quieten_opencv()
+    with open_bus(loaded) as bus, ExitStack() as stack:
+        nodes = [Node(bus, site=loaded.name, kind=KIND, name=name) for name in names]
+        agents = [
+            EdgeNode(bus, node, loaded, name, detector_for(targets))
+            for node, name in zip(nodes, names, strict=True)
+        ]
+        stop_on_signals(nodes)
+        for node, agent in zip(nodes, agents, strict=True):
+            stack.enter_context(node)
+            agent.start()
+        stack.callback(lambda: [node.stop() for node in nodes])
+        _wait_for_all(nodes)
+
+
+def _wait_for_all(nodes: list[Node]) -> None:
+    """Return when every node has ended; raise what ended one of them."""
+    running = list(nodes)
+    while running:
+        for node in list(running):
+            if node.stopping.wait(_LOOK_S / len(running)):
+                node.wait()
+                running.remove(node)

@@ -1,0 +1,52 @@
+"""`dir://FOLDER`: the pictures of a folder by name, at the camera's rate."""
+
+import threading
+from collections.abc import Iterator
+
+from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.config import CameraConfig
+from trigpoint.errors import FrameError, InputError
+from trigpoint.geometry import CameraModel
+
+from .frames import Frame, local_path
+from .picture_files import pictures_in, read_picture
+
+
+class DirectoryFrames:
+    """Every picture of a folder once, stamped with the time at which it is handed out.
+
+    Stills have no time of their own, so none is skipped for a slow taker: the next just comes late.
+    """
+
+    def __init__(self, url: str, camera: CameraConfig, *, clock: Clock) -> None:
+        """Raises InputError for a missing folder or one without pictures."""
+        self._files = pictures_in(local_path(url))
+        self._clock = clock
+        self._period_ns = to_ns(1 / camera.rate)
+
+    @property
+    def intrinsics(self) -> CameraModel | None:
+        """Files do not tell."""
+        return None
+
+    @property
+    def skipped(self) -> int:
+        """None is."""
+        return 0
+
+    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+        """Pictures until the folder's end; raises FrameError for one that cannot be read."""
+        due_ns = self._clock.elapsed_ns()
+        for file in self._files:
+            wait_ns = due_ns - self._clock.elapsed_ns()
+            if self._clock.wait(stopping, max(0.0, to_seconds(wait_ns))):
+                return
+            try:
+                picture = read_picture(file)
+            except InputError as reason:
+                raise FrameError(str(reason)) from None
+            yield Frame(picture, self._clock.now_ns())
+            due_ns = max(due_ns + self._period_ns, self._clock.elapsed_ns())
+
+    def close(self) -> None:
+        """Nothing is held open."""

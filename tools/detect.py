@@ -1,0 +1,148 @@
+"""The command `detect`: the sightings in pictures, folders of pictures and videos."""
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.frames_video import Video
+from trigpoint.edge.picture_files import is_picture, pictures_in, read_picture
+from trigpoint.edge.quiet import quieten_opencv
+from trigpoint.errors import InputError
+from trigpoint.messages import FaceSighting
+from trigpoint.target import load_target
+
+from .detect_drawing import draw_faces
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """One picture, grey; `name` is what it is called in the output, `stem` in drawings."""
+
+    name: str
+    stem: str
+    picture: np.ndarray
+
+
+def main(
+    pictures: Annotated[list[Path], typer.Argument(help="Pictures, folders of them, or videos.")],
+    target: Annotated[Path, typer.Option(help="The target file.")],
+    json_lines: Annotated[
+        bool, typer.Option("--json", help="One JSON object a line for each picture.")
+    ] = False,
+    draw: Annotated[
+        Path | None, typer.Option(help="Folder for the pictures with what was found drawn in.")
+    ] = None,
+    sequence: Annotated[
+        bool, typer.Option("--sequence", help="They are one camera's, in order, of one size.")
+    ] = False,
+) -> None:
+    """The faces of a target in pictures: which, where their corners are, and how well known."""
+    quieten_opencv()
+    cv2.setNumThreads(1)  # as the agent does, so that the times are those of the agent
+    detector = detector_for([load_target(target)])
+    _check_all(pictures)
+    if draw is not None:
+        _make_folder(draw)
+    first: Still | None = None
+    for still in stills(pictures):
+        first = first or still
+        if sequence and still.picture.shape != first.picture.shape:
+            raise InputError(f"{still.name}: not of the size of {first.name}; leave --sequence out")
+        began_s = time.perf_counter()
+        faces = detector.detect(still.picture)
+        milliseconds = (time.perf_counter() - began_s) * 1e3
+        typer.echo((_json if json_lines else _text)(still, faces, milliseconds))
+        if draw is not None:
+            file = draw / f"{still.stem}.png"
+            cv2.imwrite(str(file), draw_faces(still.picture, faces))
+
+
+def stills(paths: Sequence[Path]) -> Iterator[Still]:
+    """Every picture of files, folders and videos, in order; raises InputError."""
+    names: dict[str, int] = {}
+    for path in paths:
+        for name, stem, picture in _opened(path):
+            names[stem] = names.get(stem, 0) + 1
+            unique = stem if names[stem] == 1 else f"{stem}_{names[stem]}"
+            yield Still(name, unique, picture)
+
+
+def _opened(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
+    if path.is_dir():
+        for file in pictures_in(path):
+            yield str(file), file.stem, read_picture(file)
+    elif is_picture(path):
+        yield str(path), path.stem, read_picture(path)
+    else:
+        yield from _frames(path)
+
+
+def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
+    """The pictures of a video, named by their number from 0."""
+    video = Video(path)
+    try:
+        number = 0
+        while video.advance() is not None:
+            picture = video.picture()
+            if picture is None:
+                raise InputError(f"{path}: picture {number} is damaged; repair the video")
+            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            yield f"{path}#{number}", f"{path.stem}_{number:05d}", grey
+            number += 1
+    finally:
+        video.close()
+
+
+def _check_all(paths: Sequence[Path]) -> None:
+    """Raise InputError for a path that is not there, before any work is done."""
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path}: there is no such picture, folder or video; check the path")
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        text = f"{folder}: this folder cannot be made ({reason.strerror}); give another --draw"
+        raise InputError(text) from None
+
+
+def _json(still: Still, faces: tuple[FaceSighting, ...], milliseconds: float) -> str:
+    height, width = still.picture.shape
+    return json.dumps(
+        {
+            "picture": still.name,
+            "width": width,
+            "height": height,
+            "milliseconds": round(milliseconds, 3),
+            "faces": [_face(face) for face in faces],
+        }
+    )
+
+
+def _face(face: FaceSighting) -> dict[str, object]:
+    return {
+        "face": face.face,
+        "corners": face.corners.tolist(),
+        "pixels": [[round(float(u), 4), round(float(v), 4)] for u, v in face.pixels],
+        "sigma": round(face.sigma, 4),
+    }
+
+
+def _text(still: Still, faces: tuple[FaceSighting, ...], milliseconds: float) -> str:
+    height, width = still.picture.shape
+    found = "; ".join(
+        f"{'a face' if face.face < 0 else f'face {face.face}'}: {len(face.corners)} corners, "
+        f"sigma {face.sigma:.2f} px"
+        for face in faces
+    )
+    return f"{still.name} ({width} × {height}, {milliseconds:.1f} ms): {found or 'nothing found'}"
