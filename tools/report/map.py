@@ -1,0 +1,174 @@
+"""The map of a run from above: walls, cameras, where they were found, and the robot's ways."""
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.tools.demo.results import CameraResult, DemoResults, Track
+
+from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
+
+PALETTE = 8
+"""How many colours the style has for cameras."""
+
+_VIEW_M = 1.15
+_MARGIN = 26.0
+_NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+_LARGEST_ELLIPSE = 30.0
+_MOST_POINTS = 500
+
+
+class Plan:
+    """From metres in the map to the drawing. The long side of the rooms lies across the drawing, or
+    down it where `upright`."""
+
+    def __init__(self, results: DemoResults, width: float, *, upright: bool) -> None:
+        everything = _everything(results)
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        size = high - low
+        # Turned by a quarter where that brings the long side to where it is wanted.
+        self._is_turned = bool((size[1] > size[0]) != upright)
+        across = size[1] if self._is_turned else size[0]
+        down = size[0] if self._is_turned else size[1]
+        self.scale = (width - 2 * _MARGIN) / across
+        self.width, self.height = width, down * self.scale + 2 * _MARGIN
+        self._low, self._high = low, high
+
+    def __call__(self, points: Array) -> Array:
+        """Points (…, 2) of the map in the drawing."""
+        corner = [self._low[0], self._low[1]] if self._is_turned else [self._low[0], self._high[1]]
+        return self.turned(np.asarray(points, dtype=float) - corner) * self.scale + _MARGIN
+
+    def turned(self, vectors: Array) -> Array:
+        """Directions (…, 2) of the map in the drawing, whose y points down; their lengths stay."""
+        x, y = np.moveaxis(np.asarray(vectors, dtype=float), -1, 0)
+        return np.stack([y, x] if self._is_turned else [x, -y], axis=-1)
+
+
+def magnification(results: DemoResults, plan: Plan) -> int:
+    """How many times larger than the rooms errors and ellipses are drawn, so that they show."""
+    sizes = [
+        max(np.sqrt(np.linalg.eigvalsh(camera.covariance[:2, :2])[-1]), camera.error.position)
+        for camera in results.cameras
+        if camera.covariance is not None and camera.error is not None
+    ]
+    largest = max(sizes, default=0.0) * plan.scale
+    fitting = [factor for factor in _NICE if factor * largest <= _LARGEST_ELLIPSE]
+    return fitting[-1] if fitting else 1
+
+
+def map_drawing(results: DemoResults, *, width: float, upright: bool) -> str:
+    """The whole map; the ellipses are those of `magnification`."""
+    plan = Plan(results, width, upright=upright)
+    factor = magnification(results, plan)
+    parts = [_walls(results, plan)]
+    parts += [_view(camera, index, plan) for index, camera in enumerate(results.cameras)]
+    for robot in results.robots:
+        parts.append(_way(robot.truth, plan, "way true"))
+        parts.append(_way(robot.odometry, plan, "way reckoned"))
+        parts.append(_way(robot.live, plan, "way corrected"))
+        parts.append(_ends(robot.truth, plan))
+    parts += [_found(camera, index, plan, factor) for index, camera in enumerate(results.cameras)]
+    parts.append(_scale_bar(plan))
+    label = "Map of the rooms from above with the cameras and the robot's ways"
+    return drawing(plan.width, plan.height + 22, *parts, label=label, class_="map")
+
+
+def _everything(results: DemoResults) -> Array:
+    points = [results.walls.reshape(-1, 2)]
+    points += [camera.truth.translation[None, :2] for camera in results.cameras]
+    points += [robot.truth.places for robot in results.robots]
+    return np.concatenate(points)
+
+
+def _walls(results: DemoResults, plan: Plan) -> str:
+    ends = plan(results.walls)
+    return group(
+        *(line(*start, *end) for start, end in ends),
+        class_="walls",
+    )
+
+
+def _view(camera: CameraResult, index: int, plan: Plan) -> str:
+    """Which way the camera truly looks: a wedge on the floor."""
+    eye, forward = camera.truth.translation[:2], camera.truth.rotation[:2, 2]
+    direction = np.arctan2(forward[1], forward[0])
+    angles = direction + np.radians(np.linspace(-30, 30, 13))
+    rim = eye + _VIEW_M * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    wedge = polygon(plan(np.vstack([eye, rim])), class_="view")
+    return group(wedge, class_=f"k{index % PALETTE}")
+
+
+def _found(camera: CameraResult, index: int, plan: Plan, factor: int) -> str:
+    """The true place as a ring, what was found as a point with its ellipse, the name beside."""
+    true = camera.truth.translation[:2]
+    x, y = plan(true)
+    marks = [circle(x, y, 5, class_="true-place")]
+    if camera.estimate is not None and camera.covariance is not None:
+        found = true + factor * (camera.estimate.translation[:2] - true)
+        outline = ellipse_points(found, factor**2 * camera.covariance[:2, :2], 1.0)
+        marks.append(polygon(plan(outline), class_="ellipse"))
+        marks.append(circle(*plan(found), 2.6, class_="found"))
+    marks.append(_name(camera, plan))
+    return group(*marks, class_=f"k{index % PALETTE}")
+
+
+def _name(camera: CameraResult, plan: Plan) -> str:
+    """The name where the camera looks, in its wedge."""
+    eye, forward = camera.truth.translation[:2], camera.truth.rotation[:2, 2]
+    place = eye + 0.62 * _VIEW_M * forward / np.linalg.norm(forward)
+    x, y = plan(place)
+    return text(x, y + 5, camera.name, class_="name")
+
+
+def _way(track: Track, plan: Plan, kind: str) -> str:
+    step = max(1, len(track.places) // _MOST_POINTS)
+    points = np.concatenate([track.places[::step], track.places[-1:]])
+    return polyline(plan(points), class_=kind) if len(track.places) else ""
+
+
+def _ends(track: Track, plan: Plan) -> str:
+    """The robot's start as a ring and its end as an arrow."""
+    x, y = plan(track.places[0])
+    start = circle(x, y, 4.5, class_="start")
+    heading = track.headings[-1]
+    ahead, aside = _unit(heading), _unit(heading + np.pi / 2)
+    tip = track.places[-1] + np.array([0.16 * ahead, -0.08 * ahead + 0.1 * aside, [0.0, 0.0]])
+    tip = np.vstack([tip, track.places[-1] - 0.08 * ahead - 0.1 * aside])
+    tip[2] = track.places[-1] - 0.03 * ahead
+    return start + polygon(plan(tip), class_="end")
+
+
+def _unit(angle: float) -> Array:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _scale_bar(plan: Plan) -> str:
+    """One metre, and the map's axes where its origin is."""
+    y = plan.height + 6
+    bar = line(_MARGIN, y, _MARGIN + plan.scale, y) + line(_MARGIN, y - 4, _MARGIN, y + 4)
+    bar += line(_MARGIN + plan.scale, y - 4, _MARGIN + plan.scale, y + 4)
+    words = text(_MARGIN + plan.scale + 8, y + 4.5, "1 m")
+    return group(bar, words, class_="scale")
+
+
+def legend(results: DemoResults, factor: int) -> str:
+    """What the marks on the map mean, as a list."""
+    larger = f", {factor} times larger than the rooms" if factor > 1 else ""
+    entries = [
+        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way true"/></svg>',
+         "the robot's true way, from the ring to the arrow"),
+        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way corrected"/></svg>',
+         "as Trigpoint said it live"),
+        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way reckoned"/></svg>',
+         "as its odometry alone has it"),
+        ('<svg viewBox="0 0 34 14" class="k0"><circle cx="17" cy="7" r="5" class="true-place"/></svg>',
+         "where a camera truly is; its wedge shows where it looks"),
+        ('<svg viewBox="0 0 34 14" class="k0"><ellipse cx="17" cy="7" rx="14" ry="6" class="ellipse"/>'
+         '<circle cx="17" cy="7" r="2.6" class="found"/></svg>',
+         f"where it was found, with its standard deviation (errors and ellipses are drawn{larger})"
+         if factor > 1 else "where it was found, with its standard deviation"),
+    ]  # fmt: skip
+    return element(
+        "ul", *(element("li", mark, element("span", words)) for mark, words in entries),
+        class_="legend",
+    )  # fmt: skip

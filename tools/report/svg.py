@@ -1,0 +1,82 @@
+"""Small helpers that write markup: elements, text, lines; no library, no script."""
+
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+
+def element(name: str, *content: str, **attributes: object) -> str:
+    """`<name attributes>content</name>`; `content` is markup, attributes are escaped here.
+
+    An underscore in an attribute's name is written as a hyphen, one at its end is left out; an
+    attribute that is None is left out; numbers are written with two decimals at most.
+    """
+    pairs = [
+        f' {key.rstrip("_").replace("_", "-")}="{escape(_value(value))}"'
+        for key, value in attributes.items()
+        if value is not None
+    ]
+    inside = "".join(content)
+    return f"<{name}{''.join(pairs)}>{inside}</{name}>"
+
+
+def text(x: float, y: float, words: str, **attributes: object) -> str:
+    """Words at a point; escaped."""
+    return element("text", escape(words), x=x, y=y, **attributes)
+
+
+def line(x1: float, y1: float, x2: float, y2: float, **attributes: object) -> str:
+    return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
+
+
+def polyline(points: Array, **attributes: object) -> str:
+    """A line through points (n, 2)."""
+    return element("polyline", points=_points(points), **attributes)
+
+
+def polygon(points: Array, **attributes: object) -> str:
+    return element("polygon", points=_points(points), **attributes)
+
+
+def circle(x: float, y: float, r: float, *content: str, **attributes: object) -> str:
+    return element("circle", *content, cx=x, cy=y, r=r, **attributes)
+
+
+def group(*content: str, **attributes: object) -> str:
+    return element("g", *content, **attributes)
+
+
+def drawing(width: float, height: float, *content: str, label: str, **attributes: object) -> str:
+    """A whole drawing that scales with the page; `label` says what it shows."""
+    box = f"0 0 {_value(float(width))} {_value(float(height))}"
+    return element(
+        "svg", *content, viewBox=box, role="img", aria_label=label, **attributes
+    )  # no xmlns: it stands in a page
+
+
+def rows(cells: Iterable[Iterable[str]], *, tag: str = "td") -> str:
+    """Table rows; each cell is markup, an attribute of it may precede with `|`."""
+    return "".join(
+        element("tr", *(element(tag, cell) for cell in row_cells)) for row_cells in cells
+    )
+
+
+def ellipse_points(centre: Array, covariance: Array, sigmas: float, count: int = 48) -> Array:
+    """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (count, 2)."""
+    values, vectors = np.linalg.eigh(covariance)
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return centre + sigmas * (unit * np.sqrt(np.maximum(values, 0))) @ vectors.T
+
+
+def _points(points: Array) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in np.asarray(points, dtype=float))
+
+
+def _value(value: object) -> str:
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.2f}".rstrip("0").rstrip(".")
+    return str(value)

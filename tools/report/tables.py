@@ -1,0 +1,82 @@
+"""The page's tables."""
+
+import math
+from html import escape
+
+from trigpoint.tools.demo.results import MOST_SIGMAS, CameraResult, DemoResults, KeyCount
+
+from .map import PALETTE
+from .svg import element
+
+_CAMERA_HEAD = (
+    "camera", "error<br>cm", "sigma<br>cm", "error<br>degrees", "sigma<br>degrees",
+    "error in<br>sigmas", "pictures<br>used", "put<br>aside", "pictures<br>missed",
+)  # fmt: skip
+
+
+def camera_table(results: DemoResults) -> str:
+    """One row a camera."""
+    head = element("tr", *(element("th", cell) for cell in _CAMERA_HEAD))
+    rows = [_camera_row(camera, index) for index, camera in enumerate(results.cameras)]
+    return element("table", element("thead", head), element("tbody", *rows))
+
+
+def _camera_row(camera: CameraResult, index: int) -> str:
+    name = f'<span class="dot"></span>{escape(camera.name)}'
+    cells = [element("td", name)]
+    if camera.error is None:
+        why = "; ".join((camera.status, *camera.undetermined))
+        cells.append(element("td", escape(why), colspan=5, class_="words"))
+    else:
+        numbers = (
+            f"{100 * camera.error.position:.2f}",
+            f"{100 * camera.sigma_m:.2f}",
+            f"{math.degrees(camera.error.rotation):.2f}",
+            f"{math.degrees(camera.sigma_rad):.2f}",
+        )
+        cells += [element("td", number) for number in numbers]
+        kind = "bad-text" if camera.error.sigmas > MOST_SIGMAS else None
+        cells.append(element("td", f"{camera.error.sigmas:.1f}", class_=kind))
+    skipped = "–" if camera.skipped is None else str(camera.skipped)
+    cells += [element("td", number) for number in (str(camera.sightings), str(camera.rejected))]
+    cells.append(element("td", skipped))
+    return element("tr", *cells, class_=f"k{index % PALETTE}")
+
+
+def missing_words(results: DemoResults) -> str:
+    """What the columns mean, and why a camera may have no numbers."""
+    words = (
+        "Sigma is the root of the trace of the camera's covariance. «Error in sigmas» weighs the "
+        f"place's error with the full covariance (Mahalanobis); more than {MOST_SIGMAS:.0f} would "
+        "be a failure. «Pictures missed» were made but not looked at, since the machine was busy."
+    )
+    unvisited = [camera.name for camera in results.cameras if not camera.came_by]
+    if unvisited:
+        words += f" The robot did not come by {', '.join(unvisited)} in this time."
+    return escape(words)
+
+
+def message_table(results: DemoResults) -> str:
+    """One row a key."""
+    cells = ("key", "sent", "received", "recorded", "")
+    head = element("tr", *(element("th", cell) for cell in cells))
+    rows = [_key_row(count) for count in results.keys]
+    return element("table", element("thead", head), element("tbody", *rows))
+
+
+def _key_row(count: KeyCount) -> str:
+    sent = "–" if count.sent is None else str(count.sent)
+    received = ", ".join(f"{number} ({part})" for part, number in count.received.items())
+    cells = [
+        element("td", element("code", escape(count.path))),
+        element("td", sent),
+        element("td", escape(received or "–")),
+        element("td", str(count.recorded)),
+    ]
+    if not count.is_reliable:
+        cells.append(element("td", "best effort", class_="quiet"))
+    elif count.is_complete:
+        cells.append(element("td", "complete"))
+    else:
+        cells.append(element("td", "not complete", class_="bad-text"))
+    return element("tr", *cells)

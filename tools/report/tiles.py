@@ -1,0 +1,97 @@
+"""The page's first lines: the run in a sentence and in five numbers."""
+
+import math
+from html import escape
+
+import numpy as np
+
+from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M, DemoResults
+
+from .svg import element
+
+
+def headline(results: DemoResults) -> str:
+    """The run in one sentence."""
+    located, expected = len(results.located), len(results.expected)
+    error = results.mean_distance_error_m
+    if located < expected:
+        return f"{expected - located} of {expected} cameras could not be located"
+    if error is None:
+        return f"{located} of {len(results.cameras)} cameras located"
+    seen = f"All {located}" if located == len(results.cameras) else f"All {located} visited"
+    return f"{seen} cameras located; the distances between them are right to {_cm(error)}"
+
+
+def tiles(results: DemoResults) -> str:
+    """Five numbers with what they mean."""
+    shown = [_located(results), _distance(results), _robot(results), _latency(results)]
+    shown.append(_messages(results))
+    return element("div", *(tile for tile in shown if tile), class_="tiles")
+
+
+def _tile(number: str, words: str, *, is_bad: bool = False) -> str:
+    return element(
+        "div",
+        element("b", escape(number)),
+        element("span", escape(words)),
+        class_="tile bad" if is_bad else "tile",
+    )
+
+
+def _located(results: DemoResults) -> str:
+    located, count = len(results.located), len(results.cameras)
+    words = "cameras located"
+    passed = count - len(results.expected)
+    if passed:
+        words += f"; the robot did not come by {passed}"
+    furthest = max((c.error.sigmas for c in results.located if c.error), default=math.nan)
+    if located:
+        words += f"; the furthest is {furthest:.1f} of its own sigmas off"
+    return _tile(f"{located} of {count}", words, is_bad=any(c.is_missed for c in results.cameras))
+
+
+def _distance(results: DemoResults) -> str:
+    error = results.mean_distance_error_m
+    if error is None:
+        return ""
+    words = f"mean error of the distances between cameras; the paper reached {_cm(PAPER_DISTANCE_ERROR_M)}"
+    if results.bound_m is not None:
+        words += f", no estimator could expect less than {_cm(results.bound_m)} of this drive"
+    return _tile(_cm(error), words)
+
+
+def _robot(results: DemoResults) -> str:
+    if not results.robots:
+        return ""
+    robot = results.robots[0]
+    live, odometry = robot.final_error(robot.live), robot.final_error(robot.odometry)
+    if live is None or odometry is None:
+        return ""
+    words = f"off at the drive's end, the robot; {_cm(odometry.place_m)} by odometry alone"
+    return _tile(_cm(live.place_m), words)
+
+
+def _latency(results: DemoResults) -> str:
+    if not len(results.latencies_s):
+        return ""
+    half, most = 1000 * np.quantile(results.latencies_s, [0.5, 0.95])
+    words = f"from exposure to correction, half of the time; 95 % within {most:.0f} ms"
+    return _tile(f"{half:.0f} ms", words)
+
+
+def _messages(results: DemoResults) -> str:
+    reliable = [count for count in results.keys if count.is_reliable]
+    if not reliable:
+        return ""
+    sent = sum(count.sent or 0 for count in reliable)
+    broken = [count for count in reliable if not count.is_complete]
+    if results.restarts:
+        total = sum(results.restarts.values())
+        return _tile(f"{total} ×", "a part ended, was started again, and the system went on")
+    if broken:
+        return _tile(f"{len(broken)} keys", "lost messages that should be reliable", is_bad=True)
+    return _tile("0 lost", f"of {sent} messages on reliable keys: sent, received and recorded")
+
+
+def _cm(metres: float) -> str:
+    return f"{100 * metres:.2f} cm" if metres < 0.1 else f"{100 * metres:.1f} cm"
