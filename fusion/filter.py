@@ -18,6 +18,7 @@ from trigpoint.geometry.rotation import Array, hat
 from .dataset import DataSet
 from .observations import Observation, points_of
 from .problem import (
+    EXACT,
     Batch,
     Chain,
     Priors,
@@ -29,9 +30,6 @@ from .problem import (
     linearise,
 )
 from .solver import Reduced, covariance_of, eliminate
-
-# Information of a pose that is known exactly: 0.3 µm and µrad.
-_EXACT = 1e13
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +68,7 @@ class Filter:
         information = np.zeros((layout.size, layout.size))
         for name in robots:
             last = np.arange(layout.size)[layout.last[name]]
-            information[last, last] = _EXACT
+            information[last, last] = EXACT
         if data.known.poses:
             columns = np.concatenate(
                 [np.arange(layout.size)[layout.pose[n]] for n in data.known.poses]
@@ -83,11 +81,9 @@ class Filter:
         """What a batch solution knows at its end."""
         stamps, robots = {}, dict(state.robots)
         for name, chain in problem.chains.items():
-            if name in reduced.layout.last:
-                robots[name] = replace(
-                    state.robots[name], map_from_base=_one(state.robots[name].map_from_base[-1])
-                )
-                stamps[name] = int(chain.stamps_ns[-1])
+            nodes = state.robots[name].map_from_base
+            robots[name] = replace(state.robots[name], map_from_base=_one(nodes[-1]))
+            stamps[name] = int(chain.stamps_ns[-1])
         return cls(State(state.cameras, robots), stamps, reduced)
 
     def has_robot(self, robot: str) -> bool:

@@ -22,6 +22,9 @@ from trigpoint.geometry.rotation import Array
 
 from .odometry_track import PLANAR, SPATIAL, Motion
 
+# Information of a pose that is known exactly: 0.3 µm and µrad.
+EXACT = 1e13
+
 
 @dataclass(frozen=True, slots=True)
 class CameraState:
@@ -172,17 +175,13 @@ def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, stat
     time_offset = {name: take(1) for name in cameras if name in priors.time_offset}
     scales = {name: take(2) for name in chains if name in priors.scales}
     faces = {name: take(6 * len(priors.faces[name][0])) for name in chains if name in priors.faces}
-    last = {name: take(len(chain.tangent)) for name, chain in chains.items() if _has_last(chain)}
+    last = {name: take(len(chain.tangent)) for name, chain in chains.items()}
     return Layout(pose, lens, time_offset, scales, faces, last, size)
 
 
-def _has_last(chain: Chain) -> bool:
-    return len(chain) > int(chain.is_anchored)
-
-
 def inner_nodes(chain: Chain) -> slice:
-    """The nodes that are unknown and not the last."""
-    return slice(int(chain.is_anchored), max(len(chain) - 1, int(chain.is_anchored)))
+    """All nodes but the last."""
+    return slice(0, len(chain) - 1)
 
 
 def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> NormalEquations:
@@ -199,10 +198,22 @@ def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Norma
             np.zeros((count, d)),
         )
         _add_odometry(equations, problem, chain, state.robots[name])
+        if chain.is_anchored:
+            _hold_first(equations, problem, chain)
     for batch in problem.batches:
         _add_batch(equations, problem, batch, state, huber)
     _add_priors(equations, problem, state)
     return equations
+
+
+def _hold_first(equations: NormalEquations, problem: Problem, chain: Chain) -> None:
+    """Node 0 stays where it starts."""
+    free = np.arange(len(chain.tangent))
+    if len(chain) > 1:
+        equations.chains[chain.robot].diagonal[0, free, free] += EXACT
+    else:
+        last = np.arange(problem.layout.size)[problem.layout.last[chain.robot]]
+        equations.dense[last, last] += EXACT
 
 
 def _scatter(
@@ -226,7 +237,7 @@ def _scatter(
     coupling = np.zeros((len(rows), d, problem.layout.size))
     coupling[:, :, columns] = hessian[is_inner, :d, d:]
     np.add.at(target.coupling, rows, coupling)
-    is_last = (nodes == len(chain) - 1) & (robot in problem.layout.last)
+    is_last = nodes == len(chain) - 1
     if np.any(is_last):
         last = np.arange(problem.layout.size)[problem.layout.last[robot]]
         both = np.concatenate([last, columns])

@@ -28,6 +28,9 @@ from .trajectory import interpolated
 _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_REBUILDS = 20
+# What a step may still promise of χ² at the end: 0.1 and 0.01 of a sigma.
+_LIVE_TOLERANCE = 1e-2
+_FINAL_TOLERANCE = 1e-4
 # A rebuilt problem differs from the extrapolated one by the square of these.
 _SCALE_TOLERANCE = 1e-4
 _OFFSET_TOLERANCE_S = 1e-4
@@ -64,6 +67,7 @@ class Smoother:
         self._undetermined: dict[str, tuple[str, ...]] = {}
         # Where each robot is by its odometry since the filter's last step, and by which filter.
         self._carried: dict[str, tuple[Filter, RobotEstimate]] = {}
+        self._tolerance = _LIVE_TOLERANCE
         self.iterations = 0
 
     # -- input ------------------------------------------------------------------------------------
@@ -280,7 +284,7 @@ class Smoother:
 
         Roughly: corners far off count linearly, and the last tenth of χ² is not waited for.
         """
-        huber, tolerance = (_HUBER, 0.1) if is_rough else (np.inf, 1e-6)
+        huber, tolerance = (_HUBER, 0.1) if is_rough else (np.inf, self._tolerance)
         before = self._state
         assembled, solution = self._solve_once(used, huber, tolerance)
         for _ in range(_MOST_REBUILDS):
@@ -336,6 +340,7 @@ class Smoother:
 
     def finish(self) -> None:
         """Locate what can be located from all that came in, and solve to the end."""
+        self._tolerance = _FINAL_TOLERANCE
         for _ in range(len(self.data.site.cameras) + 1):
             self.solve()
             missing = [

@@ -174,7 +174,7 @@ def moved_state(
 
 
 def _moved_camera(camera: CameraState, layout: Layout, name: str, step: Array) -> CameraState:
-    pose = camera.map_from_camera.disturbed(step[layout.pose[name]])
+    pose = camera.map_from_camera.moved(step[layout.pose[name]])
     lens, offset = camera.lens, camera.time_offset_s
     if name in layout.lens:
         parameters = lens.parameters + step[layout.lens[name]]
@@ -193,9 +193,8 @@ def _moved_robot(
     if moves is not None:
         inner = inner_nodes(chain)
         disturbance[inner.start : inner.stop, chain.tangent] = moves
-    if name in layout.last:
-        disturbance[-1, chain.tangent] = step[layout.last[name]]
-    moved = replace(robot, map_from_base=robot.map_from_base.disturbed(disturbance))
+    disturbance[-1, chain.tangent] = step[layout.last[name]]
+    moved = replace(robot, map_from_base=robot.map_from_base.moved(disturbance))
     if name in layout.scales:
         moved = replace(moved, scales=robot.scales + step[layout.scales[name]])
     if name in layout.faces:

@@ -85,6 +85,18 @@ class Pose:
         d = np.asarray(disturbance, dtype=float)
         return Pose(so3.exp(d[..., 3:]) @ self.rotation, self.translation + d[..., :3])
 
+    def moved(self, disturbance: ArrayLike) -> "Pose":
+        """Equal to `disturbed` to first order, but a disturbance that many poses share as one
+        rigid motion moves them as one however large it is: the left twist of SE(3) with
+        ω = δθ, v = δt - δθ × t (Solà et al., eq. 172)."""
+        d = np.asarray(disturbance, dtype=float)
+        turn = d[..., 3:]
+        linear = d[..., :3] - np.cross(turn, self.translation)
+        rotation = so3.exp(turn)
+        translation = rotation @ self.translation[..., None]
+        translation = translation + so3.left_jacobian(turn) @ linear[..., None]
+        return Pose(rotation @ self.rotation, translation[..., 0])
+
     def difference(self, other: "Pose") -> Array:
         """The disturbance d (…, 6) with `other.disturbed(d) == self`."""
         turn = so3.log(self.rotation @ np.swapaxes(other.rotation, -1, -2))
