@@ -63,9 +63,13 @@ class Inputs:
 
 
 class Pipeline:
-    """One map from its first message to its last. Not thread-safe."""
+    """One map from its first message to its last. Not thread-safe.
 
-    def __init__(self, inputs: Inputs) -> None:
+    `is_live`: whether anyone listens to what it says on the way.
+    """
+
+    def __init__(self, inputs: Inputs, *, is_live: bool = True) -> None:
+        self._is_live = is_live
         self.site, self._inputs = inputs.site, inputs
         data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
         self._data = data
@@ -122,8 +126,7 @@ class Pipeline:
             return
         if added is Added.JUMP:
             self.counts["odometry_jumps"] += 1
-        estimate = self._estimator.robot(robot)
-        if estimate is not None:
+        if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
             self._say_where(robot, estimate, message)
 
     def _say_where(self, robot: str, estimate: RobotEstimate, message: Odometry) -> None:
@@ -180,7 +183,6 @@ class Pipeline:
             self._estimator.keep_observation(observation)
             return
         update = self._estimator.add_observation(observation)
-        self.counts["observations"] += 1
         if update.correction is not None:
             self._correct(observation.robot, update.correction)
         self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
@@ -204,7 +206,8 @@ class Pipeline:
         )
 
     def _say_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
-        if not self._is_due("cameras", stamp_ns, 0 if is_urgent else _CAMERA_PERIOD_NS):
+        period_ns = 0 if is_urgent else _CAMERA_PERIOD_NS
+        if not self._is_live or not self._is_due("cameras", stamp_ns, period_ns):
             return
         cameras = self._estimator.cameras()
         if not cameras:

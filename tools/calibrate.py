@@ -63,7 +63,7 @@ def main(
 
 def calibrated(recording: Recording, inputs: Inputs) -> Results:
     """The results of a whole session; raise InputError where nothing in it can be used."""
-    pipeline = Pipeline(inputs)
+    pipeline = Pipeline(inputs, is_live=False)
     messages = messages_of(recording)
     if not any(isinstance(message, Odometry) for _, message in messages):
         raise InputError(f"{recording.path}: no odometry of a robot is in it; record a drive")
@@ -73,8 +73,7 @@ def calibrated(recording: Recording, inputs: Inputs) -> Results:
             pipeline.advance()
     pipeline.finish()
     for reason, count in sorted(pipeline.left_out.items()):
-        if reason not in ("observations",):
-            typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
+        typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
     if pipeline.last_problem:
         typer.echo(f"note: {pipeline.last_problem}", err=True)
     return pipeline.results()
