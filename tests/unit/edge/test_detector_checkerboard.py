@@ -1,0 +1,154 @@
+"""Checkerboards: where their corners are, in which order, and whose they are."""
+
+import cv2
+import numpy as np
+import pytest
+from boards import (
+    checkerboard,
+    cluttered_picture,
+    picture_of,
+    placed,
+    plain_picture,
+    target_of,
+    true_pixels,
+    worst_error,
+)
+
+from trigpoint.edge.detector import detector_for
+from trigpoint.geometry import CameraModel
+
+ODD, EVEN = checkerboard(8, 5, number=1), checkerboard(9, 7)
+
+
+@pytest.mark.parametrize("turn_deg", [0, 40, 90, 135, 180, 230, 270, 315])
+def test_board_without_half_turn_is_numbered_truly(turn_deg: float) -> None:
+    view = placed(ODD, turn_deg=turn_deg, tilt_deg=25, yaw_deg=-20)
+    (face,) = detector_for([target_of(ODD)]).detect(picture_of([view]))
+    assert face.corners.tolist() == list(range(28))
+    assert worst_error(face.pixels, face.corners, view) < 0.2
+
+
+@pytest.mark.parametrize("turn_deg", [0, 75, 180, 250])
+def test_board_with_half_turn_is_never_mirrored(turn_deg: float) -> None:
+    view = placed(EVEN, turn_deg=turn_deg, tilt_deg=-20, yaw_deg=30)
+    (face,) = detector_for([target_of(EVEN)]).detect(picture_of([view]))
+    turned = (EVEN.corner_count - 1 - face.corners.astype(int)).astype(np.uint16)
+    errors = [worst_error(face.pixels, ids, view) for ids in (face.corners, turned)]
+    assert min(errors) < 0.2
+    assert len(face.corners) == EVEN.corner_count
+
+
+def test_upright_board_is_numbered_from_the_top_left() -> None:
+    view = placed(EVEN, turn_deg=8)
+    (face,) = detector_for([target_of(EVEN)]).detect(picture_of([view]))
+    assert worst_error(face.pixels, face.corners, view) < 0.2
+
+
+def test_several_identical_boards_are_each_found_and_not_told_apart() -> None:
+    faces = [checkerboard(number=number) for number in range(3)]
+    views = [
+        placed(faces[0], distance=1.0, x=-0.25, y=-0.15, yaw_deg=30),
+        placed(faces[1], distance=1.1, x=0.25, y=-0.15, yaw_deg=-30),
+        placed(faces[2], distance=0.9, y=0.2, turn_deg=90),
+    ]
+    found = detector_for([target_of(*faces, name="star")]).detect(picture_of(views))
+    assert [(face.target, face.face) for face in found] == [("star", -1)] * 3
+    for view in views:
+        middle = true_pixels(view).mean(axis=0)
+        nearest = min(np.linalg.norm(face.pixels.mean(axis=0) - middle) for face in found)
+        assert nearest < 3
+
+
+def test_board_that_is_alone_names_target_and_face() -> None:
+    faces = [checkerboard(8, 5, number=4), checkerboard(9, 6, number=7)]
+    found = detector_for([target_of(*faces)]).detect(picture_of([placed(faces[1], turn_deg=20)]))
+    assert [(face.target, face.face) for face in found] == [("box", 7)]
+
+
+def test_pattern_of_two_robots_names_no_target() -> None:
+    robots = [target_of(EVEN, name="one"), target_of(EVEN, name="two")]
+    (face,) = detector_for(robots).detect(picture_of([placed(EVEN)]))
+    assert (face.target, face.face) == ("", 0)
+
+
+def test_strong_lens_does_not_cost_corners() -> None:
+    camera = CameraModel(640, 480, 400.0, 400.0, 320.0, 240.0, (-0.32, 0.1, 0, 0, 0))
+    view = placed(EVEN, distance=0.28, tilt_deg=15)
+    (face,) = detector_for([target_of(EVEN)]).detect(picture_of([view], camera=camera))
+    assert len(face.corners) == EVEN.corner_count
+    truth = true_pixels(view, camera)
+    error = min(np.abs(face.pixels - order).max() for order in (truth, truth[::-1]))
+    assert error < 0.3
+
+
+def test_hidden_corners_are_left_out_and_the_others_keep_their_numbers() -> None:
+    view = placed(ODD, tilt_deg=20)
+    picture = picture_of([view])
+    hidden = true_pixels(view)[[9, 12]]
+    for x, y in hidden:
+        cv2.circle(picture, (round(x), round(y)), 9, 100, -1)
+    (face,) = detector_for([target_of(ODD)]).detect(picture)
+    assert 20 <= len(face.corners) <= 26
+    assert {9, 12}.isdisjoint(face.corners.tolist())
+    assert worst_error(face.pixels, face.corners, view) < 0.3
+
+
+def test_board_that_is_cut_off_by_the_picture_is_not_guessed() -> None:
+    view = placed(EVEN, x=-0.45)
+    assert detector_for([target_of(EVEN)]).detect(picture_of([view])) == ()
+
+
+def test_board_of_other_colours_is_not_taken_for_ours() -> None:
+    picture = 255 - picture_of([placed(EVEN)])
+    assert detector_for([target_of(EVEN)]).detect(picture) == ()
+
+
+def test_board_of_another_size_is_not_taken_for_ours() -> None:
+    picture = picture_of([placed(checkerboard(7, 5))])
+    assert detector_for([target_of(EVEN)]).detect(picture) == ()
+
+
+@pytest.mark.parametrize(("blur_px", "noise"), [(1.5, 3.0), (2.5, 2.0), (0.5, 12.0)])
+def test_blurred_and_noisy_board_is_found(blur_px: float, noise: float) -> None:
+    view = placed(ODD, tilt_deg=30, yaw_deg=15)
+    picture = picture_of([view], blur_px=blur_px, noise=noise)
+    (face,) = detector_for([target_of(ODD)]).detect(picture)
+    assert len(face.corners) > 24
+    assert worst_error(face.pixels, face.corners, view) < 0.8
+
+
+def test_sigma_tells_the_error() -> None:
+    detector = detector_for([target_of(ODD)])
+    ratios = []
+    for seed in range(6):
+        view = placed(ODD, distance=0.9, tilt_deg=10 * seed - 20, yaw_deg=7 * seed)
+        (face,) = detector.detect(picture_of([view], noise=8.0, blur_px=0.8, seed=seed))
+        error = face.pixels - true_pixels(view)[face.corners.astype(int)]
+        ratios.append(np.mean(error**2) / face.sigma**2)
+    assert 0.2 < np.mean(ratios) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_found_in_clutter(seed: int) -> None:
+    assert detector_for([target_of(EVEN, ODD)]).detect(cluttered_picture(seed)) == ()
+
+
+@pytest.mark.parametrize("level", [2.0, 110.0])
+@pytest.mark.parametrize("noise", [0.0, 4.0, 40.0])
+def test_nothing_is_found_in_noise(level: float, noise: float) -> None:
+    picture = plain_picture(level=level, noise=noise)
+    assert detector_for([target_of(EVEN, ODD)]).detect(picture) == ()
+
+
+def test_tiles_without_end_are_no_board() -> None:
+    y, x = np.mgrid[0:480, 0:640]
+    picture = np.where((x // 16 + y // 16) % 2, 220, 30).astype(np.uint8)
+    assert detector_for([target_of(EVEN)]).detect(picture) == ()
+
+
+def test_colour_picture_gives_the_same_as_grey() -> None:
+    picture = picture_of([placed(ODD)])
+    detector = detector_for([target_of(ODD)])
+    (grey,) = detector.detect(picture)
+    (colour,) = detector.detect(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    assert np.array_equal(grey.pixels, colour.pixels)
