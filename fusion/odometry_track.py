@@ -27,7 +27,7 @@ _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 _UNKNOWN_VARIANCE = 100.0**2
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
-_SLIP = 0.001  # m per √rad
+SLIP = 0.001  # m per √rad
 # 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
 _FLOOR_VARIANCE = 1e-13
 
@@ -73,11 +73,15 @@ class Motion:
 
 
 class OdometryTrack:
-    """The odometry of one robot so far. Not thread-safe."""
+    """The odometry of one robot so far. Not thread-safe.
 
-    def __init__(self, noise: OdometryNoise, *, planar: bool) -> None:
+    `slip`: what is added to the contract's noise, m per √rad turned.
+    """
+
+    def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
         self.noise = noise
         self.planar = planar
+        self.slip = slip
         self._count = 0
         self._stamps = np.zeros(1024, dtype=np.int64)
         self._rotations = np.zeros((1024, 3, 3))
@@ -192,7 +196,7 @@ class OdometryTrack:
         covariance = np.zeros((len(rows), 6, 6))
         covariance[:, :3, :3] = (middle * along) @ np.swapaxes(middle, 1, 2)
         covariance[:, :3, :3] *= length[:, None, None]
-        slip = _SLIP**2 * turned
+        slip = self.slip**2 * turned
         covariance[:, 0, 0] += slip
         covariance[:, 1, 1] += slip
         tilt = noise.tilt**2 * length + noise.tilt_turn**2 * turned
