@@ -3,9 +3,10 @@
 import os
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +20,9 @@ from . import node as recorder
 from . import replay as player
 from .recording import Recording, open_recording
 from .viewer import Viewer
+
+if TYPE_CHECKING:
+    import rerun as rr  # half a second to import, which `record` and `replay` need not wait
 
 SiteFile = Annotated[Path, typer.Option(help="The site file.")]
 Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with one.")]
@@ -62,25 +66,23 @@ def record(
 
 def view(site: SiteFile, web: Web = False) -> None:
     """Show the live site in rerun until stopped (Ctrl-C) or until its window is closed."""
-    from .rerun_columns import open_stream
     from .view import KIND, LiveView
 
     loaded = load_site(site)
     targets = {
         robot: load_target(loaded.path(loaded.target_name(robot))) for robot in loaded.robots
     }
-    with Viewer(is_web=web) as viewer, open_bus(loaded) as bus:
-        stream = open_stream(loaded.name, time.time_ns())
-        stream.connect_grpc(viewer.stream_url)
-        with Node(bus, site=loaded.name, kind=KIND, name=_own_name()) as node:
-            stop_on_signals([node])
-            LiveView(loaded, targets, stream).start(bus, node)
-            node.thread("viewer", lambda: _watch(viewer, node))
-            _say_viewer(viewer)
-            node.wait()
-        if viewer.is_running:
-            stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
-        stream.disconnect()
+    with (
+        Viewer(is_web=web) as viewer,
+        _streaming(loaded.name, viewer) as stream,
+        open_bus(loaded) as bus,
+        Node(bus, site=loaded.name, kind=KIND, name=_own_name()) as node,
+    ):
+        stop_on_signals([node])
+        LiveView(loaded, targets, stream).start(bus, node)
+        node.thread("viewer", lambda: _watch(viewer, node))
+        _say_viewer(viewer)
+        node.wait()
 
 
 def review(
@@ -149,6 +151,21 @@ def replay(
 def _attached(recording: Recording) -> Site:
     file = f"{recording.path}: site.toml"
     return parse_site(recording.site_text, directory=recording.path.parent, file=file)
+
+
+@contextmanager
+def _streaming(site: str, viewer: Viewer) -> "Iterator[rr.RecordingStream]":
+    """A recording that goes to the viewer; it is ended before the viewer, as far as that runs."""
+    from .rerun_columns import open_stream
+
+    stream = open_stream(site, time.time_ns())
+    stream.connect_grpc(viewer.stream_url)
+    try:
+        yield stream
+    finally:
+        if viewer.is_running:
+            stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+        stream.disconnect()
 
 
 def _own_name() -> str:

@@ -1,6 +1,7 @@
 """From the bus to whoever records or draws: every sound sample of a site, and no other."""
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 
 from trigpoint import cdr
@@ -14,6 +15,8 @@ from trigpoint.topics import IMAGE, TOPICS, Topic, topic_of
 Take = Callable[[Topic, Sample, Message], None]
 
 _PATIENCE_S = 0.2
+_LEAST_QUEUE = 64
+"""The topics' own queues are for those who want the newest; here every sample is wanted."""
 
 
 def recorded_topics(*, pictures: bool) -> list[Topic]:
@@ -34,7 +37,8 @@ class Intake:
         self._node, self._site, self._take = node, site, take
         cdr.warm_up()
         for topic in topics:
-            subscription = bus.subscribe(topic, topic.expression(site.name))
+            deep = replace(topic, queue=max(topic.queue, _LEAST_QUEUE))
+            subscription = bus.subscribe(deep, topic.expression(site.name))
             node.health.watch(topic.name, subscription)
             node.thread(topic.name, partial(self._run, topic, subscription))
 

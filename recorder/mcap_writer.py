@@ -99,11 +99,11 @@ class _Output:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        if path.exists():
+            raise OperationError(f"{path}: is there already; give another folder")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=0)
-        except FileExistsError:
-            raise OperationError(f"{path}: is there already; give another folder") from None
         except OSError as reason:
             raise OperationError(
                 f"{path}: cannot be created ({reason.strerror}); give another folder with --out"

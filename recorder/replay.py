@@ -8,8 +8,12 @@ from trigpoint.bus import Bus, Publisher
 from trigpoint.clock import Clock, to_seconds
 from trigpoint.errors import InputError, OperationError
 from trigpoint.topics import (
+    CAMERA_INFO,
     CORRECTION,
     DIAGNOSTICS,
+    IMAGE,
+    ODOMETRY,
+    SIGHTINGS,
     Topic,
     alive_key,
     key_matches,
@@ -143,10 +147,8 @@ def _obstacle(topic: Topic, node: str, site: str, alive: Collection[str]) -> str
 
 def _sender(topic: Topic, node: str, site: str) -> str:
     """The liveliness token of whoever sends a topic."""
-    if topic.path in ("camera/{id}/pose", "coverage/{id}"):
-        return alive_key(site, "fusion", "*")
-    if topic.path.startswith("camera/"):
+    if topic in (IMAGE, CAMERA_INFO, SIGHTINGS):
         return alive_key(site, "edge", node)
-    if topic.name == "odom":
+    if topic is ODOMETRY:
         return alive_key(site, "robot", node)
     return alive_key(site, "fusion", "*")

@@ -47,6 +47,7 @@ class Scene:
             for i, name in enumerate(site.robots)
         }
         self._said: dict[str, tuple[int, str]] = {}
+        self._held: dict[str, tuple[int, DiagnosticStatus]] = {}
         self._last_ns = 0
         self.strangers = 0
 
@@ -76,6 +77,7 @@ class Scene:
 
     def finish(self) -> None:
         """Send what still waits for more; then flush the columns."""
+        self._release(None)
         for camera in self.cameras.values():
             camera.finish(self._last_ns)
         for robot in self.robots.values():
@@ -107,7 +109,7 @@ class Scene:
             case Picture():
                 camera.add_picture(message)
             case Sightings():
-                self._last_ns = max(self._last_ns, message.stamp_ns)
+                self._measured(message.stamp_ns)
                 camera.add_sightings(message)
             case _:
                 raise MessageError(f"{topic.name}: nothing is shown of a {type(message).__name__}")
@@ -115,7 +117,7 @@ class Scene:
     def _add_to_robot(self, robot: RobotScene, topic: Topic, message: Message) -> None:
         match message:
             case Odometry():
-                self._last_ns = max(self._last_ns, message.stamp_ns)
+                self._measured(message.stamp_ns)
                 robot.add_odometry(message)
             case PoseEstimate() if topic is ROBOT_POSE:
                 robot.add_pose(message)
@@ -148,9 +150,24 @@ class Scene:
             radii=[style.ui_points(1.2)] * len(closed),
         )
 
+    def _measured(self, stamp_ns: int) -> None:
+        """Follow the time of the measurements, and say what waited for it."""
+        self._last_ns = max(self._last_ns, stamp_ns)
+        if self._held:
+            self._release(self._last_ns)
+
     def _add_diagnostics(self, message: Diagnostics) -> None:
+        """Diagnostics stand at the newest measurement's time: in a replay their own is far away."""
         for status in message.statuses:
-            self._say(message.stamp_ns, status)
+            if self._last_ns:
+                self._say(self._last_ns, status)
+            else:
+                self._held[status.name] = message.stamp_ns, status
+
+    def _release(self, stamp_ns: int | None) -> None:
+        held, self._held = self._held, {}
+        for own_ns, status in held.values():
+            self._say(own_ns if stamp_ns is None else stamp_ns, status)
 
     def _say(self, stamp_ns: int, status: DiagnosticStatus) -> None:
         """A line where a node's state changes; what it repeats every second is left out."""

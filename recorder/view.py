@@ -19,10 +19,10 @@ from .rerun_scene import Scene
 
 KIND = "view"
 QUEUE = 4096
-PERIOD_S = 0.1
-_SETTLED = 15
+PERIOD_S = 0.2
+_SETTLED = 8
 """Periods after which what is kept for late joiners has come, so that the eye has its place."""
-_GROWTH = 1.5
+_GROWTH = 1.25
 
 
 class LiveView:

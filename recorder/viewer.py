@@ -75,6 +75,10 @@ class Viewer:
         return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.stream_url, safe='')}"
 
     @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    @property
     def is_running(self) -> bool:
         return self._process.poll() is None
 
@@ -162,9 +166,16 @@ def free_ports(count: int) -> list[int]:
 def _quiet_settings(folder: str) -> Path:
     """A settings folder in which rerun's usage statistics are off, for this process alone."""
     settings = Path(folder) / "settings"
-    (settings / "rerun").mkdir(parents=True)
-    analytics = {"analytics_enabled": False, "analytics_id": "", "metadata": {}}
-    (settings / "rerun" / "analytics.json").write_text(json.dumps(analytics))
+    file = settings / "rerun" / "analytics.json"
+    file.parent.mkdir(parents=True)
+    analytics = {
+        "analytics_enabled": False,
+        "analytics_id": "off",
+        "metadata": {},
+        "config_file_path": str(file),
+        "data_dir_path": str(file.parent),
+    }
+    file.write_text(json.dumps(analytics))  # all five, or rerun takes its defaults
     return settings
 
 

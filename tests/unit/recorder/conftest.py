@@ -282,3 +282,11 @@ def session_file(story: list[Sent], tmp_path_factory: pytest.TempPathFactory) ->
 def make_session(tmp_path: Path) -> Callable[[list[Sent]], Path]:
     """Write messages of a test's own choice."""
     return lambda sent: write_session(tmp_path / "session.mcap", sent)
+
+
+@pytest.fixture
+def site_folder(tmp_path: Path) -> Path:
+    """A folder with the story's site file and target file."""
+    (tmp_path / "site.toml").write_text(SITE)
+    (tmp_path / "target.toml").write_text(TARGET)
+    return tmp_path

@@ -1,0 +1,191 @@
+"""The recorder, replay and the viewer as a user starts them: processes on a real bus."""
+
+import logging
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from builders import TARGET_TEXT, eventually, make_odometry, make_site, site_text
+
+from trigpoint import cdr
+from trigpoint.bus import Bus
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.recorder.recording import open_recording
+from trigpoint.topics import DIAGNOSTICS, ODOMETRY
+
+KEY = ODOMETRY.key("lab", "r1")
+PERIOD_S = 0.01
+
+
+class Desk:
+    """A site's folder, and a bus that the processes connect to."""
+
+    def __init__(self, folder: Path, bus: Bus, stack: ExitStack) -> None:
+        self.folder, self.bus, self._stack = folder, bus, stack
+        text = site_text(bus=f"connect = {list(bus.locators)}")
+        (folder / "site.toml").write_text(text)
+        (folder / "target.toml").write_text(TARGET_TEXT)
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        """Start `trigpoint …` in the folder."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "trigpoint", *words],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._stack.callback(end, process)
+        return process
+
+    def start_recorder(self) -> subprocess.Popen[str]:
+        process = self.start("record", "--site", "site.toml", "--out", "out")
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("recording site lab")
+        return process
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.communicate(timeout=10)
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    with ExitStack() as stack:
+        site = make_site(bus='listen = ["tcp/127.0.0.1:0"]')
+        bus = stack.enter_context(open_bus(site))
+        yield Desk(tmp_path, bus, stack)
+
+
+@contextmanager
+def driving(bus: Bus) -> Iterator[list[int]]:
+    """A robot that sends odometry a hundred times a second; yields the times of what was sent."""
+    sent: list[int] = []
+    stopping = threading.Event()
+    publisher = bus.publisher(ODOMETRY, KEY)
+    assert eventually(lambda: publisher.has_listener, 20)
+
+    def drive() -> None:
+        while not stopping.wait(PERIOD_S):
+            now_ns = time.time_ns()
+            publisher.put(cdr.encode(make_odometry(now_ns)))
+            sent.append(now_ns)
+
+    thread = threading.Thread(target=drive, name="drive")
+    thread.start()
+    try:
+        yield sent
+    finally:
+        stopping.set()
+        thread.join()
+        publisher.close()
+
+
+def odometry_stamps(path: Path) -> list[int]:
+    stamps = []
+    for sample in open_recording(path).samples([ODOMETRY]):
+        message = cdr.decode(ODOMETRY.type_name, sample.payload)
+        stamps.append(message.stamp_ns)  # pyright: ignore[reportAttributeAccessIssue] - an Odometry
+    return stamps
+
+
+def test_a_killed_recorder_loses_at_most_a_second(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    process = desk.start_recorder()
+    with driving(desk.bus) as sent:
+        assert eventually(lambda: len(sent) > 250, 20)
+        process.send_signal(signal.SIGKILL)
+        killed_ns = time.time_ns()
+        process.wait(10)
+        before = [stamp for stamp in sent if stamp <= killed_ns]
+    with caplog.at_level(logging.WARNING):
+        recorded = odometry_stamps(desk.folder / "out")
+    assert recorded == before[: len(recorded)] or recorded == before[-len(recorded) :]
+    lost = [stamp for stamp in before if stamp > recorded[-1]]
+    assert len(lost) <= 1.0 / PERIOD_S
+    assert "not complete" in caplog.text
+
+
+def test_a_recorder_that_is_started_again_goes_on_in_a_file_of_its_own(desk: Desk) -> None:
+    process = desk.start_recorder()
+    with driving(desk.bus) as sent:
+        assert eventually(lambda: len(sent) > 120, 20)
+        process.send_signal(signal.SIGKILL)
+        process.wait(10)
+        again = desk.start_recorder()
+        count = len(sent)
+        assert eventually(lambda: len(sent) > count + 50, 20)
+    again.send_signal(signal.SIGINT)
+    assert again.wait(10) == 0
+    first, second = desk.folder / "out" / "session.mcap", desk.folder / "out" / "session_2.mcap"
+    assert odometry_stamps(first)
+    assert odometry_stamps(second)[-1] == sent[-1]
+    assert open_recording(second).problem == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_recorder_that_is_stopped_has_everything(desk: Desk, number: signal.Signals) -> None:
+    process = desk.start_recorder()
+    with driving(desk.bus) as sent:
+        assert eventually(lambda: len(sent) > 100, 20)
+    process.send_signal(number)
+    said, _ = process.communicate(timeout=10)
+    assert process.returncode == 0
+    assert odometry_stamps(desk.folder / "out") == sent
+    assert f"{len(sent)}  {KEY}" in said
+
+
+def test_a_replayed_session_is_recorded_again_byte_for_byte(desk: Desk, tmp_path: Path) -> None:
+    recorder = desk.start_recorder()
+    with driving(desk.bus) as sent:
+        assert eventually(lambda: len(sent) > 100, 20)
+    recorder.send_signal(signal.SIGINT)
+    recorder.communicate(timeout=10)
+    first = tmp_path / "first.mcap"
+    (desk.folder / "out" / "session.mcap").rename(first)
+    recorder = desk.start_recorder()
+    player = desk.start("replay", str(first), "--rate", "4", "--site", "site.toml")
+    said, _ = player.communicate(timeout=30)
+    assert player.returncode == 0
+    assert f"{len(sent)}  {KEY}" in said
+    recorder.send_signal(signal.SIGINT)
+    recorder.communicate(timeout=10)
+    again = open_recording(desk.folder / "out")
+    topics = [ODOMETRY]
+    assert [s.payload for s in again.samples(topics)] == [
+        s.payload for s in open_recording(first).samples(topics)
+    ]
+    assert DIAGNOSTICS.key("lab") in again.counts
+
+
+def test_a_view_ends_in_order(desk: Desk) -> None:
+    process = desk.start("view", "--site", "site.toml", "--web")
+    assert process.stdout is not None
+    assert "http://127.0.0.1:" in process.stdout.readline()
+    with driving(desk.bus) as sent:
+        assert eventually(lambda: len(sent) > 50, 20)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+
+
+def test_a_wrong_session_ends_with_one_line_and_status_2(desk: Desk) -> None:
+    (desk.folder / "foreign.mcap").write_text("this is no recording")
+    for words in (
+        ["review", "foreign.mcap", "--save", "x.rrd"],
+        ["replay", "foreign.mcap"],
+        ["review", "nothing.mcap"],
+    ):
+        command = [sys.executable, "-m", "trigpoint", *words]
+        ended = subprocess.run(
+            command, cwd=desk.folder, capture_output=True, text=True, timeout=60, check=False
+        )
+        assert ended.returncode == 2
+        assert len(ended.stderr.splitlines()) == 1
+        assert words[1] in ended.stderr

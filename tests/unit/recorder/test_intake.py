@@ -1,0 +1,93 @@
+"""Garbage on the bus does not come in."""
+
+import pytest
+from builders import eventually, make_odometry, make_site
+
+from trigpoint import cdr
+from trigpoint.bus import Sample
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.errors import MessageError
+from trigpoint.messages import Odometry
+from trigpoint.node import Node
+from trigpoint.recorder.intake import Intake, recorded_topics, sound_message
+from trigpoint.topics import CAMERA_POSE, IMAGE, ODOMETRY, SIGHTINGS, TF, TOPICS, Topic
+
+SITE = make_site()
+KEY = ODOMETRY.key("lab", "r1")
+PAYLOAD = cdr.encode(make_odometry(5))
+
+
+def sample(key: str = KEY, payload: bytes = PAYLOAD, encoding: str = ODOMETRY.encoding) -> Sample:
+    return Sample(key, payload, encoding, 1, 2, sender="abc")
+
+
+def test_a_sound_sample_is_decoded() -> None:
+    message = sound_message(ODOMETRY, sample(), SITE)
+    assert isinstance(message, Odometry)
+    assert message.stamp_ns == 5
+
+
+@pytest.mark.parametrize(
+    ("bad", "complaint"),
+    [
+        (sample(payload=b"garbage"), "are no nav_msgs"),
+        (sample(payload=b""), "are no nav_msgs"),
+        (sample(encoding=SIGHTINGS.encoding), "the encoding is"),
+        (sample(encoding="text/plain"), "the encoding is"),
+        (sample(key="lab/robot/r9/odom"), "no robot «r9»"),
+        (sample(key="lab/robot/r1/mood"), "no key of the contract|not a key of the contract"),
+    ],
+)
+def test_what_the_contract_does_not_say_is_refused(bad: Sample, complaint: str) -> None:
+    with pytest.raises(MessageError, match=complaint):
+        sound_message(ODOMETRY, bad, SITE)
+
+
+def test_an_unknown_camera_is_refused() -> None:
+    with pytest.raises(MessageError, match="no camera «c9»"):
+        sound_message(
+            CAMERA_POSE, sample("lab/camera/c9/pose", encoding=CAMERA_POSE.encoding), SITE
+        )
+
+
+def test_pictures_are_recorded_only_where_they_are_wanted() -> None:
+    assert set(TOPICS) - set(recorded_topics(pictures=False)) == {IMAGE}
+    assert set(recorded_topics(pictures=True)) == set(TOPICS)
+
+
+def test_garbage_is_counted_and_its_sender_named() -> None:
+    broker, taken = MemoryBroker(), []
+    with (
+        broker.session() as bus,
+        broker.session() as stranger,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        Intake(bus, node, SITE, [ODOMETRY, TF], lambda *received: taken.append(received))
+        publisher = stranger.publisher(ODOMETRY, KEY)
+        publisher.put(b"garbage")
+        publisher.put(PAYLOAD)
+        assert eventually(lambda: bool(taken) and node.health.total("rejected") == 1)
+        assert f"session {stranger.identity}" in node.health.last_error
+        assert KEY in node.health.last_error
+        node.stop()
+    assert [received[1].payload for received in taken] == [PAYLOAD]
+
+
+def test_what_has_arrived_when_the_node_stops_is_handed_on() -> None:
+    broker, taken = MemoryBroker(), []
+
+    def take(_topic: Topic, received: Sample, _message: object) -> None:
+        if not taken:
+            node.stop()  # the rest is waiting now
+        taken.append(received)
+
+    with (
+        broker.session() as bus,
+        broker.session() as sender,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        publisher = sender.publisher(ODOMETRY, KEY)
+        for _ in range(50):
+            publisher.put(PAYLOAD)
+        Intake(bus, node, SITE, [ODOMETRY], take)
+    assert len(taken) == 50

@@ -1,0 +1,103 @@
+"""A session back on the bus."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.clock import ManualClock
+from trigpoint.errors import InputError, OperationError
+from trigpoint.recorder.recording import open_recording
+from trigpoint.recorder.replay import Plan, plan, replay
+from trigpoint.topics import DIAGNOSTICS, ODOMETRY, SIGHTINGS
+
+
+def keys_of(chosen: Plan) -> set[str]:
+    return {route.key for route in chosen.routes}
+
+
+def test_the_same_bytes_come_in_the_same_order(session_file: Path) -> None:
+    recording, broker = open_recording(session_file), MemoryBroker()
+    with broker.session() as bus, broker.session() as listener:
+        odometry = listener.subscribe(ODOMETRY, "lab/robot/*/odom")
+        chosen = plan(recording, bus, site="lab", keys="**")
+        counts = replay(
+            recording,
+            bus,
+            chosen.routes,
+            rate=2.0,
+            clock=ManualClock(),
+            stopping=threading.Event(),
+        )
+        got = []
+        while sample := odometry.take(0.0):
+            assert sample.encoding == ODOMETRY.encoding
+            got.append(sample.payload)
+    assert got == [sample.payload for sample in recording.samples([ODOMETRY])]
+    expected = {k: n for k, n in recording.counts.items() if k != DIAGNOSTICS.key("lab")}
+    assert counts == expected
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_the_pace_is_the_recorded_one_times_the_rate(session_file: Path, rate: float) -> None:
+    recording, clock = open_recording(session_file), ManualClock()
+    with MemoryBroker().session() as bus:
+        chosen = plan(recording, bus, site="lab", keys="**/odom")
+        before_s = clock.elapsed_ns() / 1e9
+        replay(recording, bus, chosen.routes, rate=rate, clock=clock, stopping=threading.Event())
+    logs = [sample.log_ns for sample in recording.samples([ODOMETRY])]
+    lasted_s = clock.elapsed_ns() / 1e9 - before_s
+    assert lasted_s == pytest.approx(0.5 + (logs[-1] - logs[0]) / 1e9 / rate, abs=1e-3)
+
+
+def test_it_stops_when_asked(session_file: Path) -> None:
+    recording, stopping = open_recording(session_file), threading.Event()
+    stopping.set()
+    with MemoryBroker().session() as bus:
+        chosen = plan(recording, bus, site="lab", keys="**")
+        counts = replay(
+            recording, bus, chosen.routes, rate=1.0, clock=ManualClock(), stopping=stopping
+        )
+    assert sum(counts.values()) == 0
+
+
+@pytest.mark.parametrize("keys", ["lab/camera/*/sightings", "camera/*/sightings", "**/sightings"])
+def test_keys_are_chosen_with_or_without_the_site(session_file: Path, keys: str) -> None:
+    recording = open_recording(session_file)
+    with MemoryBroker().session() as bus:
+        chosen = keys_of(plan(recording, bus, site="lab", keys=keys))
+    assert chosen == {SIGHTINGS.key("lab", camera) for camera in ("c1", "c2", "c3", "c4")}
+
+
+def test_another_site_gets_keys_of_its_own(session_file: Path) -> None:
+    with MemoryBroker().session() as bus:
+        chosen = plan(open_recording(session_file), bus, site="attic", keys="**/odom")
+    assert [route.sent_as for route in chosen.routes] == ["attic/robot/r1/odom"]
+
+
+def test_keys_that_match_nothing_are_an_error(session_file: Path) -> None:
+    with MemoryBroker().session() as bus, pytest.raises(InputError, match="no key matches"):
+        plan(open_recording(session_file), bus, site="lab", keys="robot/r7/**")
+
+
+def test_keys_of_living_senders_are_left_out(session_file: Path) -> None:
+    recording, broker = open_recording(session_file), MemoryBroker()
+    with broker.session() as bus, broker.session() as other:
+        other.declare_alive("lab/alive/fusion/main")
+        other.declare_alive("lab/alive/edge/c1")
+        chosen = plan(recording, bus, site="lab", keys="**")
+        elsewhere = plan(recording, bus, site="attic", keys="**")
+    fusions = {"lab/robot/r1/pose", "lab/robot/r1/correction", "lab/tf", "lab/camera/c1/pose"}
+    assert fusions <= set(chosen.left_out)
+    assert "lab/camera/c1/sightings" in chosen.left_out
+    assert {"lab/camera/c2/sightings", "lab/robot/r1/odom"} <= keys_of(chosen)
+    assert set(elsewhere.left_out) == {"lab/diagnostics"}
+
+
+def test_a_living_robot_is_never_corrected_from_a_recording(session_file: Path) -> None:
+    broker = MemoryBroker()
+    with broker.session() as bus, broker.session() as robot:
+        robot.declare_alive("lab/alive/robot/r1")
+        with pytest.raises(OperationError, match="robot/r1 runs there"):
+            plan(open_recording(session_file), bus, site="lab", keys="robot/r1/correction")

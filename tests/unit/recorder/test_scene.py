@@ -1,0 +1,255 @@
+"""What rerun is given of a site."""
+
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from builders import make_site
+from rerun.chunk import RrdReader
+
+from trigpoint.errors import OperationError, RecordingError
+from trigpoint.geometry import Pose
+from trigpoint.messages import (
+    FaceSighting,
+    Odometry,
+    Picture,
+    PoseEstimate,
+    Sightings,
+    Transform,
+    Transforms,
+)
+from trigpoint.recorder import rerun_style as style
+from trigpoint.recorder.mcap_writer import McapWriter
+from trigpoint.recorder.recording import open_recording
+from trigpoint.recorder.rerun_camera import outline
+from trigpoint.recorder.rerun_columns import Columns, open_stream
+from trigpoint.recorder.rerun_scene import Scene
+from trigpoint.recorder.review import write_rrd
+from trigpoint.topics import CAMERA_POSE, IMAGE, ODOMETRY, ROBOT_POSE, SIGHTINGS, TF
+
+SECOND = 1_000_000_000
+
+
+class Rows(Columns):
+    """Keeps the rows in place of sending them."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[str, int, type, dict[str, Any]]] = []
+
+    def row(self, entity: str, time_ns: int, archetype: type, /, **components: Any) -> None:
+        self.rows.append((entity, time_ns, archetype, components))
+
+    def picture(self, entity: str, time_ns: int, data: bytes) -> None:
+        self.row(entity, time_ns, rr.EncodedImage, blob=[data])
+
+    def of(self, entity: str) -> list[tuple[int, dict[str, Any]]]:
+        return [(time_ns, parts) for path, time_ns, _, parts in self.rows if path == entity]
+
+
+@pytest.fixture
+def rows() -> Rows:
+    return Rows()
+
+
+@pytest.fixture
+def scene(rows: Rows) -> Scene:
+    return Scene(make_site(cameras=2, robots=2), {}, rows)
+
+
+def odometry(t: float, x: float, robot: str = "r1") -> Odometry:
+    return Odometry(round(t * SECOND), f"{robot}/odom", f"{robot}/base", Pose.planar(x, 0, 0))
+
+
+def placed(t: float, y: float, robot: str) -> Transforms:
+    pose = Pose.planar(0.0, y, 0.0)
+    return Transforms((Transform(round(t * SECOND), "map", f"{robot}/odom", pose),))
+
+
+def drawn(rows: Rows, robot: str) -> np.ndarray:
+    strips = [parts["strips"][0] for _, parts in rows.of(f"/map/robots/{robot}/dead_reckoning")]
+    return np.concatenate(strips)
+
+
+def sighting(t: float, camera: str = "c1") -> Sightings:
+    pixels = np.array([[10, 10], [20, 10], [20, 20], [10, 20]], np.float32)
+    face = FaceSighting("t", 1, np.arange(4, dtype=np.uint16), pixels, 0.2)
+    return Sightings(round(t * SECOND), f"{camera}/optical", 640, 480, (face,))
+
+
+def estimate(t: float, x: float, sigma: float = 0.01) -> PoseEstimate:
+    return PoseEstimate(round(t * SECOND), "map", Pose.planar(x, 0, 0), sigma**2 * np.eye(6))
+
+
+def test_dead_reckoning_stays_where_the_first_word_of_fusion_put_it(
+    scene: Scene, rows: Rows
+) -> None:
+    scene.add(ODOMETRY, "r2", odometry(1, 0.0, "r2"))
+    assert not rows.of("/map/robots/r2/dead_reckoning")  # nobody knows yet where that is
+    scene.add(TF, "", placed(1, 5.0, "r2"))
+    scene.add(TF, "", placed(2, 9.0, "r2"))
+    for t in range(2, 6):
+        scene.add(ODOMETRY, "r2", odometry(t, float(t), "r2"))
+    scene.finish()
+    assert np.all(drawn(rows, "r2")[:, 1] == 5.0)
+    assert drawn(rows, "r2")[0, 0] == 0.0  # what came before the word is drawn as well
+
+
+def test_the_first_robot_needs_no_fusion(scene: Scene, rows: Rows) -> None:
+    for t in range(20):
+        scene.add(ODOMETRY, "r1", odometry(t, float(t)))
+    scene.finish()
+    assert drawn(rows, "r1")[-1].tolist() == [19.0, 0.0, 0.0]
+    body = rows.of("/map/robots/r1/body")
+    assert len(body) == 20
+
+
+def test_drift_is_the_distance_between_the_two_paths(scene: Scene, rows: Rows) -> None:
+    scene.add(TF, "", placed(0, 0.0, "r1"))
+    scene.add(ODOMETRY, "r1", odometry(1, 2.0))
+    scene.add(ROBOT_POSE, "r1", estimate(1, 2.5))
+    ((_, parts),) = rows.of("/drift/r1")
+    assert parts["scalars"] == [pytest.approx(50.0)]
+
+
+def test_a_camera_is_in_the_map_only_once_it_is_located(scene: Scene, rows: Rows) -> None:
+    scene.add(IMAGE, "c1", Picture(SECOND, "c1/optical", "jpeg", b"x"))
+    assert rows.of("/pictures/c1")
+    assert not [path for path, *_ in rows.rows if path.startswith("/map/")]
+    scene.add(CAMERA_POSE, "c1", estimate(2, 1.0))
+    scene.add(IMAGE, "c1", Picture(3 * SECOND, "c1/optical", "jpeg", b"y"))
+    assert rows.of("/map/cameras/c1/frustum")[-1][1] == {"blob": [b"y"]}
+    assert any("c1 located" in parts["text"][0] for _, parts in rows.of("/log"))
+
+
+@pytest.mark.parametrize("picture_first", [True, False])
+def test_sightings_are_drawn_on_their_own_picture(
+    scene: Scene, rows: Rows, picture_first: bool
+) -> None:
+    scene.add(IMAGE, "c1", Picture(SECOND, "c1/optical", "jpeg", b"x"))
+    picture = Picture(2 * SECOND, "c1/optical", "jpeg", b"y")
+    both = [(IMAGE, picture), (SIGHTINGS, sighting(2))]
+    for topic, message in both if picture_first else both[::-1]:
+        scene.add(topic, "c1", message)
+    scene.add(SIGHTINGS, "c1", sighting(2.1))  # the picture of 2 s is still the newest
+    time_ns, parts = rows.of("/pictures/c1/corners")[-1]
+    assert time_ns == 2 * SECOND
+    assert len(parts["positions"]) == 4
+
+
+def test_without_pictures_a_sighting_is_shown_for_a_second(scene: Scene, rows: Rows) -> None:
+    scene.add(SIGHTINGS, "c1", sighting(1))
+    scene.add(SIGHTINGS, "c1", sighting(5))
+    shown = [(t, len(parts["positions"])) for t, parts in rows.of("/pictures/c1/corners")]
+    assert shown == [(SECOND, 4), (2 * SECOND, 0), (5 * SECOND, 4)]
+
+
+def test_strangers_are_counted(scene: Scene) -> None:
+    scene.add(ODOMETRY, "r9", odometry(1, 0.0))
+    assert scene.strangers == 1
+
+
+def test_an_ellipsoid_has_the_covariances_axes() -> None:
+    turn = Pose.planar(0, 0, 0.3).rotation
+    covariance = turn @ np.diag([0.04**2, 0.02**2, 0.01**2]) @ turn.T
+    half_sizes, axes = style.ellipsoid(covariance)
+    again = axes @ np.diag((half_sizes / style.SIGMAS_DRAWN) ** 2) @ axes.T
+    assert again == pytest.approx(covariance)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_a_flat_ellipsoid_keeps_a_thickness() -> None:
+    half_sizes, _ = style.ellipsoid(np.diag([0.01, 0.01, 0.0]))
+    assert np.all(half_sizes > 0)
+
+
+def test_an_outline_goes_around_every_corner() -> None:
+    angles = np.linspace(0, 2 * math.pi, 7)[:-1]
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    points = np.concatenate([ring, 0.3 * ring])
+    around = outline(points)
+    assert len(around) == 7
+    assert {tuple(p) for p in around.round(9)} == {tuple(p) for p in ring.round(9)}
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_outline_of_few_corners_is_a_line(count: int) -> None:
+    points = np.arange(2.0 * count).reshape(count, 2)
+    assert {tuple(p) for p in outline(points)} == {tuple(p) for p in points}
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def test_a_whole_session_becomes_a_rerun_file(
+    session_file: Path, story: list, tmp_path: Path
+) -> None:
+    path = tmp_path / "out" / "s.rrd"
+    assert write_rrd(open_recording(session_file), path) == len(story)
+    found = entities(path)
+    for entity in (
+        "/map/cameras/c1/frustum", "/map/uncertainty/c1", "/map/coverage/c1", "/pictures/c4/seen",
+        "/map/robots/r1/corrected", "/map/robots/r1/dead_reckoning", "/map/robots/r1/particles",
+        "/sigma/cameras/c1", "/drift/r1", "/log", "/legend",
+    ):  # fmt: skip
+        assert entity in found
+    assert "/map/cameras/c4" not in found  # was never located
+    assert len(RrdReader(path).blueprints()) == 1
+
+
+def test_unsound_and_unknown_messages_are_left_out_and_said(
+    session_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = open_recording(session_file)
+    writer = McapWriter(tmp_path / "s.mcap")
+    writer.attach("site.toml", source.attachments["site.toml"], "application/toml", time_ns=0)
+    sound = list(source.samples([ODOMETRY]))
+    for sample in sound:
+        writer.add(ODOMETRY, sample.key, sample.payload, log_ns=sample.log_ns, published_ns=0)
+    for key, payload in (
+        ("lab/robot/r1/odom", b"garbage"),
+        ("lab/robot/r9/odom", sound[0].payload),
+        ("lab/robot/r1/mood", b"\0\1\0\0"),
+    ):
+        writer.add(ODOMETRY, key, payload, log_ns=source.end_ns, published_ns=0)
+    writer.finish()
+    with caplog.at_level(logging.WARNING):
+        write_rrd(open_recording(tmp_path / "s.mcap"), tmp_path / "s.rrd")
+    said = caplog.text
+    assert "1 messages do not decode" in said
+    assert "1 messages of cameras or robots that site.toml does not have" in said
+    assert "lab/robot/r1/mood is not a key of the contract" in said
+    assert "target.toml is not attached" in said
+    assert "/map/robots/r1/dead_reckoning" in entities(tmp_path / "s.rrd")
+
+
+def test_a_session_without_a_site_file_is_refused(tmp_path: Path, story: list) -> None:
+    writer = McapWriter(tmp_path / "s.mcap")
+    one = story[0]
+    writer.add(one.topic, one.key, one.payload, log_ns=1, published_ns=1)
+    writer.finish()
+    with pytest.raises(RecordingError, match=r"no site\.toml"):
+        write_rrd(open_recording(tmp_path / "s.mcap"), tmp_path / "s.rrd")
+
+
+def test_a_place_that_cannot_be_written_is_named(session_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OperationError, match="cannot be written"):
+        write_rrd(open_recording(session_file), tmp_path / "file" / "s.rrd")
+
+
+def test_rows_of_different_components_do_not_mix(tmp_path: Path) -> None:
+    stream = open_stream("lab", 0)
+    stream.save(tmp_path / "s.rrd")
+    columns = Columns(stream)
+    columns.row("/a", 1, rr.Points3D, positions=[[0, 0, 0]])
+    columns.row("/a", 2, rr.Points3D, positions=[[0, 0, 0]] * 2, labels=["x", "y"])
+    columns.row("/a", 3, rr.Points3D, positions=[], labels=[])
+    columns.flush()
+    stream.disconnect()
+    chunks = [c for c in RrdReader(tmp_path / "s.rrd").stream() if c.entity_path == "/a"]
+    assert sorted(chunk.num_rows for chunk in chunks) == [1, 2]
