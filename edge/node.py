@@ -11,7 +11,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.messages import CameraInfo, Sightings
 from trigpoint.node import Node
 from trigpoint.target import Target, load_target
-from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, command_key
+from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
 from .detector import TargetDetector
 from .frames import Frame, FrameSource, open_source
@@ -55,9 +55,9 @@ class EdgeNode:
         """Declare what the camera sends and serves, and start its thread."""
         warm_up()
         site, camera = self._site.name, self._camera
-        self._sightings = self._bus.publisher(SIGHTINGS, SIGHTINGS.key(site, camera))
-        self._camera_info = self._bus.publisher(CAMERA_INFO, CAMERA_INFO.key(site, camera))
-        images = self._bus.publisher(IMAGE, IMAGE.key(site, camera))
+        self._sightings = self._bus.publisher(SIGHTINGS, self._key(SIGHTINGS))
+        self._camera_info = self._bus.publisher(CAMERA_INFO, self._key(CAMERA_INFO))
+        images = self._bus.publisher(IMAGE, self._key(IMAGE))
         self._pictures = PictureSender(camera, self._config, images)
         self._bus.serve(command_key(site, f"camera/{camera}/snapshot"), self._pictures.snapshot)
         self._node.health.gauge("detection_ms", lambda: self._detection_ms)
@@ -105,7 +105,7 @@ class EdgeNode:
         self._announce(frame, source)
         self._publish(frame)
         if self._pictures.offer(frame):
-            health.count("pictures_sent")
+            health.count(f"sent {self._key(IMAGE)}")
 
     def _announce(self, frame: Frame, source: FrameSource) -> None:
         """Send the lens with the first picture; raises ConfigError where it does not fit it."""
@@ -116,6 +116,7 @@ class EdgeNode:
             info = CameraInfo(frame.captured_ns, self._frame_id, self._lens)
             check_size(self._camera, self._lens, frame.picture.shape)
             self._camera_info.put(encode(info))
+            self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
         check_size(self._camera, self._lens, frame.picture.shape)
 
     def _publish(self, frame: Frame) -> None:
@@ -127,8 +128,11 @@ class EdgeNode:
         message = Sightings(frame.captured_ns, self._frame_id, width, height, faces)
         self._sightings.put(encode(message))
         self._delay_ms = to_seconds(self._clock.now_ns() - frame.captured_ns) * 1e3
-        self._node.health.count("sightings")
+        self._node.health.count(f"sent {self._key(SIGHTINGS)}")
         self._node.health.count("faces", len(faces))
+
+    def _key(self, topic: Topic) -> str:
+        return topic.key(self._site.name, self._camera)
 
     @property
     def _frame_id(self) -> str:

@@ -1,0 +1,64 @@
+"""The fit of a flat face: lens distortion is no noise, a wild corner is."""
+
+import numpy as np
+import pytest
+from boards import CAMERA, checkerboard, placed, true_pixels
+
+from trigpoint.edge.planar_fit import fit_plane, sound_corners
+from trigpoint.geometry import CameraModel
+
+BOARD = checkerboard(9, 7)
+POINTS = BOARD.corners[:, :2]
+SIZE = (640, 480)
+
+
+def seen(sigma: float, seed: int = 0, camera: CameraModel = CAMERA) -> np.ndarray:
+    view = placed(BOARD, distance=0.5, tilt_deg=30, yaw_deg=20, turn_deg=10)
+    return true_pixels(view, camera) + np.random.default_rng(seed).normal(0, sigma, (48, 2))
+
+
+def test_exact_corners_are_predicted_through_the_lens() -> None:
+    pixels = seen(0.0)
+    fit = fit_plane(POINTS[::2], pixels[::2], SIZE)
+    assert fit is not None
+    assert np.abs(fit.project(POINTS) - pixels).max() < 0.05
+
+
+@pytest.mark.parametrize("k1", [-0.35, 0.0, 0.2])
+def test_no_corner_is_wild_for_the_lens(k1: float) -> None:
+    camera = CameraModel(640, 480, 400.0, 400.0, 325.0, 235.0, (k1, 0.08, 0, 0, 0))
+    keep, sigma = sound_corners(POINTS, seen(0.1, camera=camera), SIZE)
+    assert keep.all()
+    assert sigma < 0.2
+
+
+def test_wild_corners_are_dropped_and_no_others() -> None:
+    pixels = seen(0.1)
+    pixels[[5, 20, 21]] += [[4.0, 0.0], [0.0, -9.0], [15.0, 15.0]]
+    keep, sigma = sound_corners(POINTS, pixels, SIZE)
+    assert np.flatnonzero(~keep).tolist() == [5, 20, 21]
+    assert sigma < 0.2
+
+
+@pytest.mark.parametrize("true_sigma", [0.1, 0.3, 0.6])
+def test_sigma_is_that_of_the_noise(true_sigma: float) -> None:
+    sigmas = [sound_corners(POINTS, seen(true_sigma, seed), SIZE)[1] for seed in range(8)]
+    assert np.mean(sigmas) == pytest.approx(true_sigma, rel=0.2)
+
+
+def test_scattered_points_are_no_face() -> None:
+    pixels = np.random.default_rng(0).uniform(0, 480, (48, 2))
+    keep, _ = sound_corners(POINTS, pixels, SIZE)
+    assert keep.sum() < 12
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_too_few_points_fix_no_plane(count: int) -> None:
+    assert fit_plane(POINTS[:count], seen(0.0)[:count], SIZE) is None
+    assert not sound_corners(POINTS[:count], seen(0.0)[:count], SIZE)[0].any()
+
+
+def test_points_on_a_line_fix_no_plane_that_lies() -> None:
+    line = POINTS[:8]
+    fit = fit_plane(line, seen(0.0)[:8], SIZE)
+    assert fit is None or np.isfinite(fit.project(line)).all()
