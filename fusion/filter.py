@@ -90,6 +90,10 @@ class Filter:
         """Whether the robot is tied to the map."""
         return robot in self.stamps_ns
 
+    def has_camera(self, camera: str) -> bool:
+        """Whether the camera is part of the state."""
+        return camera in self.reduced.layout.pose
+
     def mean_step(self) -> Array:
         """The step (size,) from the fixed point to the estimate."""
         information = self.reduced.information

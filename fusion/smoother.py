@@ -273,8 +273,8 @@ class Smoother:
             if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
                 continue
             prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, 0.01 * np.eye(6))
-            if self._filter is None:
-                continue
+            if self._filter is None or not self._filter.has_camera(observation.camera):
+                continue  # located just now: the next solution looks at it again
             aligned = self._aligned(self._filter, observation, prior)
             if aligned is not None:
                 entry.observation = aligned[0].judged(Verdict.ACCEPTED)
