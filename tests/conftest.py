@@ -1,11 +1,18 @@
-"""What every test gets: a failure where it leaves a thread behind."""
+"""What every test gets: a failure where it leaves a thread behind, and a process put back."""
 
+import logging
+import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from hypothesis import settings
+
+# A deadline would assert a speed.
+settings.register_profile("trigpoint", deadline=None, max_examples=50)
+settings.load_profile("trigpoint")
 
 _PATIENCE_S = 3.0
 
@@ -24,6 +31,20 @@ def no_thread_is_left() -> Iterator[None]:
     while (left := _living() - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not left, f"left running: {sorted(thread.name for thread in left)}"
+
+
+@pytest.fixture(autouse=True)
+def process_is_put_back() -> Iterator[None]:
+    """Undo what a command sets for its whole process: signal handlers and the log."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    root, ours = logging.getLogger(), logging.getLogger("trigpoint")
+    log = (list(root.handlers), root.level, ours.level)
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    root.handlers[:] = log[0]
+    root.setLevel(log[1])
+    ours.setLevel(log[2])
 
 
 @pytest.fixture

@@ -53,23 +53,33 @@ def check_extra(extra: str) -> Check:
 
 
 def check_clock() -> Check:
-    """Whether the kernel knows its clock to be synchronised (adjtimex(2), a reading)."""
+    """Whether the kernel knows its clock to be synchronised."""
     if not sys.platform.startswith("linux"):
-        return Check("clock", "warning", "only Linux tells whether its clock is synchronised")
-    timex = ctypes.create_string_buffer(512)  # modes = 0: only read
-    state = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
-    if state < 0:
-        reason = os.strerror(ctypes.get_errno())
-        return Check("clock", "warning", f"the kernel does not tell about its clock ({reason})")
-    (error_us,) = struct.unpack_from("l", timex, struct.calcsize("Illl") - struct.calcsize("l"))
-    if state == _NOT_SYNCHRONISED:
         return Check(
             "clock",
             "warning",
-            "this machine's clock is not synchronised; with several machines, times will differ",
-            "run chrony or systemd-timesyncd against one server, or use one machine alone",
+            "only Linux tells whether its clock is synchronised",
+            "see that this machine keeps time by NTP",
         )
-    return Check("clock", "ok", f"synchronised, at most {error_us / 1000:.1f} ms off")
+    state, error_us = _read_clock()
+    if state != _NOT_SYNCHRONISED:
+        return Check("clock", "ok", f"synchronised, at most {error_us / 1000:.1f} ms off")
+    return Check(
+        "clock",
+        "warning",
+        "this machine's clock is not synchronised; with several machines, times will differ",
+        "run chrony or systemd-timesyncd against one server, or use one machine alone",
+    )
+
+
+def _read_clock() -> tuple[int, int]:
+    """adjtimex(2) as a reading: the clock's state and its largest error, microseconds."""
+    timex = ctypes.create_string_buffer(512)  # modes = 0
+    state = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
+    if state < 0:
+        return _NOT_SYNCHRONISED, 0
+    (error_us,) = struct.unpack_from("l", timex, struct.calcsize("Illl") - struct.calcsize("l"))
+    return state, error_us
 
 
 def check_disk(directory: Path) -> Check:

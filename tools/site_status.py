@@ -12,6 +12,7 @@ _NO_GAUGES = (
     "session",
     "node",
     "process",
+    "started",
     "uptime",
     "last_error",
 )

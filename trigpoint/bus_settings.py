@@ -74,6 +74,11 @@ class Settings:
         """Where others can connect to, as far as it is known."""
         return tuple(e for e in self.gate or self.listen if endpoint_port(e) != 0)
 
+    @property
+    def meets_others(self) -> bool:
+        """Whether the session learns of its peers one after the other."""
+        return self.mode == "peer" and (bool(self.connect) or self.multicast is not None)
+
     def gate_settings(self) -> "Settings":
         """The session that listens on `gate` and relays between there and this machine's peers."""
         return Settings("peer", (LOOPBACK, *self.gate), multicast=self.multicast)

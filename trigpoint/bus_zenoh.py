@@ -16,8 +16,7 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 import zenoh
-from zenoh import CongestionControl, Priority, Reliability, ext
-from zenoh.handlers import Callback
+from zenoh import CongestionControl, Priority, Reliability, ext, handlers
 
 from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
 from .bus_gate import Gate
@@ -33,6 +32,8 @@ _log = logging.getLogger(__name__)
 _SWITCH_INTERVAL_S = 0.001
 _HEARTBEAT_S = 0.5
 _RETRY_S = 1.0
+_SETTLE_S = 0.2
+_SETTLE_LIMIT_S = 1.0
 _ERROR_ENCODING = "text/plain"
 
 _QOS: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
@@ -61,10 +62,24 @@ def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
         if settings.gate:
             gate_settings = settings.gate_settings()
             gate = Gate(settings.gate, lambda: open_session(gate_settings))
+        bus = ZenohBus(session, locators=settings.locators, gate=gate)
     except BaseException:
         session.close()
         raise
-    return ZenohBus(session, locators=settings.locators, gate=gate)
+    if settings.meets_others:
+        _settle(bus)
+    return bus
+
+
+def _settle(bus: "ZenohBus") -> None:
+    """Wait until the peers that are there have told of each other, so that a first look at who is
+    alive is complete: without, four of ten newcomers overlooked their double."""
+    deadline = time.monotonic() + _SETTLE_LIMIT_S
+    peers, since = bus.peers, time.monotonic()
+    while (now := time.monotonic()) < deadline and now - since < _SETTLE_S:
+        time.sleep(0.02)
+        if bus.peers != peers:
+            peers, since = bus.peers, time.monotonic()
 
 
 def _open_patiently(settings: Settings, patience_s: float) -> zenoh.Session:
@@ -191,7 +206,7 @@ def _subscribe(
     def receive(sample: zenoh.Sample) -> None:
         queue.push((time.time_ns(), sample))
 
-    arrived = Callback(receive, indirect=False)
+    arrived = handlers.Callback(receive, indirect=False)
     if not topic.cache:
         return session.declare_subscriber(expression, arrived).undeclare
     subscriber = ext.declare_advanced_subscriber(
@@ -205,7 +220,7 @@ def _subscribe(
     def miss(missed: ext.Miss) -> None:
         queue.miss(missed.nb)
 
-    listener = subscriber.sample_miss_listener(Callback(miss, indirect=False))
+    listener = subscriber.sample_miss_listener(handlers.Callback(miss, indirect=False))
 
     def undeclare() -> None:
         listener.undeclare()
@@ -304,7 +319,9 @@ class ZenohBus:
 
             server = Server(key, answer)
             try:
-                queryable = self._session.declare_queryable(key, Callback(arrive, indirect=False))
+                queryable = self._session.declare_queryable(
+                    key, handlers.Callback(arrive, indirect=False)
+                )
             except zenoh.ZError:
                 server.close()
                 raise

@@ -175,13 +175,18 @@ def _placeholder() -> None:
 
 
 def _exit_on_termination(chosen: str) -> None:
-    """SIGTERM unwinds like an error, so that everything is closed, until a node handles it."""
-    status = 0 if chosen and COMMANDS[chosen].service else 128 + signal.SIGTERM
+    """SIGTERM unwinds like an error, so that everything is closed, until a node handles it.
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        raise SystemExit(status)
+    To end is what a service is told by it, and by SIGINT; any other command was cut short.
+    """
+    is_service = bool(chosen) and COMMANDS[chosen].service
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(0 if is_service else 128 + number)
 
     signal.signal(signal.SIGTERM, stop)
+    if is_service:
+        signal.signal(signal.SIGINT, stop)
 
 
 def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:

@@ -20,10 +20,10 @@ from types import FrameType, TracebackType
 from typing import Protocol, Self
 
 from . import CONTRACT, __version__
-from .bus import Bus
+from .bus import Bus, Closable, Publisher, Subscription
 from .cdr import decode, encode
 from .clock import NANOSECONDS, Clock, SystemClock
-from .errors import MessageError, OperationError
+from .errors import BusError, MessageError, OperationError
 from .health import Health, Level
 from .messages import Diagnostics, DiagnosticStatus
 from .peers import Peers
@@ -66,19 +66,21 @@ class Node:
         self._token_key = alive_key(site, kind, name)
         self._unique = uuid.uuid4().hex
         self._started_ns = self._clock.elapsed_ns()
-        self._peers = Peers(self.label, self._unique)
+        self._born_ns = self._clock.now_ns()
+        self._peers = Peers(self.label, self._unique, self._born_ns)
+        self._publisher: Publisher | None = None
+        self._declared: list[Closable] = []
         self._threads: list[threading.Thread] = []
         self._error: BaseException | None = None
         self._logged_error = ""
 
     def __enter__(self) -> Self:
         self._refuse_second()
-        key = DIAGNOSTICS.key(self._site)
-        self._publisher = self._bus.publisher(DIAGNOSTICS, key)
-        self._others = self._bus.subscribe(DIAGNOSTICS, key)
-        self._token = self._bus.declare_alive(self._token_key)
-        self.thread("diagnostics", self._report)
-        _log.info("%s runs on site %s (session %s)", self.label, self._site, self._bus.identity)
+        try:
+            self._begin()
+        except BaseException:
+            self._end()
+            raise
         return self
 
     def __exit__(
@@ -87,14 +89,34 @@ class Node:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.stop()
-        self._join()
-        self._publisher.put(encode(self.diagnostics()))  # the last word has the final counts
-        for declared in (self._token, self._others, self._publisher):
-            declared.close()
-        _log.info("%s stopped", self.label)
+        self._end()
         if error is None:
             self._raise_error()
+
+    def _begin(self) -> None:
+        key = DIAGNOSTICS.key(self._site)
+        publisher = self._publisher = self._bus.publisher(DIAGNOSTICS, key)
+        others = self._bus.subscribe(DIAGNOSTICS, key)
+        self._declared = [publisher, others]
+        self.thread("diagnostics", lambda: self._report(publisher, others))
+        self._declared.append(self._bus.declare_alive(self._token_key))
+        _log.info("%s runs on site %s (session %s)", self.label, self._site, self._bus.identity)
+
+    def _end(self) -> None:
+        self.stop()
+        self._join()
+        self._say_last()
+        while self._declared:
+            self._declared.pop().close()
+        _log.info("%s stopped", self.label)
+
+    def _say_last(self) -> None:
+        """The last word has the final counts."""
+        try:
+            if self._publisher is not None:
+                self._publisher.put(encode(self.diagnostics()))
+        except BusError as reason:
+            _log.warning("%s: the last diagnostics were not sent: %s", self.label, reason)
 
     def thread(self, name: str, run: Callable[[], object]) -> None:
         """Start a thread that is joined at the node's end; an error in it stops the node.
@@ -148,11 +170,11 @@ class Node:
             "stop that one first, or give this one another name"
         )
 
-    def _report(self) -> None:
+    def _report(self, publisher: Publisher, others: Subscription) -> None:
         due = time.monotonic()
         while not self.stopping.is_set():
-            self._listen()
-            self._publisher.put(encode(self.diagnostics()))
+            self._listen(others)
+            publisher.put(encode(self.diagnostics()))
             due = max(due + self._period_s, time.monotonic())
             self.stopping.wait(due - time.monotonic())
 
@@ -176,6 +198,7 @@ class Node:
             "session": self._bus.identity,
             "node": self._unique,
             "process": str(os.getpid()),
+            "started": str(self._born_ns),
             "uptime": f"{self._uptime_s:.1f}",
         }
 
@@ -183,9 +206,9 @@ class Node:
     def _uptime_s(self) -> float:
         return (self._clock.elapsed_ns() - self._started_ns) / NANOSECONDS
 
-    def _listen(self) -> None:
+    def _listen(self, others: Subscription) -> None:
         """Read what the others say of themselves."""
-        while (sample := self._others.take(0.0)) is not None:
+        while (sample := others.take(0.0)) is not None:
             try:
                 message = decode(DIAGNOSTICS.type_name, sample.payload)
             except MessageError as reason:
@@ -196,7 +219,7 @@ class Node:
                 self._meet(status)
 
     def _meet(self, status: DiagnosticStatus) -> None:
-        is_elder = self._peers.meet(status, self._uptime_s)
+        is_elder = self._peers.meet(status)
         if is_elder and self._uptime_s < _NEWCOMER_S:
             raise OperationError(self._second)
 

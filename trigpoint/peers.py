@@ -14,12 +14,15 @@ _MEMORY_S = 5.0
 class Peers:
     """The complaints about others; used by one thread."""
 
-    def __init__(self, label: str, unique: str) -> None:
-        self._label, self._unique = label, unique
+    def __init__(self, label: str, unique: str, born_ns: int) -> None:
+        self._label, self._unique, self._born_ns = label, unique, born_ns
         self._complaints: dict[str, float] = {}
 
-    def meet(self, status: DiagnosticStatus, uptime_s: float) -> bool:
-        """Take note of another node; return whether it has this node's name and is the elder."""
+    def meet(self, status: DiagnosticStatus) -> bool:
+        """Take note of another node; return whether it has this node's name and is the elder.
+
+        By both clocks' own times, so that the two agree on who the elder is.
+        """
         unique = status.values.get("node", "")
         if not unique or unique == self._unique:
             return False
@@ -30,7 +33,7 @@ class Peers:
         if status.name != self._label:
             return False
         self._complain(f"a second {where} is on the site; stop one of the two")
-        return (_seconds(status.values.get("uptime", "")), unique) > (uptime_s, self._unique)
+        return (_number(status.values.get("started", "")), unique) < (self._born_ns, self._unique)
 
     def complaint(self) -> str:
         """What is wrong with the others now, "" where nothing is."""
@@ -46,8 +49,5 @@ class Peers:
         self._complaints[text] = time.monotonic()
 
 
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0
+def _number(text: str) -> int:
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0

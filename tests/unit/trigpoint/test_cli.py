@@ -16,13 +16,6 @@ from trigpoint.errors import BusError, ConfigError
 ABSENT = ("intrinsics", "distances", "secure", "recover", "info", "check", "export")
 
 
-@pytest.fixture(autouse=True)
-def handlers_are_put_back() -> object:
-    kept = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, kept)
-
-
 def put_command(monkeypatch: pytest.MonkeyPatch, function: object) -> None:
     """Make `trigpoint edge` run `function`."""
     module = ModuleType("pretended")
@@ -171,13 +164,18 @@ def test_a_commands_own_status_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(["edge"]) == 1
 
 
-@pytest.mark.parametrize(("service", "status"), [(True, 0), (False, 143)])
-def test_termination_unwinds(monkeypatch: pytest.MonkeyPatch, service: bool, status: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "service", "status"),
+    [(signal.SIGTERM, True, 0), (signal.SIGINT, True, 0), (signal.SIGTERM, False, 143)],
+)
+def test_signal_before_the_node_handles_it_unwinds(
+    monkeypatch: pytest.MonkeyPatch, number: signal.Signals, service: bool, status: int
+) -> None:
     unwound: list[bool] = []
 
     def terminated() -> None:
         try:
-            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(number)
         finally:
             unwound.append(True)
 

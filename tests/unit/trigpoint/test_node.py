@@ -38,7 +38,7 @@ def next_status(bus: MemoryBus) -> DiagnosticStatus:
 
 
 def foreign_diagnostics(name: str, **values: str) -> bytes:
-    own = {"node": "f" * 32, "contract": "1", "uptime": "1000", "process": "7"}
+    own = {"node": "f" * 32, "contract": "1", "started": "1000", "process": "7"}
     status = DiagnosticStatus(0, name, "running", "elsewhere", own | values)
     return encode(Diagnostics(1, (status,)))
 
@@ -47,15 +47,6 @@ def foreign_diagnostics(name: str, **values: str) -> bytes:
 def bus() -> Iterator[MemoryBus]:
     with MemoryBroker().session() as session:
         yield session
-
-
-@pytest.fixture
-def signals() -> Iterator[None]:
-    """Puts the handlers back."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
 
 
 def test_node_is_alive_from_entry_to_exit(bus: MemoryBus) -> None:
@@ -74,7 +65,10 @@ def test_diagnostics_say_who_speaks_and_how_it_goes(bus: MemoryBus) -> None:
     assert status.values["contract"] == "1"
 
 
-def test_second_node_of_the_same_identity_refuses_to_start(bus: MemoryBus) -> None:
+def test_second_node_of_the_same_identity_refuses_to_start(
+    bus: MemoryBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.node._TAKEOVER_S", 0.1)
     with make_node(bus), pytest.raises(OperationError, match="edge/c1 already runs on site lab"):
         make_node(bus).__enter__()
 
@@ -99,7 +93,7 @@ def test_elder_names_its_double_and_goes_on(
     bus: MemoryBus, caplog: pytest.LogCaptureFixture
 ) -> None:
     with make_node(bus) as node:
-        bus.publisher(DIAGNOSTICS, KEY).put(foreign_diagnostics("edge/c1", uptime="-1"))
+        bus.publisher(DIAGNOSTICS, KEY).put(foreign_diagnostics("edge/c1", started=str(2**62)))
         assert eventually(lambda: "a second edge/c1" in next_status(bus).message)
         assert not node.stopping.is_set()
     assert "a second edge/c1 (host elsewhere, process 7) is on the site" in caplog.text
@@ -169,14 +163,14 @@ def test_thread_that_does_not_stop_is_named(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_stops_the_node(bus: MemoryBus, signals: None, number: signal.Signals) -> None:
+def test_signal_stops_the_node(bus: MemoryBus, number: signal.Signals) -> None:
     with make_node(bus) as node:
         stop_on_signals([node])
         signal.raise_signal(number)
         node.wait()
 
 
-def test_second_signal_interrupts(bus: MemoryBus, signals: None) -> None:
+def test_second_signal_interrupts(bus: MemoryBus) -> None:
     with make_node(bus) as node:
         stop_on_signals([node])
         signal.raise_signal(signal.SIGINT)

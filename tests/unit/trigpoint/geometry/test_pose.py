@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -81,9 +83,8 @@ def test_poses_are_stacked_and_taken_apart() -> None:
     )
 
 
-def numeric_jacobian(function: object, pose: Pose) -> Array:
+def numeric_jacobian(function: Callable[[Pose], Pose], pose: Pose) -> Array:
     """Derivative of the disturbance of `function(pose)` by the disturbance of `pose`."""
-    assert callable(function)
     columns = [
         function(pose.disturbed(STEP * axis)).difference(function(pose.disturbed(-STEP * axis)))
         for axis in np.eye(6)

@@ -1,0 +1,109 @@
+import json
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from builders import site_text
+
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.bus_zenoh import open_bus
+from trigpoint.cli import run
+from trigpoint.config import parse_site
+from trigpoint.messages import DiagnosticStatus
+from trigpoint.node import Node
+from trigpoint.tools.site_status import NodeStatus, SiteStatus, summarise, table
+from trigpoint.tools.status import look
+from trigpoint.topics import DIAGNOSTICS
+
+
+def test_tokens_and_diagnostics_are_put_together() -> None:
+    values = {"odom.rate": "50.0", "odom.total": "500", "odom.lost": "2", "queue.depth": "3"}
+    more = {"uptime": "10.5", "version": "0.1.0", "contract": "1", "last_error": "slipped"}
+    speaks = DiagnosticStatus(1, "robot/r1", "lost", "host", values | more | {"offset": "0.5"})
+    left = DiagnosticStatus(0, "edge/c1", "running", "host", {})
+    status = summarise(
+        "lab",
+        peers=2,
+        tokens=["lab/alive/robot/r1", "lab/alive/fusion/fusion"],
+        statuses=[left, speaks],
+    )
+    gone, silent, robot = status.nodes
+    assert (gone.name, gone.state) == ("edge/c1", "gone")
+    assert (silent.name, silent.state) == ("fusion/fusion", "silent")
+    assert robot == NodeStatus(
+        name="robot/r1",
+        state="warning",
+        message="lost",
+        host="host",
+        version="0.1.0",
+        contract="1",
+        uptime_s=10.5,
+        rates={"odom": 50.0},
+        totals={"odom": 500},
+        depths={"queue": 3},
+        losses={"odom": 2},
+        gauges={"offset": 0.5},
+        last_error="slipped",
+    )
+
+
+def test_numbers_that_are_none_do_not_break_the_view() -> None:
+    values = {"a.rate": "fast", "b.total": "nan", "c.lost": "1e400", "uptime": "-"}
+    status = DiagnosticStatus(200, "robot/r1", "", "", values)
+    [node] = summarise("lab", peers=0, tokens=["lab/alive/robot/r1"], statuses=[status]).nodes
+    assert (node.state, node.rates, node.totals, node.losses) == (
+        "stale",
+        {"a": 0.0},
+        {"b": 0},
+        {"c": 0},
+    )
+
+
+def test_table_shows_rates_losses_and_errors() -> None:
+    node = NodeStatus(
+        "robot/r1",
+        "error",
+        "no",
+        uptime_s=9.6,
+        rates={"odom": 50.0},
+        losses={"odom": 2},
+        last_error="x",
+    )
+    text = table(SiteStatus("lab", 3, [node]))
+    assert re.split(" {2,}", text.splitlines()[-1]) == [
+        "robot/r1",
+        "error",
+        "10 s",
+        "odom 50",
+        "2 odom",
+        "no; last error: x",
+    ]
+    assert "Nobody is alive on site lab" in table(SiteStatus("lab", 0, []))
+
+
+def test_look_hears_the_nodes_and_skips_garbage() -> None:
+    broker = MemoryBroker()
+    with (
+        broker.session() as bus,
+        Node(bus, site="lab", kind="edge", name="c1", period_s=0.02),
+        broker.session() as mine,
+    ):
+        bus.publisher(DIAGNOSTICS, DIAGNOSTICS.key("lab")).put(b"garbage")
+        status = look(mine, "lab", threading.Event(), listen_s=0.2)
+    assert [(node.name, node.state) for node in status.nodes] == [("edge/c1", "error")]
+    assert "rejected" in status.nodes[0].message
+
+
+def test_command_shows_the_live_site(
+    tmp_path: Path, free_port: Callable[[], int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    path = tmp_path / "site.toml"
+    path.write_text(site_text(bus=f'connect = ["{endpoint}"]'))
+    serving = parse_site(site_text(bus=f'listen = ["{endpoint}"]'), directory=tmp_path)
+    with open_bus(serving) as bus, Node(bus, site="lab", kind="edge", name="c1"):
+        assert run(["status", "--site", str(path), "--json"]) == 0
+    status = json.loads(capsys.readouterr().out)
+    assert [(node["name"], node["state"]) for node in status["nodes"]] == [("edge/c1", "ok")]
