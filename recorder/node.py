@@ -1,6 +1,5 @@
 """The recorder: every key of a site into one MCAP file."""
 
-import re
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -136,8 +135,3 @@ def site_files(site: Site) -> list[tuple[str, bytes, str]]:
         text = read_text(site.path(name), "camera_info file", ConfigError)
         files.append((name, text.encode(), "application/yaml"))
     return files
-
-
-def path_of_key(key: str) -> str:
-    """A key without its site, for people."""
-    return re.sub(r"^[^/]*/", "", key)

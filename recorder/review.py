@@ -6,10 +6,12 @@ from pathlib import Path
 from trigpoint import cdr
 from trigpoint.config import Site, parse_site
 from trigpoint.errors import MessageError, OperationError
+from trigpoint.messages import PoseEstimate
+from trigpoint.network import decode_network
 from trigpoint.target import Target, parse_target
-from trigpoint.topics import node_of
+from trigpoint.topics import CAMERA_POSE, node_of, topic_of
 
-from .recording import Recording
+from .recording import NETWORK_ATTACHMENT, Recording
 from .rerun_blueprint import blueprint
 from .rerun_columns import Columns, open_stream
 from .rerun_scene import Scene
@@ -33,6 +35,7 @@ def write_rrd(recording: Recording, path: Path) -> int:
     columns = Columns(stream)
     scene = Scene(site, attached_targets(recording, site), columns)
     scene.announce()
+    _place_cameras(recording, scene)
     shown = _show_all(recording, scene, columns)
     scene.finish()
     columns.flush()
@@ -59,6 +62,28 @@ def attached_targets(recording: Recording, site: Site) -> dict[str, Target]:
         else:
             _LOG.warning("%s: %s is not attached; %s has no faces", recording.path, name, robot)
     return targets
+
+
+def _place_cameras(recording: Recording, scene: Scene) -> None:
+    """Where no pose was recorded, show the located cameras of a network.json: attached, or beside.
+
+    So a session that was calibrated afterwards shows its cameras.
+    """
+    if any(topic_of(key) is CAMERA_POSE for key in recording.counts):
+        return
+    beside = recording.path.parent / NETWORK_ATTACHMENT
+    data = recording.attachments.get(NETWORK_ATTACHMENT)
+    if data is None and beside.is_file():
+        data = beside.read_bytes()
+    if data is None:
+        return
+    network = decode_network(data, source=f"{recording.path}: {NETWORK_ATTACHMENT}")
+    for name in network.located:
+        record = network.cameras[name]
+        if name in scene.cameras and record.map_from_camera is not None:
+            pose, covariance = record.map_from_camera.pose, record.covariance_matrix
+            estimate = PoseEstimate(recording.start_ns, "map", pose, covariance)
+            scene.add(CAMERA_POSE, name, estimate)
 
 
 def _show_all(recording: Recording, scene: Scene, columns: Columns) -> int:

@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,13 @@ from trigpoint.messages import (
     Sightings,
     Transform,
     Transforms,
+)
+from trigpoint.network import (
+    CameraRecord,
+    Network,
+    PoseRecord,
+    Statistics,
+    encode_network,
 )
 from trigpoint.recorder import rerun_style as style
 from trigpoint.recorder.mcap_writer import McapWriter
@@ -253,3 +261,21 @@ def test_rows_of_different_components_do_not_mix(tmp_path: Path) -> None:
     stream.disconnect()
     chunks = [c for c in RrdReader(tmp_path / "s.rrd").stream() if c.entity_path == "/a"]
     assert sorted(chunk.num_rows for chunk in chunks) == [1, 2]
+
+
+def test_cameras_of_a_network_beside_the_session_are_shown(
+    make_session: Callable[[list], Path], story: list, tmp_path: Path
+) -> None:
+    path = make_session([one for one in story if one.topic in (ODOMETRY, SIGHTINGS)])
+    located = CameraRecord(
+        "located",
+        map_from_camera=PoseRecord.of(Pose.planar(1, 2, 3)),
+        covariance=tuple(float(value) for value in (1e-4 * np.eye(6)).reshape(-1)),
+    )
+    cameras = {"c1": located, "c2": CameraRecord("unseen"), "c9": located}
+    network = Network("lab", "id", "smoother", cameras, {}, Statistics(None, 0))
+    (path.parent / "network.json").write_bytes(encode_network(network))
+    write_rrd(open_recording(path), tmp_path / "s.rrd")
+    found = entities(tmp_path / "s.rrd")
+    assert "/map/cameras/c1/frustum" in found
+    assert not {"/map/cameras/c2", "/map/cameras/c9"} & found
