@@ -83,7 +83,7 @@ def _everything(results: DemoResults) -> Array:
 def _walls(results: DemoResults, plan: Plan) -> str:
     ends = plan(results.walls)
     return group(
-        *(line(*start, *end) for start, end in ends),
+        *(line(*start.tolist(), *end.tolist()) for start, end in ends),
         class_="walls",
     )
 
@@ -107,7 +107,8 @@ def _found(camera: CameraResult, index: int, plan: Plan, factor: int) -> str:
         found = true + factor * (camera.estimate.translation[:2] - true)
         outline = ellipse_points(found, factor**2 * camera.covariance[:2, :2], 1.0)
         marks.append(polygon(plan(outline), class_="ellipse"))
-        marks.append(circle(*plan(found), 2.6, class_="found"))
+        x, y = plan(found)
+        marks.append(circle(x, y, 2.6, class_="found"))
     marks.append(_name(camera, plan))
     return group(*marks, class_=f"k{index % PALETTE}")
 
@@ -151,24 +152,27 @@ def _scale_bar(plan: Plan) -> str:
     return group(bar, words, class_="scale")
 
 
-def legend(results: DemoResults, factor: int) -> str:
+def legend(factor: int) -> str:
     """What the marks on the map mean, as a list."""
-    larger = f", {factor} times larger than the rooms" if factor > 1 else ""
-    entries = [
-        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way true"/></svg>',
-         "the robot's true way, from the ring to the arrow"),
-        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way corrected"/></svg>',
-         "as Trigpoint said it live"),
-        ('<svg viewBox="0 0 34 14"><polyline points="2,7 32,7" class="way reckoned"/></svg>',
-         "as its odometry alone has it"),
-        ('<svg viewBox="0 0 34 14" class="k0"><circle cx="17" cy="7" r="5" class="true-place"/></svg>',
-         "where a camera truly is; its wedge shows where it looks"),
-        ('<svg viewBox="0 0 34 14" class="k0"><ellipse cx="17" cy="7" rx="14" ry="6" class="ellipse"/>'
-         '<circle cx="17" cy="7" r="2.6" class="found"/></svg>',
-         f"where it was found, with its standard deviation (errors and ellipses are drawn{larger})"
-         if factor > 1 else "where it was found, with its standard deviation"),
-    ]  # fmt: skip
+    larger = f" (errors and ellipses are drawn {factor} times larger)" if factor > 1 else ""
+    ring = circle(17, 7, 5, class_="true-place")
+    found = element("ellipse", cx=17, cy=7, rx=14, ry=6, class_="ellipse")
+    found += circle(17, 7, 2.6, class_="found")
     return element(
-        "ul", *(element("li", mark, element("span", words)) for mark, words in entries),
+        "ul",
+        _entry(_sample("way true"), "the robot's true way, from the ring to the arrow"),
+        _entry(_sample("way corrected"), "its way as Trigpoint said it live"),
+        _entry(_sample("way reckoned"), "its way by odometry alone"),
+        _entry(ring, "where a camera truly is; the wedge shows where it looks"),
+        _entry(found, f"where it was found, with its standard deviation{larger}"),
         class_="legend",
-    )  # fmt: skip
+    )
+
+
+def _sample(kind: str) -> str:
+    return polyline(np.array([[2.0, 7.0], [32.0, 7.0]]), class_=kind)
+
+
+def _entry(mark: str, words: str) -> str:
+    sample = element("svg", mark, viewBox="0 0 34 14", aria_hidden="true", class_="k0")
+    return element("li", sample, element("span", words))

@@ -82,7 +82,7 @@ def _map(results: DemoResults) -> str:
     return element(
         "section",
         element("h2", "The map"),
-        element("figure", *drawings, legend(results, magnification(results, wide)), class_="card"),
+        element("figure", *drawings, legend(magnification(results, wide)), class_="card"),
     )
 
 
@@ -115,9 +115,7 @@ def _over_time(results: DemoResults) -> str:
         figures.append(_figure(words, latency_chart(results)))
     if not figures:
         return ""
-    return element(
-        "section", element("h2", "Over time"), element("div", *figures, class_="charts")
-    )
+    return element("section", element("h2", "Over time"), element("div", *figures, class_="charts"))
 
 
 def _figure(title: str, chart: str) -> str:

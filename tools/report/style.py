@@ -45,15 +45,18 @@ h3 {{ font-size:16px; margin:0 0 6px }}
 p {{ margin:0 0 12px; max-width:44em }}
 .lead {{ font-size:18px; color:var(--soft) }}
 .quiet, .note {{ color:var(--soft); font-size:14.5px }}
-.failures {{ border-left:4px solid var(--bad); padding:8px 16px; margin:20px 0; background:var(--card) }}
+.failures {{ border-left:4px solid var(--bad); padding:8px 16px; margin:20px 0;
+  background:var(--card) }}
 .failures li {{ margin:2px 0 }}
 .tiles {{ display:grid; grid-template-columns:repeat(auto-fit,minmax(178px,1fr)); gap:12px;
   margin:26px 0 8px }}
-.tile {{ background:var(--card); border:1px solid var(--rule); border-radius:10px; padding:14px 16px }}
+.tile {{ background:var(--card); border:1px solid var(--rule); border-radius:10px;
+  padding:14px 16px }}
 .tile b {{ display:block; font-size:27px; line-height:1.2; letter-spacing:-.01em; font-weight:650 }}
 .tile span {{ display:block; color:var(--soft); font-size:14px; line-height:1.4; margin-top:4px }}
 .tile.bad b {{ color:var(--bad) }}
-.card {{ background:var(--card); border:1px solid var(--rule); border-radius:10px; padding:16px 18px }}
+.card {{ background:var(--card); border:1px solid var(--rule); border-radius:10px;
+  padding:16px 18px }}
 figure {{ margin:0 }}
 svg {{ display:block; width:100%; height:auto }}
 svg text {{ fill:var(--soft); font-size:13px }}
@@ -102,7 +105,8 @@ svg .reckoned-text {{ fill:var(--reckoned); font-weight:600 }}
 svg .mark-text {{ fill:var(--ink) }}
 .scroll {{ overflow-x:auto; margin-top:14px }}
 table {{ border-collapse:collapse; width:100%; font-size:15px }}
-th, td {{ text-align:right; padding:7px 12px; border-bottom:1px solid var(--rule); white-space:nowrap }}
+th, td {{ text-align:right; padding:7px 12px; border-bottom:1px solid var(--rule);
+  white-space:nowrap }}
 th {{ color:var(--soft); font-weight:500; font-size:13.5px; vertical-align:bottom }}
 th:first-child, td:first-child {{ text-align:left; padding-left:2px }}
 td .dot {{ display:inline-block; width:10px; height:10px; border-radius:50%; background:var(--k);

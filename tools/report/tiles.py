@@ -54,7 +54,8 @@ def _distance(results: DemoResults) -> str:
     error = results.mean_distance_error_m
     if error is None:
         return ""
-    words = f"mean error of the distances between cameras; the paper reached {_cm(PAPER_DISTANCE_ERROR_M)}"
+    words = "mean error of the distances between cameras; "
+    words += f"the paper reached {_cm(PAPER_DISTANCE_ERROR_M)}"
     if results.bound_m is not None:
         words += f", no estimator could expect less than {_cm(results.bound_m)} of this drive"
     return _tile(_cm(error), words)

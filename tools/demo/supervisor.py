@@ -1,0 +1,205 @@
+"""Starts the parts of the system as processes, starts again what ends, and stops them in order."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+from trigpoint.errors import OperationError
+
+STOP_S = 5.0
+"""A part that has not stopped by then is killed; each promises to stop within two seconds."""
+
+_MOST_RESTARTS = 5
+_TAIL_BYTES = 4096
+_LONGEST_LINE = 300
+
+
+@dataclass(frozen=True, slots=True)
+class PartSpec:
+    """One process. Parts of a lower `rank` stop first, those of one rank together; one that is not
+    `needed` (a window that the user may close) is not started again."""
+
+    name: str
+    command: tuple[str, ...]
+    rank: int = 0
+    needed: bool = True
+
+
+class Part:
+    """A running part and its log."""
+
+    def __init__(self, spec: PartSpec, log_directory: Path) -> None:
+        self.spec = spec
+        self.restarts = 0
+        self.log = log_directory / f"{spec.name.replace(' ', '_').replace('/', '_')}.log"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def number(self) -> int:
+        """The process's id."""
+        assert self._process is not None
+        return self._process.pid
+
+    @property
+    def is_running(self) -> bool:
+        return self._process is not None and self._process.poll() is None
+
+    def start(self) -> None:
+        """Start the process; it is in a session of its own, so that Ctrl-C does not reach it."""
+        with self.log.open("ab") as log:
+            self._process = _open(self.spec.command, log)
+
+    def ended(self) -> str:
+        """How the process ended, with the last line of its log."""
+        assert self._process is not None
+        status = self._process.returncode
+        if status < 0:
+            return f"{self.spec.name} was ended by {signal.Signals(-status).name}"
+        last = last_line(self.log)
+        return f"{self.spec.name} ended with status {status}: {last or 'it said nothing'}"
+
+    def has_failed(self) -> bool:
+        """Whether it ended by itself with an error, which it would do again."""
+        return self._process is not None and (self._process.poll() or 0) > 0
+
+    def send(self, number: signal.Signals) -> None:
+        """Signal the process if it lives."""
+        if self._process is not None:
+            self._process.send_signal(number)
+
+    def wait(self, until_s: float) -> bool:
+        """Wait for the end until a monotonic time; return whether it ended."""
+        if self._process is None:
+            return True
+        try:
+            self._process.wait(max(0.0, until_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+class Supervisor:
+    """All parts; leaving the context stops them. `say` gets one line for the user at a time."""
+
+    def __init__(
+        self, specs: Sequence[PartSpec], log_directory: Path, *, say: Callable[[str], None]
+    ) -> None:
+        self.parts = [Part(spec, log_directory) for spec in specs]
+        self._say = say
+        self.killed: list[str] = []
+
+    def __enter__(self) -> Self:
+        try:
+            for part in self.parts:
+                part.start()
+        except BaseException:
+            self._kill()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self.stop()
+        except BaseException:
+            self._kill()  # somebody is in a hurry: a second Ctrl-C
+            raise
+
+    @property
+    def processes(self) -> dict[str, int]:
+        """Part -> process id."""
+        return {part.spec.name: part.number for part in self.parts}
+
+    @property
+    def restarts(self) -> dict[str, int]:
+        """Part -> how often it was started again; only those that were."""
+        return {part.spec.name: part.restarts for part in self.parts if part.restarts}
+
+    def expect_all(self) -> None:
+        """Raise OperationError where a part ended while the system comes up."""
+        for part in self.parts:
+            if part.spec.needed and part.has_failed():
+                raise OperationError(f"{part.ended()} (see {part.log})")
+        self.revive()
+
+    def revive(self) -> bool:
+        """Start again what ended; return whether anything did.
+
+        Raises OperationError where a part does not stay alive.
+        """
+        fallen = [part for part in self.parts if not part.is_running]
+        for part in list(fallen):
+            if not part.spec.needed:
+                self.parts.remove(part)
+                continue
+            if part.restarts >= _MOST_RESTARTS:
+                raise OperationError(f"{part.ended()}, {part.restarts + 1} times (see {part.log})")
+            self._say(f"{part.ended()}; it is started again")
+            part.restarts += 1
+            part.start()
+        return bool(fallen)
+
+    def stop(self, ranks: Sequence[int] | None = None) -> None:
+        """Stop the parts of these ranks (None: all), rank by rank; kill what does not stop."""
+        for rank in sorted({part.spec.rank for part in self.parts}):
+            if ranks is None or rank in ranks:
+                self._stop([part for part in self.parts if part.spec.rank == rank])
+
+    def _stop(self, parts: list[Part]) -> None:
+        running = [part for part in parts if part.is_running]
+        for part in running:
+            part.send(signal.SIGTERM)
+        deadline_s = time.monotonic() + STOP_S
+        for part in running:
+            if not part.wait(deadline_s):
+                part.send(signal.SIGKILL)
+                part.wait(time.monotonic() + STOP_S)
+                self.killed.append(part.spec.name)
+                self._say(f"{part.spec.name} did not stop in {STOP_S:.0f} s and was killed")
+
+    def _kill(self) -> None:
+        for part in self.parts:
+            if part.is_running:
+                part.send(signal.SIGKILL)
+        for part in self.parts:
+            part.wait(time.monotonic() + STOP_S)
+
+
+def _open(command: Sequence[str], log: BinaryIO) -> "subprocess.Popen[bytes]":
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env=_environment(),
+        )
+    except OSError as reason:
+        raise OperationError(f"{command[0]} cannot be started ({reason.strerror})") from None
+
+
+def _environment() -> dict[str, str]:
+    """One thread of linear algebra a process: more of them only fight for the same cores."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return threads | {"PYTHONUNBUFFERED": "1"} | dict(os.environ)
+
+
+def last_line(log: Path) -> str:
+    """The last line of a log that says anything, "" where there is none."""
+    if not log.exists():
+        return ""
+    with log.open("rb") as file:
+        file.seek(max(0, log.stat().st_size - _TAIL_BYTES))
+        lines = file.read().decode(errors="replace").splitlines()
+    return next((line.strip()[:_LONGEST_LINE] for line in reversed(lines) if line.strip()), "")

@@ -1,0 +1,117 @@
+"""What the demo itself hears on the bus: who is up, how far the network is, who counted what."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from trigpoint.bus import Bus, Subscription
+from trigpoint.cdr import decode
+from trigpoint.errors import MessageError
+from trigpoint.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
+from trigpoint.topics import (
+    CAMERA_POSE,
+    DIAGNOSTICS,
+    ROBOT_POSE,
+    Topic,
+    alive_key,
+    node_of,
+    topic_of,
+)
+
+_TOTAL = ".total"
+_LOST = ".lost"
+
+
+class Watch:
+    """Reads the bus when it is told to; used by one thread."""
+
+    def __init__(self, bus: Bus, site: str) -> None:
+        self._bus, self._site = bus, site
+        self._subscriptions = [
+            (topic, bus.subscribe(topic, topic.expression(site)))
+            for topic in (DIAGNOSTICS, CAMERA_POSE, ROBOT_POSE)
+        ]
+        self._statuses: dict[tuple[str, str], DiagnosticStatus] = {}
+        self.cameras: dict[str, float] = {}
+        """Located camera -> sigma of its place, metres."""
+        self.robots: dict[str, float] = {}
+        """Robot -> sigma of its place, metres."""
+
+    def close(self) -> None:
+        for _, subscription in self._subscriptions:
+            subscription.close()
+
+    def missing(self, tokens: Collection[str]) -> set[str]:
+        """Those of the tokens that are not alive."""
+        return set(tokens) - set(self._bus.alive(alive_key(self._site, "*", "*")))
+
+    def read(self) -> None:
+        """Take in all that came."""
+        for topic, subscription in self._subscriptions:
+            if topic is DIAGNOSTICS:
+                self._read_diagnostics(subscription)
+            else:
+                self._read_poses(topic, subscription)
+
+    def _read_diagnostics(self, subscription: Subscription) -> None:
+        while (sample := subscription.take(0.0)) is not None:
+            message = _decoded(DIAGNOSTICS, sample.payload)
+            if isinstance(message, Diagnostics):
+                for status in message.statuses:
+                    self._statuses[status.name, status.values.get("node", "")] = status
+
+    def _read_poses(self, topic: Topic, subscription: Subscription) -> None:
+        """Only the newest of each camera or robot is decoded."""
+        newest: dict[str, bytes] = {}
+        while (sample := subscription.take(0.0)) is not None:
+            newest[node_of(sample.key)] = sample.payload
+        known = self.cameras if topic is CAMERA_POSE else self.robots
+        for name, payload in newest.items():
+            message = _decoded(topic, payload)
+            if isinstance(message, PoseEstimate):
+                known[name] = float(np.sqrt(np.trace(message.covariance[:3, :3])))
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Node -> name -> total, and `name.lost` -> losses, as they were last heard; a node that
+        was started again has the sum over its lives."""
+        counts: dict[str, dict[str, int]] = {}
+        for (name, _), status in self._statuses.items():
+            node = counts.setdefault(name, {})
+            for key, text in status.values.items():
+                if key.endswith((_TOTAL, _LOST)) and text.isdecimal():
+                    short = key.removesuffix(_TOTAL)
+                    node[short] = node.get(short, 0) + int(text)
+        return counts
+
+    def is_settled(self) -> bool:
+        """Whether whatever was sent on a reliable key was received, as far as the nodes said."""
+        counts = self.counts()
+        sent, received = totals(counts, "sent"), totals(counts, "received")
+        return all(
+            number == sum(sent.get(key, {}).values())
+            for key, parts in received.items()
+            for number in parts.values()
+        )
+
+    def total(self, word: str) -> int:
+        """A counter's sum over all nodes."""
+        return sum(node.get(word, 0) for node in self.counts().values())
+
+
+def totals(counts: dict[str, dict[str, int]], verb: str) -> dict[str, dict[str, int]]:
+    """Key -> node -> number, of the counters that are named «verb key»."""
+    found: dict[str, dict[str, int]] = {}
+    for node, numbers in counts.items():
+        for name, number in numbers.items():
+            word, _, key = name.partition(" ")
+            if word == verb and topic_of(key) is not None:
+                found.setdefault(key, {})[node] = number
+    return found
+
+
+def _decoded(topic: Topic, payload: bytes) -> Message | None:
+    """A message; None for garbage, which the nodes themselves report."""
+    try:
+        return decode(topic.type_name, payload)
+    except MessageError:
+        return None
