@@ -70,22 +70,25 @@ _PATHS = ("dead_reckoning", "corrected")
 
 
 def _eye(low: Array, high: Array) -> rrb.EyeControls3D:
-    """From the south and above, as near as the whole box with its surroundings is in the view."""
+    """From above and the side that shows the box broad, as near as all of it is in the view."""
     middle = (low + high) / 2
     half = np.maximum((high - low) / 2, 0.5) + _MARGIN_M
     corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    right, up = np.array([1.0, 0, 0]), np.cross(_BACK, [1.0, 0, 0])
+    is_broad = half[0] >= half[1]
+    right = np.array([1.0, 0, 0]) if is_broad else np.array([0, 1.0, 0])
+    back = _STEEPNESS * np.array([0, 0, 1.0]) + 0.6 * np.cross(right, [0, 0, 1.0])
+    up = np.cross(back, right)
     # A corner at (r, u, b) of the eye's axes is in the view where r and u are below the tangents of
     # half the view's angles times its depth, which is the eye's distance minus b.
     sideways = np.abs(corners @ right) / _TANGENT_ACROSS
     upwards = np.abs(corners @ up) / _TANGENT_UP
-    distance = float(np.max(np.maximum(sideways, upwards) + corners @ _BACK))
-    position = middle + distance * _BACK
+    distance = float(np.max(np.maximum(sideways, upwards) + corners @ back))
+    position = middle + distance * back
     return rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0.0, 0.0, 1.0])
 
 
 _MARGIN_M = 0.4
-_BACK = np.array([0.0, -0.6, 0.8])
+_STEEPNESS = 0.8
 _TANGENT_UP, _TANGENT_ACROSS = 0.5, 0.7
 """Of half the view's angles: rerun's eye has 55° upright; a little is left free at the edges."""
 
