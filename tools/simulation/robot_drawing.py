@@ -6,6 +6,7 @@ are outlines, good enough for the eye.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def region_of(model: CameraModel, camera_from_base: Pose, target: Target) -> Reg
     points = camera_from_base @ _hull(target)
     if np.any(points[:, 2] < 0.1) or not _is_near_axis(model, points):
         return None
-    return _box(model, model.project(points), margin=6)
+    return _box(model, _projected(model, points), margin=6)
 
 
 def draw_robot(
@@ -94,8 +95,9 @@ def _draw_sheet(canvas: Canvas, face: Face, poses: Pose, map_from_base: Pose) ->
 
 def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
     outline = poses @ face.base_from_face @ panel(face)
-    pixels = canvas.model.project(outline)
-    box = _box(canvas.model, pixels.reshape(-1, 2), margin=2)
+    pixels = _projected(canvas.model, outline.reshape(-1, 3))
+    box = _box(canvas.model, pixels, margin=2)
+    box = box and _common(box, canvas.region)
     if box is None:
         return
     height, width = box[0].stop - box[0].start, box[1].stop - box[1].start
@@ -191,7 +193,7 @@ def _paint(canvas: Canvas, points: Array, grey: int) -> None:
 
 
 def _fill(canvas: Canvas, mask: np.ndarray, points: Array, value: int) -> None:
-    pixels = (canvas.model.project(points) - canvas.corner).astype(np.float32)
+    pixels = (_projected(canvas.model, points) - canvas.corner).astype(np.float32)
     outline = np.round(cv2.convexHull(pixels) * 2**_SHIFT).astype(np.int32)
     cv2.fillConvexPoly(mask, outline, (value,), lineType=cv2.LINE_AA, shift=_SHIFT)
 
@@ -208,6 +210,33 @@ def _hull(target: Target) -> Array:
     sheets = [face.base_from_face @ panel(face) for face in target.faces]
     discs = [_disc(_BODY_RADIUS + 0.06, height) for height in (0.0, _BODY_HEIGHT)]
     return np.vstack([*sheets, *discs])
+
+
+def _projected(model: CameraModel, points: Array) -> Array:
+    """Pixels of points (n, 3); one far outside the picture, where the lens polynomial folds back,
+    is first brought nearer on its own ray from the axis, to where it is still outside."""
+    normalised = points[:, :2] / points[:, 2:]
+    radius = np.linalg.norm(normalised, axis=1, keepdims=True)
+    near = normalised * np.minimum(1.0, _outside(model) / np.maximum(radius, 1e-9))
+    return model.project(np.column_stack([near, np.ones(len(near))]))
+
+
+@cache
+def _outside(model: CameraModel) -> float:
+    """A radius a little beyond the picture's furthest corner, x/z and y/z."""
+    corners = [[u, v] for u in (0, model.width - 1) for v in (0, model.height - 1)]
+    return 1.1 * float(np.linalg.norm(model.directions(corners), axis=1).max())
+
+
+def _common(first: Region, second: Region) -> Region | None:
+    """The part that two parts share, or None."""
+    rows, columns = (
+        slice(max(a.start, b.start), min(a.stop, b.stop))
+        for a, b in zip(first, second, strict=True)
+    )
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return None
+    return rows, columns
 
 
 def _is_near_axis(model: CameraModel, points: Array) -> bool:
