@@ -35,8 +35,8 @@ class Pose:
     @classmethod
     def planar(cls, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike) -> Self:
         """A pose in the plane z = 0."""
-        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        return cls(so3.about_z(heading_rad), np.stack([x, y, np.zeros_like(x)], axis=-1))
+        x, y, heading = np.broadcast_arrays(*(np.asarray(v, float) for v in (x, y, heading_rad)))
+        return cls(so3.about_z(heading), np.stack([x, y, np.zeros_like(x)], axis=-1))
 
     @classmethod
     def stack(cls, poses: "list[Pose]") -> Self:
