@@ -203,7 +203,8 @@ class OdometryTrack:
         heading = noise.heading_drive**2 * length + noise.heading_turn**2 * turned
         covariance[:, [3, 4], [3, 4]] = tilt[:, None]
         covariance[:, 5, 5] = heading
-        covariance[self._jumps[rows]] = _UNKNOWN_VARIANCE * np.eye(6)
+        # A moment on a message has a step of no length before it, which tells nothing of a jump.
+        covariance[self._jumps[rows] & (part > 0)] = _UNKNOWN_VARIANCE * np.eye(6)
         return covariance
 
 
@@ -234,7 +235,10 @@ def _compose(
     spread[:, :3, 3:] = lever
     total = np.add.reduceat(spread @ covariance @ np.swapaxes(spread, 1, 2), starts, axis=0)
     total += _FLOOR_VARIANCE * np.eye(6)
-    turning = spread[:, :, 3:] @ twists[:, 3:, None]
+    # d(k J_l(kθ) v)/dk = Exp(kθ) v, so a step's own translation J_l(kθ) v bends with its turn.
+    bend = (steps.rotation @ scaled[:, :3, None])[..., 0] - steps.translation
+    by_turn = np.concatenate([bend / (1 + scales[1]), twists[:, 3:]], axis=1)
+    turning = spread @ by_turn[..., None]
     by_scale = np.zeros((len(starts), 6, 2))
     by_scale[:, :3, 0] = whole.translation / (1 + scales[0])
     by_scale[:, :, 1] = np.add.reduceat(turning[..., 0], starts, axis=0)
