@@ -26,6 +26,8 @@ from .saddles import Curvature, find_saddles, sampled
 LEAST_SHARE = 0.75
 # Of a grid as it was joined, how many corners must lie on one plane; chance grids of noise do not.
 LEAST_KEPT = 0.6
+# Of the places of its extent, how many a joined grid must fill; chance grids wander.
+LEAST_FILLED = 0.4
 # An outermost row or column with fewer of its corners is no part of the board.
 LEAST_BORDER_SHARE = 0.34
 MOST_GRIDS = 16
@@ -54,8 +56,7 @@ class CheckerboardDetector:
         """The boards found in a picture `step` times smaller, measured in the full one."""
         curvature = Curvature.of(small)
         saddles = find_saddles(curvature)
-        least = min(self._least, LEAST_SEED)
-        if len(saddles) < least:
+        if len(saddles) < min(self._least, LEAST_SEED):
             return ()
         found = []
         for grid in find_grids(saddles)[:MOST_GRIDS]:
@@ -69,9 +70,12 @@ class CheckerboardDetector:
     ) -> FaceSighting | None:
         """The sighting that a grid is, grown where it is not whole; None where it is none."""
         size = (curvature.smooth.shape[1], curvature.smooth.shape[0])
+        least = min(self._least, LEAST_SEED)
         whole = len(grid)
+        if whole < max(least, LEAST_FILLED * grid.extent[0] * grid.extent[1]):
+            return None
         grid = cleaned(grid, size)
-        if len(grid) < max(LEAST_KEPT * whole, min(self._least, LEAST_SEED)):
+        if len(grid) < max(least, LEAST_KEPT * whole):
             return None
         look = self._look_of(grid)
         if look is None or len(grid) < look.face.corner_count:

@@ -53,8 +53,7 @@ def find_grids(saddles: Saddles) -> list[Grid]:
     if len(saddles) < LEAST_CORNERS:
         return []
     links = _mutual_links(saddles)
-    grids = [grid for grid in _walk(saddles, links) if len(grid) >= LEAST_CORNERS]
-    return sorted(grids, key=len, reverse=True)
+    return sorted(_walk(saddles, links), key=len, reverse=True)
 
 
 def _mutual_links(saddles: Saddles) -> np.ndarray:
@@ -121,7 +120,7 @@ def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
 
 
 def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
-    """The connected grids of a link table."""
+    """The connected grids of a link table that are large enough."""
     seen = np.zeros(len(links), dtype=bool)
     order = np.argsort(-(links[..., 0] >= 0).sum(axis=1), kind="stable")
     table = links.tolist()
@@ -129,7 +128,8 @@ def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
     for seed in order.tolist():
         if not seen[seed]:
             placed = _walk_from(seed, table, seen)
-            grids.append(_grid(saddles, placed))
+            if len(placed) >= LEAST_CORNERS:
+                grids.append(_grid(saddles, placed))
     return grids
 
 

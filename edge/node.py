@@ -108,16 +108,16 @@ class EdgeNode:
             health.count(f"sent {self._key(IMAGE)}")
 
     def _announce(self, frame: Frame, source: FrameSource) -> None:
-        """Send the lens with the first picture; raises ConfigError where it does not fit it."""
-        if self._lens is None:
-            self._lens = announced_lens(
-                self._site, self._camera, self._calibrated, source.intrinsics
-            )
-            info = CameraInfo(frame.captured_ns, self._frame_id, self._lens)
-            check_size(self._camera, self._lens, frame.picture.shape)
-            self._camera_info.put(encode(info))
+        """Send the lens with the first picture; raises ConfigError where it does not fit one."""
+        known = self._lens
+        lens = known or announced_lens(
+            self._site, self._camera, self._calibrated, source.intrinsics
+        )
+        check_size(self._camera, lens, frame.picture.shape)
+        if known is None:
+            self._lens = lens
+            self._camera_info.put(encode(CameraInfo(frame.captured_ns, self._frame_id, lens)))
             self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
-        check_size(self._camera, self._lens, frame.picture.shape)
 
     def _publish(self, frame: Frame) -> None:
         """Find the faces and send them, also where there are none."""

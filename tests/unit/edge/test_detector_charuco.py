@@ -1,6 +1,7 @@
 """ChArUco boards: OpenCV's corner ids, and which face and robot they are of."""
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from boards import (
@@ -30,7 +31,9 @@ def opencv_corners(face: Face, picture: np.ndarray) -> dict[int, np.ndarray]:
     board.setLegacyPattern(face.legacy)
     shown = 255 - picture if face.inverted else picture
     corners, found, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(shown)
-    return dict(zip(found.reshape(-1).tolist(), corners.reshape(-1, 2), strict=True))
+    return {
+        int(i): pixel for i, pixel in zip(found.reshape(-1), corners.reshape(-1, 2), strict=True)
+    }
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -162,10 +165,7 @@ def test_faces_of_several_patterns_are_found_together() -> None:
 
 
 def test_unknown_dictionary_is_named_with_the_known_ones() -> None:
-    face = charuco()
-    wrong = Face(**{name: getattr(face, name) for name in face.__struct_fields__} | {
-        "dictionary": "DICT_9X9_10"
-    })  # fmt: skip
+    wrong = msgspec.structs.replace(charuco(), dictionary="DICT_9X9_10")
     with pytest.raises(TargetError, match=r"DICT_9X9_10.*DICT_4X4_50"):
         detector_for([target_of(wrong)])
 

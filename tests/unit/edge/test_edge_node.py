@@ -1,0 +1,243 @@
+"""The agent of a camera on a bus in memory: what it sends, when, and how it ends."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
+from builders import eventually
+
+from trigpoint.bus import Subscription
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.camera_info import write_camera_info
+from trigpoint.cdr import decode
+from trigpoint.config import CameraConfig, parse_site
+from trigpoint.edge import frames as frames_module
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.frames import Frame
+from trigpoint.edge.node import EdgeNode
+from trigpoint.errors import ConfigError, FrameError, InputError
+from trigpoint.geometry import CameraModel
+from trigpoint.messages import CameraInfo, Picture, Sightings
+from trigpoint.node import Node
+from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
+
+BOARD = charuco()
+VIEW = placed(BOARD, distance=0.9, tilt_deg=20)
+SEEN, EMPTY = picture_of([VIEW]), plain_picture()
+
+
+class ScriptedFrames:
+    """A source whose stamps and pictures the test hands over; an exception among them is raised,
+    and the next opening goes on behind it. It says that it skipped one picture for each."""
+
+    script: Iterator[tuple[int, np.ndarray] | Exception]
+    opened = 0
+    own_lens: CameraModel | None = None
+
+    def __init__(self, url: str, camera: CameraConfig, *, clock: object) -> None:
+        type(self).opened += 1
+        self.skipped = 0
+
+    @property
+    def intrinsics(self) -> CameraModel | None:
+        return self.own_lens
+
+    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+        for item in self.script:
+            if stopping.is_set():
+                return
+            if isinstance(item, Exception):
+                raise item
+            self.skipped += 1
+            yield Frame(item[1], item[0])
+
+    def close(self) -> None:
+        pass
+
+
+class Desk:
+    """A site with one camera, an agent that is not started yet, and ears on everything it sends."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self._stack, self.folder = stack, folder
+        self.broker = MemoryBroker()
+        self.bus = stack.enter_context(self.broker.session())
+
+    def listen(self, topic: Topic) -> Subscription:
+        return self.bus.subscribe(topic, topic.key("lab", "c1"))
+
+    def start(
+        self,
+        *pictures: tuple[int, np.ndarray] | Exception,
+        camera: str = "",
+        script: Iterator[tuple[int, np.ndarray]] | None = None,
+    ) -> Node:
+        """Start the agent on these pictures, or on those of a script."""
+        ScriptedFrames.script = script or iter(pictures)
+        text = f'site = "lab"\ntarget = "t.toml"\n[cameras.c1]\nsource = "script://"\n{camera}\n'
+        site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
+        node = Node(self.bus, site="lab", kind="edge", name="c1")
+        agent = EdgeNode(self.bus, node, site, "c1", detector_for([target_of(BOARD)]))
+        self._stack.enter_context(node)
+        agent.start()
+        return node
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    monkeypatch.setattr(frames_module, "source_class", lambda _scheme: ScriptedFrames)
+    monkeypatch.setattr(ScriptedFrames, "opened", 0)
+    monkeypatch.setattr(ScriptedFrames, "own_lens", None)
+    with ExitStack() as stack:
+        yield Desk(stack, tmp_path)
+
+
+def taken(subscription: Subscription) -> list[object]:
+    """Everything that came, decoded."""
+    messages = []
+    while (sample := subscription.take(0.2)) is not None:
+        messages.append(decode(sample.encoding.partition(";")[2], sample.payload))
+    return messages
+
+
+def difference(jpeg: bytes, picture: np.ndarray) -> float:
+    """The mean difference of a JPEG from a grey picture, grey levels."""
+    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert shown is not None
+    return float(np.abs(shown.astype(int) - picture).mean())
+
+
+def test_every_picture_gives_sightings_also_where_there_are_none(desk: Desk) -> None:
+    ears = desk.listen(SIGHTINGS)
+    node = desk.start((1000, EMPTY), (2000, SEEN), (3000, EMPTY))
+    node.wait()
+    sightings = [message for message in taken(ears) if isinstance(message, Sightings)]
+    assert [(s.stamp_ns, s.width, s.height, len(s.faces)) for s in sightings] == [
+        (1000, 640, 480, 0),
+        (2000, 640, 480, 1),
+        (3000, 640, 480, 0),
+    ]
+    assert {s.frame_id for s in sightings} == {"c1/optical"}
+    (face,) = sightings[1].faces
+    assert worst_error(face.pixels, face.corners, VIEW) < 0.3
+    assert node.health.total("sent lab/camera/c1/sightings") == 3
+    assert node.health.total("faces") == 1
+
+
+def test_end_of_the_source_ends_the_node(desk: Desk) -> None:
+    node = desk.start((1000, EMPTY))
+    assert node.stopping.wait(10.0)
+
+
+def test_lens_of_the_intrinsics_file_is_announced_once(desk: Desk) -> None:
+    write_camera_info(desk.folder / "c1.yaml", CAMERA, "c1")
+    ScriptedFrames.own_lens = CAMERA.with_parameters(CAMERA.parameters * 1.1)
+    ears = desk.listen(CAMERA_INFO)
+    desk.start((1000, EMPTY), (2000, EMPTY), camera='intrinsics = "c1.yaml"').wait()
+    (info,) = taken(ears)
+    assert isinstance(info, CameraInfo)
+    assert info.camera == CAMERA
+
+
+def test_lens_that_the_source_knows_comes_before_the_nominal_one(desk: Desk) -> None:
+    ScriptedFrames.own_lens = CAMERA
+    ears = desk.listen(CAMERA_INFO)
+    desk.start((1000, EMPTY), camera='intrinsics = "estimate"').wait()
+    (info,) = taken(ears)
+    assert isinstance(info, CameraInfo)
+    assert info.camera == CAMERA
+
+
+def test_nominal_lens_is_announced_with_a_warning(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    ears = desk.listen(CAMERA_INFO)
+    desk.start((1000, EMPTY), camera="horizontal_fov = 90.0").wait()
+    (info,) = taken(ears)
+    assert isinstance(info, CameraInfo)
+    assert info.camera.fx == pytest.approx(320.0)
+    assert "camera c1 has no intrinsics" in caplog.text
+
+
+def test_late_listener_gets_the_lens(desk: Desk) -> None:
+    desk.start((1000, EMPTY)).wait()
+    assert len(taken(desk.listen(CAMERA_INFO))) == 1
+
+
+def test_lens_for_another_size_ends_the_node_with_one_line(desk: Desk) -> None:
+    node = desk.start((1000, np.zeros((720, 1280), np.uint8)))
+    with pytest.raises(ConfigError, match=r"pictures are 1280 × 720.*for 640 × 480"):
+        node.wait()
+
+
+def test_missing_intrinsics_file_is_told_before_anything_starts(desk: Desk) -> None:
+    with pytest.raises(InputError, match=r"none\.yaml"):
+        desk.start((1000, EMPTY), camera='intrinsics = "none.yaml"')
+
+
+def test_pictures_are_only_sent_while_somebody_listens(desk: Desk) -> None:
+    node = desk.start((1000, EMPTY), (2_000_000_000, EMPTY))
+    node.wait()
+    assert node.health.total("sent lab/camera/c1/image/compressed") == 0
+
+
+def test_pictures_are_sent_at_their_own_rate(desk: Desk) -> None:
+    ears = desk.listen(IMAGE)
+    tenths = [(1 + i * 100_000_000, SEEN) for i in range(20)]
+    node = desk.start(*tenths, camera="picture_rate = 2.5")
+    node.wait()
+    pictures = [message for message in taken(ears) if isinstance(message, Picture)]
+    assert node.health.total("sent lab/camera/c1/image/compressed") == 5
+    assert [picture.stamp_ns for picture in pictures] == [1 + i * 400_000_000 for i in range(1, 5)]
+    assert difference(pictures[0].data, SEEN) < 5
+
+
+def test_snapshot_is_the_latest_picture(desk: Desk) -> None:
+    has_begun, may_end = threading.Event(), threading.Event()
+
+    def script() -> Iterator[tuple[int, np.ndarray]]:
+        has_begun.wait(10.0)
+        yield 1000, SEEN
+        may_end.wait(10.0)
+
+    node = desk.start(script=script())
+    key = command_key("lab", "camera/c1/snapshot")
+    (refusal,) = desk.bus.query(key)
+    assert "no picture yet" in refusal.error
+    has_begun.set()
+    assert eventually(lambda: node.health.total("sent lab/camera/c1/sightings") == 1)
+    (reply,) = desk.bus.query(key)
+    may_end.set()
+    node.wait()
+    assert difference(reply.payload, SEEN) < 5
+
+
+def test_frame_that_is_not_newer_is_refused_and_counted(desk: Desk) -> None:
+    ears = desk.listen(SIGHTINGS)
+    node = desk.start((2000, EMPTY), (2000, EMPTY), (1000, EMPTY), (3000, EMPTY))
+    node.wait()
+    stamps = [message.stamp_ns for message in taken(ears) if isinstance(message, Sightings)]
+    assert stamps == [2000, 3000]
+    assert node.health.lost("out_of_order") == 2
+
+
+def test_lost_source_is_told_and_opened_again(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trigpoint.edge.node._FIRST_PAUSE_S", 0.01)
+    ears = desk.listen(SIGHTINGS)
+    node = desk.start((1000, EMPTY), FrameError("cam: the camera was lost"), (2000, EMPTY))
+    node.wait()
+    assert len(taken(ears)) == 2
+    assert ScriptedFrames.opened == 2
+    assert node.health.total("source_lost") == 1
+    assert "cam: the camera was lost" in node.health.last_error
+
+
+def test_skipped_pictures_are_counted_as_lost(desk: Desk) -> None:
+    node = desk.start((1000, EMPTY), (2000, EMPTY))
+    node.wait()
+    assert eventually(lambda: node.health.lost("pictures") == 2)
