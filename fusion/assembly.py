@@ -165,6 +165,7 @@ def _batch(
 ) -> Batch:
     target: Target = data.targets[first.robot]
     points = [points_of(data.entries[index].observation, target) for index in indices]
+    shares = np.array([data.entries[index].share for index in indices])
     n, widest = len(points), max(len(p.weights) for p in points)
     face_points, pixels = np.zeros((n, widest, 3)), np.zeros((n, widest, 2))
     faces, weights = np.zeros((n, widest), dtype=int), np.zeros((n, widest))
@@ -179,7 +180,8 @@ def _batch(
         face_points=face_points,
         faces=faces,
         pixels=pixels,
-        weights=weights,
+        weights=weights * np.sqrt(shares)[:, None],
+        shares=shares,
         sources=np.array(indices),
         time_offset_s=state.cameras[first.camera].time_offset_s,
     )

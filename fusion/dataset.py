@@ -18,10 +18,14 @@ from .problem import CameraState, RobotState, State
 
 @dataclass(slots=True)
 class Entry:
-    """An observation and where the robot is believed to have been then (None: not known)."""
+    """An observation and where the robot is believed to have been then (None: not known).
+
+    `share`: how much it counts, below 1 where it repeats the errors of others (see `repeated`).
+    """
 
     observation: Observation
     map_from_base: Pose | None = None
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

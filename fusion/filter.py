@@ -170,10 +170,12 @@ class Filter:
             Reduced(layout, dense, slope),
         )
 
-    def updated(self, data: DataSet, observation: Observation) -> tuple["Filter", float]:
+    def updated(
+        self, data: DataSet, observation: Observation, *, share: float = 1.0
+    ) -> tuple["Filter", float]:
         """With an observation of the robot at its last node; also its surprise, χ² over twice the
-        corners (the normalised innovation squared)."""
-        batch = _batch(data, self.state, observation)
+        corners (the normalised innovation squared). `share`: how much the observation counts."""
+        batch = _batch(data, self.state, observation, share)
         chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
         velocity = data.tracks[observation.robot].velocity(
             chain.stamps_ns, self.scales(observation.robot)
@@ -237,7 +239,7 @@ def _single(data: DataSet, robot: str, stamp_ns: int) -> Chain:
     )
 
 
-def _batch(data: DataSet, state: State, observation: Observation) -> Batch:
+def _batch(data: DataSet, state: State, observation: Observation, share: float) -> Batch:
     points = points_of(observation, data.targets[observation.robot])
     return Batch(
         camera=observation.camera,
@@ -246,7 +248,8 @@ def _batch(data: DataSet, state: State, observation: Observation) -> Batch:
         face_points=points.face_points[None],
         faces=points.faces[None],
         pixels=points.pixels[None],
-        weights=points.weights[None],
+        weights=points.weights[None] * np.sqrt(share),
+        shares=np.array([share]),
         sources=np.zeros(1, dtype=int),
         time_offset_s=state.cameras[observation.camera].time_offset_s,
     )

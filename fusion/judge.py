@@ -33,7 +33,8 @@ def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     """Length of each corner's residual, sigmas, (n, K); NaN where its weight is 0."""
     _, residual, _ = batch_jacobian(problem, batch, state)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.linalg.norm(residual, axis=-1) / (batch.weights > 0)
+        length = np.linalg.norm(residual, axis=-1) / (batch.weights > 0)
+    return length / np.sqrt(batch.shares)[:, None]
 
 
 def _judge_one(data: DataSet, source: int, state: State, length: Array) -> bool:
@@ -89,7 +90,9 @@ def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | 
 
 def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
     """Cost over its degrees of freedom: 1 where noise is what it was said to be."""
-    corners = sum(int((batch.weights > 0).sum()) for batch in problem.batches)
+    corners = sum(
+        float(((batch.weights > 0) * batch.shares[:, None]).sum()) for batch in problem.batches
+    )
     odometry = sum(
         len(chain.tangent) * (len(chain) - 1)
         for chain in problem.chains.values()

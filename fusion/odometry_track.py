@@ -162,6 +162,12 @@ class OdometryTrack:
         seconds = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
         return self._twists[rows] * _both(1 + scales) / seconds[:, None]
 
+    def is_still(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the robot did not move between two moments that odometry covers."""
+        if start_ns >= end_ns:
+            return True
+        return bool(self.motion(np.array([start_ns, end_ns]), np.zeros(2)).is_still[0])
+
     def motion(self, stamps_ns: np.ndarray, scales: Array) -> Motion:
         """Motion between consecutive moments (n + 1, ascending, covered by the odometry).
 

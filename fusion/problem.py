@@ -82,7 +82,8 @@ class Batch:
     """All used observations of one robot by one camera, padded to one size K.
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
-    1/sigma, 0 for padding and outliers; `sources` (n,): index into the data set;
+    1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): how much each
+    observation counts; `sources` (n,): index into the data set;
     `time_offset_s`: the one that gave the nodes their times.
     """
 
@@ -93,6 +94,7 @@ class Batch:
     faces: np.ndarray
     pixels: Array
     weights: Array
+    shares: Array
     sources: np.ndarray
     time_offset_s: float
 

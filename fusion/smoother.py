@@ -12,7 +12,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from . import judge
+from . import judge, repeated
 from .assembly import Assembled, assemble, true_time_ns
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
@@ -140,7 +140,8 @@ class Smoother:
             return None
         observation, pose = aligned
         moved = current.advanced(self.data, robot, time_ns, pose)
-        after, surprise = moved.updated(self.data, observation)
+        entry.share = self._share_before(index)
+        after, surprise = moved.updated(self.data, observation, share=entry.share)
         entry.map_from_base = pose
         if surprise > _SURPRISING * 2 * observation.corner_count + 50:
             entry.observation = observation.judged(Verdict.REJECTED)
@@ -149,6 +150,17 @@ class Smoother:
         self._history.append(_Step(time_ns, current, index))
         self._filter = after
         return after.robot(self.data, robot)
+
+    def _share_before(self, index: int) -> float:
+        """The share of the same camera's last observation, while the robot stands as it did."""
+        observation = self.data.entries[index].observation
+        for entry in reversed(self.data.entries[max(0, index - 64) : index]):
+            other = entry.observation
+            if (other.camera, other.robot) == (observation.camera, observation.robot):
+                moments = np.array([other.stamp_ns, observation.stamp_ns])
+                track = self.data.tracks[observation.robot]
+                return entry.share if track.is_still(*np.sort(moments).tolist()) else 1.0
+        return 1.0
 
     def _aligned(
         self, current: Filter, observation: Observation, predicted: RobotEstimate | None
@@ -245,6 +257,8 @@ class Smoother:
             is_rough = round_ == 0
             assembled, solution = self._solve_consistently(used, is_rough=is_rough)
             changed = judge.judge(self.data, assembled, solution.state)
+            if not is_rough:
+                changed |= repeated.share_out(self.data, assembled, solution.state)
             used = self.data.usable(self._state.cameras)
             if not used:
                 return
