@@ -1,0 +1,104 @@
+"""Real pictures and videos of ChArUco boards, beside OpenCV's own detector."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from boards import NOWHERE, target_of
+from builders import REAL_DATA
+
+from trigpoint.edge.detector import TargetDetector, detector_for
+from trigpoint.edge.frames_video import Video
+from trigpoint.edge.picture_files import pictures_in, read_picture
+from trigpoint.target import Face, Pattern
+
+ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
+ARM_BOARD = Face(
+    0,
+    Pattern.CHARUCO,
+    5,
+    7,
+    0.036195,
+    **NOWHERE,
+    marker=0.018256,
+    dictionary="DICT_6X6_250",
+)
+# The marker's share of a square, 0.75, is its authors'; with five rows, legacy makes no difference.
+VIDEO_BOARD = Face(
+    0,
+    Pattern.CHARUCO,
+    4,
+    5,
+    0.054,
+    **NOWHERE,
+    marker=0.0405,
+    dictionary="DICT_4X4_1000",
+    inverted=True,
+)
+
+
+def theirs(face: Face, picture: np.ndarray) -> dict[int, np.ndarray]:
+    """What OpenCV finds: pixels by corner id."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, face.dictionary or ""))
+    size = (face.columns, face.rows)
+    board = cv2.aruco.CharucoBoard(size, face.square, face.marker or 0.0, dictionary)
+    shown = 255 - picture if face.inverted else picture
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(shown)
+    if ids is None:
+        return {}
+    return {int(i): pixel for i, pixel in zip(ids.reshape(-1), corners.reshape(-1, 2), strict=True)}
+
+
+def ours(detector: TargetDetector, picture: np.ndarray) -> dict[int, np.ndarray]:
+    found = detector.detect(picture)
+    assert len(found) <= 1
+    return {
+        int(i): pixel for face in found for i, pixel in zip(face.corners, face.pixels, strict=True)
+    }
+
+
+def distances(one: dict[int, np.ndarray], other: dict[int, np.ndarray]) -> list[float]:
+    return [float(np.linalg.norm(one[i] - other[i])) for i in one.keys() & other.keys()]
+
+
+@pytest.mark.skipif(not ARM.is_dir(), reason=f"the real pictures of {ARM.name} are not here")
+def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
+    detector = detector_for([target_of(ARM_BOARD)])
+    off = []
+    for file in pictures_in(ARM):
+        picture = read_picture(file)
+        mine, reference = ours(detector, picture), theirs(ARM_BOARD, picture)
+        assert len(mine) == 24, file.name
+        assert len(mine) >= len(reference)
+        off += distances(mine, reference)
+    assert len(off) > 200
+    assert np.percentile(off, 95) < 0.2
+
+
+@pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
+@pytest.mark.parametrize("camera", range(4))
+def test_videos_give_more_corners_than_opencv_finds(camera: int) -> None:
+    detector = detector_for([target_of(VIDEO_BOARD)])
+    counts, off = [], []
+    for picture in every_third(VIDEO / f"cam_{camera}.mp4"):
+        mine, reference = ours(detector, picture), theirs(VIDEO_BOARD, picture)
+        counts.append((len(mine), len(reference)))
+        off += distances(mine, reference)
+        # OpenCV gives lone corners too, of a board that hardly is in the picture.
+        assert len(mine) >= len(reference) or len(reference) < 2
+    found, reference_found = np.sum(counts, axis=0)
+    assert found >= reference_found > 50
+    assert np.median(off) < 0.4
+
+
+def every_third(file: Path) -> list[np.ndarray]:
+    """Grey pictures 0, 3, 6 … of a video."""
+    video, pictures, number = Video(file), [], 0
+    while video.advance() is not None:
+        picture = video.picture() if number % 3 == 0 else None
+        if picture is not None:
+            pictures.append(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        number += 1
+    video.close()
+    return pictures
