@@ -1,6 +1,7 @@
 """The program: a table of commands, of which only the chosen one is imported."""
 
 import importlib
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -95,6 +96,9 @@ def main() -> NoReturn:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; return its exit status."""
+    # Our matrices are small: BLAS threads only get in each other's and other processes' way. It has
+    # to be said before numpy is loaded, so before a command is.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     chosen = chosen_command(arguments)
     _exit_on_termination(chosen)
     try:
