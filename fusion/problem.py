@@ -336,7 +336,8 @@ class OdometryTerms:
 def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
     """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
 
-    Disturbances turn it by ∂t/∂δθ_i = R_iᵀ[t_j - t_i]×, ∂r/∂δθ = J_l⁻¹(r) R_iᵀ (Solà et al.).
+    Disturbances turn it by ∂t/∂δθ_i = R_iᵀ[t_j - t_i]×, ∂r/∂δθ = J_l⁻¹(r) R_iᵀ (Solà et al.), and
+    one of ΔR by -J_r⁻¹(r), where J_r(r) = J_l(-r).
     """
     to_earlier = np.swapaxes(earlier.rotation, 1, 2)
     between = later.translation - earlier.translation
@@ -350,6 +351,8 @@ def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int
     by_later[:, 3:, 3:] = turning
     by_earlier = -by_later
     by_earlier[:, :3, 3:] = to_earlier @ so3.hat(between)
+    by_scale = -motion.by_scale
+    by_scale[:, 3:] = np.linalg.solve(so3.left_jacobian(-turn), by_scale[:, 3:])
     residual = np.concatenate([moved, turn], axis=1)[:, tangent]
     free = np.ix_(range(n), tangent, tangent)
     root = np.linalg.cholesky(motion.covariance[free])
@@ -358,7 +361,7 @@ def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int
         solve(root, residual[..., None])[..., 0],
         solve(root, by_earlier[free]),
         solve(root, by_later[free]),
-        solve(root, -motion.by_scale[:, tangent]),
+        solve(root, by_scale[:, tangent]),
     )
 
 
@@ -416,18 +419,26 @@ def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> N
         sigma = np.tile(np.repeat([translation, rotation], 3), len(error))
         _add_diagonal(equations, columns, error.reshape(-1), sigma)
     if priors.cameras:
-        error = np.concatenate(
-            [
-                state.cameras[name].map_from_camera.difference(p)
-                for name, p in priors.cameras.items()
-            ]
-        )
-        every = np.arange(layout.size)
-        columns = np.concatenate([every[layout.pose[name]] for name in priors.cameras])
-        pull = priors.camera_information @ error
-        equations.dense[np.ix_(columns, columns)] += priors.camera_information
-        equations.gradient[columns] += pull
-        equations.cost += float(error @ pull)
+        _add_known_cameras(equations, problem, state)
+
+
+def _add_known_cameras(equations: NormalEquations, problem: Problem, state: State) -> None:
+    """The joint prior; an error e turns with its camera by ∂Log/∂δθ = J_l⁻¹(e)."""
+    priors, layout = problem.priors, problem.layout
+    error = np.stack(
+        [state.cameras[name].map_from_camera.difference(p) for name, p in priors.cameras.items()]
+    )
+    every = np.arange(layout.size)
+    columns = np.concatenate([every[layout.pose[name]] for name in priors.cameras])
+    jacobian = np.eye(error.size)
+    for index, turn in enumerate(error[:, 3:]):
+        rows = slice(6 * index + 3, 6 * index + 6)
+        jacobian[rows, rows] = np.linalg.inv(so3.left_jacobian(turn))
+    pull = priors.camera_information @ error.reshape(-1)
+    hessian = jacobian.T @ priors.camera_information @ jacobian
+    equations.dense[np.ix_(columns, columns)] += hessian
+    equations.gradient[columns] += jacobian.T @ pull
+    equations.cost += float(error.reshape(-1) @ pull)
 
 
 def _add_diagonal(equations: NormalEquations, columns: slice, error: Array, sigma: Array) -> None:
