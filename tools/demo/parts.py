@@ -9,12 +9,13 @@ from trigpoint.topics import alive_key
 from .folder import DemoFolder, DemoRecord
 from .supervisor import PartSpec
 
-SOURCES, FIRMWARE, RECORDER, FUSION = 1, 2, 3, 4
-"""Ranks: first the agents and the bridges, so that nothing new comes; then the robots behind the
-bridges; then the recording, with fusion still there to give it the network; then fusion."""
+AGENTS, BRIDGES, FIRMWARE, RECORDER, FUSION = range(1, 6)
+"""Ranks: the cameras' agents first, since a last sighting may still make a correction; then the
+bridges and the robots behind them; then the recorder, while fusion can still give it the network;
+then fusion."""
 
 _VIEWER = 0
-_AGENTS = 2
+_AGENT_PROCESSES = 2
 _FIRMWARE_MODULE = "trigpoint.tools.simulation.firmware"
 # -P: a folder in the working directory that is called like a module must not be taken for it.
 _PYTHON = (sys.executable, "-P", "-m")
@@ -27,7 +28,7 @@ def parts_of(world: World, folder: DemoFolder, record: DemoRecord) -> list[PartS
     return [
         PartSpec("recorder", _trigpoint("record", *site, "--out", out), RECORDER),
         PartSpec("fusion", _trigpoint("fusion", *site, "--out", out), FUSION),
-        *(_agent(cameras, site) for cameras in shares(list(world.cameras), _AGENTS)),
+        *(_agent(cameras, site) for cameras in shares(list(world.cameras), _AGENT_PROCESSES)),
         *(_bridge(robot, site) for robot in world.robots),
         *(_firmware(robot, Path(out), record) for robot in world.robots),
     ]
@@ -54,11 +55,11 @@ def shares(names: list[str], count: int) -> list[list[str]]:
 
 def _agent(cameras: list[str], site: tuple[str, ...]) -> PartSpec:
     chosen = [word for camera in cameras for word in ("--camera", camera)]
-    return PartSpec(f"edge {' '.join(cameras)}", _trigpoint("edge", *site, *chosen), SOURCES)
+    return PartSpec(f"edge {' '.join(cameras)}", _trigpoint("edge", *site, *chosen), AGENTS)
 
 
 def _bridge(robot: str, site: tuple[str, ...]) -> PartSpec:
-    return PartSpec(f"robot {robot}", _trigpoint("robot", *site, "--robot", robot), SOURCES)
+    return PartSpec(f"robot {robot}", _trigpoint("robot", *site, "--robot", robot), BRIDGES)
 
 
 def _firmware(robot: str, out: Path, record: DemoRecord) -> PartSpec:

@@ -55,6 +55,16 @@ class CameraResult:
         return float(np.sqrt(np.trace(self.covariance[start:end, start:end])))
 
 
+@dataclass(frozen=True, slots=True)
+class PairResult:
+    """The distance between two cameras: estimated minus true, and its sigma by the covariance."""
+
+    first: str
+    second: str
+    error_m: float
+    sigma_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """A way in the map: seconds since the world's start (n,), metres (n, 2), heading (n,)."""
@@ -171,13 +181,22 @@ class DemoResults:
         return [camera for camera in self.cameras if camera.came_by]
 
     @property
+    def pairs(self) -> list[PairResult]:
+        """Every pair of located cameras."""
+        numbered = enumerate(self.located)
+        return [
+            _pair(a, b, _position_covariance(self.covariance, i, j))
+            for (i, a), (j, b) in itertools.combinations(numbered, 2)
+        ]
+
+    @property
     def promised_distance_error_m(self) -> float | None:
         """The mean distance error that the network's own covariance lets one expect.
 
         The mean of |e| of a normal e is its sigma times √(2/π).
         """
-        sigmas = _distance_sigmas(self.located, self.covariance)
-        return float(np.sqrt(2 / np.pi) * sigmas.mean()) if len(sigmas) else None
+        sigmas = [pair.sigma_m for pair in self.pairs]
+        return float(np.sqrt(2 / np.pi) * np.mean(sigmas)) if sigmas else None
 
     @property
     def failures(self) -> list[str]:
@@ -214,15 +233,19 @@ def _received(count: KeyCount) -> str:
     return f"received {received or 'by nobody'}"
 
 
-def _distance_sigmas(cameras: list[CameraResult], covariance: Array) -> Array:
-    """Sigma of every pair's distance by the joint covariance (6n, 6n)."""
-    sigmas = []
-    for (i, a), (j, b) in itertools.combinations(enumerate(cameras), 2):
-        assert a.estimate is not None
-        assert b.estimate is not None
-        apart = b.estimate.translation - a.estimate.translation
-        along = apart / np.linalg.norm(apart)
-        gradient = np.zeros(len(covariance))
-        gradient[6 * i : 6 * i + 3], gradient[6 * j : 6 * j + 3] = -along, along
-        sigmas.append(float(np.sqrt(gradient @ covariance @ gradient)))
-    return np.array(sigmas)
+def _pair(a: CameraResult, b: CameraResult, covariance: Array) -> PairResult:
+    """`covariance`: (6, 6) of both places, a's first."""
+    assert a.estimate is not None
+    assert b.estimate is not None
+    apart = b.estimate.translation - a.estimate.translation
+    distance = float(np.linalg.norm(apart))
+    gradient = np.concatenate([-apart, apart]) / distance
+    true = float(np.linalg.norm(b.truth.translation - a.truth.translation))
+    sigma = float(np.sqrt(gradient @ covariance @ gradient))
+    return PairResult(a.name, b.name, distance - true, sigma)
+
+
+def _position_covariance(covariance: Array, i: int, j: int) -> Array:
+    """(6, 6) of the places of the cameras number i and j in the joint covariance."""
+    rows = [*range(6 * i, 6 * i + 3), *range(6 * j, 6 * j + 3)]
+    return covariance[np.ix_(rows, rows)]

@@ -18,7 +18,7 @@ from trigpoint.errors import OperationError
 from trigpoint.tools.simulation.world import World
 
 from .folder import DemoFolder, DemoRecord
-from .parts import FIRMWARE, FUSION, RECORDER, SOURCES, parts_of, tokens_of, viewer_of
+from .parts import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER, parts_of, tokens_of, viewer_of
 from .progress import Progress, status_line
 from .supervisor import Supervisor
 from .watch import Watch
@@ -27,7 +27,8 @@ _LEADS_S = (6.0, 20.0, 60.0)
 """From the first process to the world's start; the next where a machine is too slow for it."""
 
 _LOOK_S = 0.1
-_SETTLE_S = 4.0
+_SETTLE_S = 3.0
+_FLIGHT_S = 0.3
 _MEETING_POINT = "tcp/127.0.0.1:0"
 
 
@@ -136,14 +137,21 @@ class Run:
 
     def _wind_down(self, supervisor: Supervisor, watch: Watch) -> None:
         """Stop in an order in which nothing is lost."""
-        supervisor.stop([SOURCES])
-        deadline_s = time.monotonic() + _SETTLE_S
-        watch.read()
-        while not watch.is_settled() and time.monotonic() < deadline_s:
-            time.sleep(_LOOK_S)
-            watch.read()
+        for rank, kind in ((AGENTS, "edge"), (BRIDGES, "robot")):
+            supervisor.stop([rank])
+            self._settle(watch, kind)
         for rank in (FIRMWARE, RECORDER, FUSION):
             supervisor.stop([rank])
+
+    def _settle(self, watch: Watch, kind: str) -> None:
+        """Wait until what the stopped nodes of a kind sent was received, and what fusion makes of
+        it has had time to follow."""
+        deadline_s = time.monotonic() + _SETTLE_S
+        watch.read()
+        while not watch.is_settled(kind) and time.monotonic() < deadline_s:
+            time.sleep(_LOOK_S)
+            watch.read()
+        time.sleep(_FLIGHT_S)
 
 
 def world_time(record: DemoRecord) -> float:

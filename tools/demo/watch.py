@@ -83,14 +83,16 @@ class Watch:
                     node[short] = node.get(short, 0) + int(text)
         return counts
 
-    def is_settled(self) -> bool:
-        """Whether whatever was sent on a reliable key was received, as far as the nodes said."""
+    def is_settled(self, kind: str) -> bool:
+        """Whether all that the nodes of a kind sent on reliable keys was received, as far as both
+        sides have said."""
         counts = self.counts()
-        sent, received = totals(counts, "sent"), totals(counts, "received")
+        received = totals(counts, "received")
         return all(
-            number == sum(sent.get(key, {}).values())
-            for key, parts in received.items()
-            for number in parts.values()
+            list(received.get(key, {}).values()) == [number]
+            for key, senders in totals(counts, "sent").items()
+            for node, number in senders.items()
+            if node.startswith(f"{kind}/") and _is_reliable(key)
         )
 
     def total(self, word: str) -> int:
@@ -107,6 +109,11 @@ def totals(counts: dict[str, dict[str, int]], verb: str) -> dict[str, dict[str, 
             if word == verb and topic_of(key) is not None:
                 found.setdefault(key, {})[node] = number
     return found
+
+
+def _is_reliable(key: str) -> bool:
+    topic = topic_of(key)
+    return topic is not None and topic.delivery.is_reliable
 
 
 def _decoded(topic: Topic, payload: bytes) -> Message | None:

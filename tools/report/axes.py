@@ -1,5 +1,6 @@
 """The frame of a chart: scales, grid lines and their labels."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,8 +74,8 @@ class Axes:
         """(n, 2) in the drawing."""
         return np.stack([self.across(x), self.up(y)], axis=-1)
 
-    def frame(self, x_title: str, y_title: str) -> str:
-        """Grid, labels and titles."""
+    def frame(self, x_title: str, y_title: str, *, names: Sequence[tuple[str, str]] = ()) -> str:
+        """Grid, labels and titles; `names`: pairs that stand at 0, 1, … in place of numbers."""
         left, right = self.across.start, self.across.end
         bottom = self.up.start
         parts = []
@@ -82,11 +83,24 @@ class Axes:
             y = float(self.up(value))
             parts.append(line(left, y, right, y, class_="grid"))
             parts.append(text(left - 6, y + 4, f"{value:g}", class_="tick end-anchored"))
-        for value in self.across.ticks():
-            x = float(self.across(value))
-            parts.append(line(x, bottom, x, bottom + 4, class_="axis"))
-            parts.append(text(x, bottom + 17, f"{value:g}", class_="tick middle"))
+        parts += self._names(names) if names else self._numbers()
         parts.append(line(left, bottom, right, bottom, class_="axis"))
         parts.append(text(right, self.height - 4, x_title, class_="axis-title end-anchored"))
         parts.append(text(left + 4, TOP - 3, y_title, class_="axis-title"))
         return group(*parts)
+
+    def _numbers(self) -> list[str]:
+        bottom, parts = self.up.start, []
+        for value in self.across.ticks():
+            x = float(self.across(value))
+            parts.append(line(x, bottom, x, bottom + 4, class_="axis"))
+            parts.append(text(x, bottom + 17, f"{value:g}", class_="tick middle"))
+        return parts
+
+    def _names(self, names: Sequence[tuple[str, str]]) -> list[str]:
+        bottom, parts = self.up.start, []
+        for place, (above, below) in enumerate(names):
+            x = float(self.across(place))
+            parts.append(text(x, bottom + 14, above, class_="tick middle"))
+            parts.append(text(x, bottom + 28, below, class_="tick middle"))
+        return parts

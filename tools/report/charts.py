@@ -3,11 +3,17 @@
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.demo.results import DemoResults, RobotResult, Track
+from trigpoint.tools.demo.results import (
+    PAPER_DISTANCE_ERROR_M,
+    DemoResults,
+    PairResult,
+    RobotResult,
+    Track,
+)
 
 from .axes import Axes
 from .map import PALETTE
-from .svg import drawing, element, group, line, polyline, text
+from .svg import circle, drawing, element, group, line, polyline, text
 
 WIDTH, HEIGHT = 520.0, 280.0
 _MOST_POINTS = 400
@@ -91,6 +97,45 @@ def latency_chart(results: DemoResults) -> str:
         label="Histogram of the time from exposure to correction",
         class_="chart",
     )
+
+
+def distance_chart(results: DemoResults) -> str:
+    """Every pair's distance: estimated minus true, with its sigma; centimetres."""
+    pairs = results.pairs
+    reach = max(max(abs(p.error_m), p.sigma_m) + p.sigma_m for p in pairs)
+    top = 115 * max(reach, PAPER_DISTANCE_ERROR_M)
+    axes = Axes.of(WIDTH, HEIGHT, x=(-0.6, len(pairs) - 0.4), y=(-top, top))
+    paper = 100 * PAPER_DISTANCE_ERROR_M
+    low, high = float(axes.up(-paper)), float(axes.up(paper))
+    left, right = axes.across.start, axes.across.end
+    band = element(
+        "rect", x=left, y=high, width=right - left, height=low - high, class_="paper-band"
+    )
+    words = text(right - 4, high - 5, "the paper's mean error", class_="tick end-anchored")
+    zero = line(left, float(axes.up(0)), right, float(axes.up(0)), class_="axis")
+    return drawing(
+        WIDTH,
+        HEIGHT,
+        band,
+        axes.frame("", "estimated minus true distance, cm", names=_pair_names(results)),
+        zero,
+        words,
+        *(_pair(axes, i, pair) for i, pair in enumerate(pairs)),
+        label="The error of the distance between every two cameras",
+        class_="chart",
+    )
+
+
+def _pair_names(results: DemoResults) -> list[tuple[str, str]]:
+    return [(pair.first, pair.second) for pair in results.pairs]
+
+
+def _pair(axes: Axes, place: int, pair: PairResult) -> str:
+    x = float(axes.across(place))
+    low, high = (float(axes.up(100 * (pair.error_m + s * pair.sigma_m))) for s in (-1, 1))
+    title = element("title", f"{pair.first} to {pair.second}: {100 * pair.error_m:+.2f} cm")
+    whisker = line(x, low, x, high, class_="whisker")
+    return group(title, whisker, circle(x, float(axes.up(100 * pair.error_m)), 4, class_="dot"))
 
 
 def _errors_cm(robot: RobotResult, track: Track) -> tuple[Array, Array]:

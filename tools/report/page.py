@@ -5,12 +5,12 @@ from html import escape
 from trigpoint import __version__
 from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M, DemoResults
 
-from .charts import latency_chart, robot_error_chart, uncertainty_chart
+from .charts import distance_chart, latency_chart, robot_error_chart, uncertainty_chart
 from .closeups import closeups
 from .map import Plan, legend, magnification, map_drawing
 from .style import STYLE
 from .svg import element
-from .tables import camera_table, message_table, missing_words
+from .tables import camera_table, kinds_table, message_table, missing_words
 from .tiles import headline, tiles
 
 _WIDE, _UPRIGHT = 1000.0, 420.0
@@ -108,6 +108,8 @@ def _over_time(results: DemoResults) -> str:
     if results.robots and len(results.robots[0].truth.t_s):
         words = "Where the robot is said to be, beside where it is"
         figures.append(_figure(words, robot_error_chart(results)))
+    if results.pairs:
+        figures.append(_figure("The distances between cameras", distance_chart(results)))
     if results.series:
         figures.append(_figure("How well each camera is known", uncertainty_chart(results)))
     if len(results.latencies_s):
@@ -115,7 +117,7 @@ def _over_time(results: DemoResults) -> str:
         figures.append(_figure(words, latency_chart(results)))
     if not figures:
         return ""
-    return element("section", element("h2", "Over time"), element("div", *figures, class_="charts"))
+    return element("section", element("h2", "In detail"), element("div", *figures, class_="charts"))
 
 
 def _figure(title: str, chart: str) -> str:
@@ -127,7 +129,12 @@ def _messages(results: DemoResults) -> str:
         "section",
         element("h2", "The messages"),
         element("p", _messages_words(results), class_="note"),
-        element("div", message_table(results), class_="scroll"),
+        element("div", kinds_table(results), class_="scroll"),
+        element(
+            "details",
+            element("summary", "Every key by itself"),
+            element("div", message_table(results), class_="scroll"),
+        ),
     )
 
 

@@ -101,6 +101,9 @@ svg .series-text {{ fill:var(--k); font-weight:600 }}
 svg .corrected-text {{ fill:var(--live); font-weight:600 }}
 svg .reckoned-text {{ fill:var(--reckoned); font-weight:600 }}
 .bar {{ fill:var(--bar); fill-opacity:.55 }}
+.whisker {{ stroke:var(--bar); stroke-width:2 }}
+.dot {{ fill:var(--bar) }}
+.paper-band {{ fill:var(--bar); fill-opacity:.09 }}
 .mark {{ stroke:var(--ink); stroke-width:1.2; stroke-dasharray:4 3 }}
 svg .mark-text {{ fill:var(--ink) }}
 .scroll {{ overflow-x:auto; margin-top:14px }}
@@ -109,7 +112,7 @@ th, td {{ text-align:right; padding:7px 12px; border-bottom:1px solid var(--rule
   white-space:nowrap }}
 th {{ color:var(--soft); font-weight:500; font-size:13.5px; vertical-align:bottom }}
 th:first-child, td:first-child {{ text-align:left; padding-left:2px }}
-td .dot {{ display:inline-block; width:10px; height:10px; border-radius:50%; background:var(--k);
+td .disc {{ display:inline-block; width:10px; height:10px; border-radius:50%; background:var(--k);
   margin-right:9px }}
 td.words, th.words {{ text-align:left; white-space:normal }}
 tr.sum td {{ border-bottom:none; font-weight:600 }}

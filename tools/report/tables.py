@@ -4,6 +4,7 @@ import math
 from html import escape
 
 from trigpoint.tools.demo.results import MOST_SIGMAS, CameraResult, DemoResults, KeyCount
+from trigpoint.tools.demo.table import grouped
 
 from .map import PALETTE
 from .svg import element
@@ -16,13 +17,12 @@ _CAMERA_HEAD = (
 
 def camera_table(results: DemoResults) -> str:
     """One row a camera."""
-    head = element("tr", *(element("th", cell) for cell in _CAMERA_HEAD))
     rows = [_camera_row(camera, index) for index, camera in enumerate(results.cameras)]
-    return element("table", element("thead", head), element("tbody", *rows))
+    return _table(_CAMERA_HEAD, rows)
 
 
 def _camera_row(camera: CameraResult, index: int) -> str:
-    name = f'<span class="dot"></span>{escape(camera.name)}'
+    name = f'<span class="disc"></span>{escape(camera.name)}'
     cells = [element("td", name)]
     if camera.error is None:
         why = "; ".join((camera.status, *camera.undetermined))
@@ -56,26 +56,41 @@ def missing_words(results: DemoResults) -> str:
     return escape(words)
 
 
-def message_table(results: DemoResults) -> str:
-    """One row a key."""
-    cells = ("key", "sent", "received", "recorded", "")
-    head = element("tr", *(element("th", cell) for cell in cells))
-    rows = [_key_row(count) for count in results.keys]
-    return element("table", element("thead", head), element("tbody", *rows))
-
-
-def _key_row(count: KeyCount) -> str:
-    sent = "–" if count.sent is None else str(count.sent)
-    received = ", ".join(f"{number} ({part})" for part, number in count.received.items())
-    cells = [
-        element("td", element("code", escape(count.path))),
-        element("td", sent),
-        element("td", escape(received or "–")),
-        element("td", str(count.recorded)),
+def kinds_table(results: DemoResults) -> str:
+    """One row a kind of key, the messages of its keys added up."""
+    rows = [
+        _counts_row(name, counts, f"{len(counts)}")
+        for name, counts in grouped(results.keys).items()
     ]
-    if not count.is_reliable:
+    return _table(("key", "keys", "sent", "received", "recorded", ""), rows)
+
+
+def message_table(results: DemoResults) -> str:
+    """One row a key, with who received it."""
+    rows = [
+        _counts_row(count.path, [count], ", ".join(count.received) or "–") for count in results.keys
+    ]
+    return _table(("key", "received by", "sent", "received", "recorded", ""), rows)
+
+
+def _table(head: tuple[str, ...], rows: list[str]) -> str:
+    cells = element("tr", *(element("th", cell) for cell in head))
+    return element("table", element("thead", cells), element("tbody", *rows))
+
+
+def _counts_row(name: str, counts: list[KeyCount], second: str) -> str:
+    sent = [count.sent for count in counts if count.sent is not None]
+    received = [min(count.received.values()) for count in counts if count.received]
+    cells = [
+        element("td", element("code", escape(name))),
+        element("td", escape(second)),
+        element("td", str(sum(sent)) if sent else "–"),
+        element("td", str(sum(received)) if received else "–"),
+        element("td", str(sum(count.recorded for count in counts))),
+    ]
+    if not counts[0].is_reliable:
         cells.append(element("td", "best effort", class_="quiet"))
-    elif count.is_complete:
+    elif all(count.is_complete for count in counts):
         cells.append(element("td", "complete"))
     else:
         cells.append(element("td", "not complete", class_="bad-text"))

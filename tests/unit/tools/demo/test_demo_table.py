@@ -1,0 +1,63 @@
+import numpy as np
+from builders_demo import make_camera, make_key, make_results, make_unlocated
+
+from trigpoint.tools.demo.table import aligned, grouped, table
+
+
+def line_of(text: str, start: str) -> str:
+    return next(line for line in text.splitlines() if line.strip().startswith(start))
+
+
+def test_each_camera_has_its_error_and_sigma_in_centimetres():
+    words = line_of(table(make_results()), "c1").split()
+    assert words[:3] == ["c1", "1.00", "1.73"]
+    assert words[5:] == ["1.0", "100", "0"]
+
+
+def test_camera_that_was_not_met_says_so():
+    results = make_results(cameras=(make_camera("c1"), make_unlocated("c2", came_by=False)))
+    assert "not met" in line_of(table(results), "c2")
+
+
+def test_reason_of_an_undetermined_camera_is_told():
+    camera = make_unlocated("c2", came_by=True, status="undetermined", undetermined=("its height",))
+    text = table(make_results(cameras=(make_camera("c1"), camera)))
+    assert "c2 is not determined: its height" in text
+
+
+def test_paper_stands_beside_the_distance_error():
+    text = table(make_results())
+    assert line_of(text, "distances between").endswith("0.40 cm")
+    assert line_of(text, "the paper's").endswith("2.11 cm")
+
+
+def test_bound_is_shown_only_where_it_is_known():
+    assert "Cramér–Rao" not in table(make_results())
+    assert line_of(table(make_results(bound_m=0.003)), "Cramér–Rao").endswith("0.30 cm")
+
+
+def test_robots_errors_are_dead_reckoned_and_corrected():
+    text = table(make_results())
+    assert "10.00 cm" in line_of(text, "odometry alone")
+    assert "1.00 cm" in line_of(text, "as fusion said")
+    assert "2.00 cm" in line_of(text, "as the robot itself")
+
+
+def test_keys_of_one_kind_are_added_up():
+    keys = (make_key("camera/c1/sightings"), make_key("camera/c2/sightings", recorded=90))
+    words = line_of(table(make_results(keys=keys)), "camera/*/sightings").split()
+    assert words == ["camera/*/sightings", "2", "200", "200", "190", "NOT", "ALL"]
+    assert list(grouped(keys)) == ["camera/*/sightings"]
+
+
+def test_latencies_are_given_as_median_and_95_percent():
+    text = table(make_results(latencies_s=np.linspace(0.0, 0.1, 101)))
+    assert "101 of them: p50 50 ms, p95 95 ms" in text
+
+
+def test_restarted_part_is_named():
+    assert "fusion ended and was started again 2 ×" in table(make_results(restarts={"fusion": 2}))
+
+
+def test_columns_are_aligned():
+    assert aligned([("a", "12"), ("bcd", "3")]) == ["a    12", "bcd   3"]
