@@ -105,7 +105,7 @@ def trimmed(grid: Grid) -> Grid:
                     keep &= ~on_end
         if keep.all():
             break
-        grid = Grid(grid.places[keep], grid.pixels[keep], grid.saddles[keep], grid.is_dark[keep])
+        grid = grid.only(keep)
     return grid
 
 

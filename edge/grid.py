@@ -28,16 +28,19 @@ class Grid:
     """A connected grid of corners.
 
     `places`: (n, 2) whole x and y, x × y pointing into the picture (never mirrored); `pixels`:
-    (n, 2); `saddles`: (n,) indices; `is_dark`: (n,) whether the square towards (-x, -y) is dark.
+    (n, 2); `is_dark`: (n,) whether the square towards (-x, -y) is dark.
     """
 
     places: np.ndarray
     pixels: Array
-    saddles: np.ndarray
     is_dark: np.ndarray
 
     def __len__(self) -> int:
         return len(self.places)
+
+    def only(self, keep: np.ndarray) -> "Grid":
+        """The grid of the corners where `keep` (n,) is true."""
+        return Grid(self.places[keep], self.pixels[keep], self.is_dark[keep])
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -166,4 +169,4 @@ def _grid(saddles: Saddles, placed: dict[int, tuple[int, int, int]]) -> Grid:
     indices = np.array(list(placed))
     values = np.array(list(placed.values()))
     # The sector from direction 2 to 3 of an unturned corner, (-x, -y), is light, as is 0 to 1.
-    return Grid(values[:, :2], saddles.pixels[indices], indices, values[:, 2] % 2 == 1)
+    return Grid(values[:, :2], saddles.pixels[indices], values[:, 2] % 2 == 1)

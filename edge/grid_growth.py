@@ -19,7 +19,7 @@ REACH = 0.3
 def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
     """The grid without corners that lie off its plane; `size`: width and height of the picture."""
     keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
-    return _chosen(grid, keep)
+    return grid.only(keep)
 
 
 def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
@@ -61,7 +61,6 @@ def _found_beside(grid: Grid, fit: PlanarFit, curvature: Curvature) -> Grid | No
     return Grid(
         np.concatenate([grid.places, places[which][ok]]),
         np.concatenate([grid.pixels, found.pixels[ok]]),
-        np.concatenate([grid.saddles, np.full(int(ok.sum()), -1)]),
         np.concatenate([grid.is_dark, dark[ok]]),
     )
 
@@ -109,7 +108,3 @@ def _expected_dark(grid: Grid, places: np.ndarray) -> np.ndarray:
     parity = grid.places.sum(axis=1) % 2
     votes = np.where(grid.is_dark == (parity == 0), 1, -1).sum()
     return (places.sum(axis=1) % 2 == 0) == (votes > 0)
-
-
-def _chosen(grid: Grid, keep: np.ndarray) -> Grid:
-    return Grid(grid.places[keep], grid.pixels[keep], grid.saddles[keep], grid.is_dark[keep])
