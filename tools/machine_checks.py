@@ -86,7 +86,7 @@ def check_disk(directory: Path) -> Check:
     """Whether a recording has room where it goes."""
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
-    text = f"{free / _GIGABYTE:.1f} GB free in {existing}"
+    text = f"{free / _GIGABYTE:.1f} GB free in {existing.absolute()}"
     if not os.access(existing, os.W_OK):
         return Check("disk", "error", f"{existing} cannot be written", "choose another directory")
     level: Level = "ok" if free > 10 * _GIGABYTE else "warning" if free > _GIGABYTE else "error"
