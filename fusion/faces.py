@@ -313,6 +313,8 @@ def _aligned(
             return None
         pixels, by_point, _ = lens.project_jacobians(optical)
         residual = ((pixels - points.pixels) * weights[:, None]).reshape(-1)
+        if not np.all(np.isfinite(residual)):
+            return None
         by_map = by_point @ rotation.T
         jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)[..., tangent]
         jacobian = (jacobian * weights[:, None, None]).reshape(-1, len(tangent))

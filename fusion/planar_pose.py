@@ -27,7 +27,9 @@ class PoseFit:
 def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) -> list[PoseFit]:
     """Both poses of one plane; points (n, 3) with z = 0, pixels (n, 2) raw.
 
-    An empty list where fewer than four corners are seen or they lie on a line.
+    z points away from whoever sees the plane's front: what fits from behind alone, as a mirrored
+    order of the corners does, is left out. An empty list where fewer than four corners are seen or
+    they lie on a line.
     """
     if len(points) < _MINIMUM_CORNERS or np.linalg.matrix_rank(points - points[0], tol=1e-6) < 2:
         return []
@@ -50,7 +52,12 @@ def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) 
         rotation = so3.exp(np.asarray(turn).reshape(3))
         pose = Pose(rotation, np.asarray(shift).reshape(3) - rotation @ centre)
         fits.append(refined_pose(lens, pose, points, pixels, sigma))
-    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.rms)
+    shown = [fit for fit in fits if fit is not None and _shows_front(fit.pose, centre)]
+    return sorted(shown, key=lambda fit: fit.rms)
+
+
+def _shows_front(camera_from_plane: Pose, centre: Array) -> bool:
+    return bool(camera_from_plane.rotation[:, 2] @ (camera_from_plane @ centre) > 0)
 
 
 def refined_pose(
@@ -69,6 +76,8 @@ def refined_pose(
             return None
         projected, by_point, _ = lens.project_jacobians(optical)
         residual = ((projected - pixels) * weights).reshape(-1)
+        if not np.all(np.isfinite(residual)):
+            return None
         jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1)
         jacobian = (jacobian * weights[..., None]).reshape(-1, 6)
         hessian = jacobian.T @ jacobian
