@@ -113,13 +113,21 @@ class Filter:
         disturbance[tangent] = step[last]
         full[np.ix_(tangent, tangent)] = covariance[last, last]
         pose = self.state.robots[robot].map_from_base[0].disturbed(disturbance)
-        at = self.stamps_ns[robot]
-        estimate = RobotEstimate(at, pose, full)
-        return (
-            estimate
-            if stamp_ns is None
-            else carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
-        )
+        estimate = RobotEstimate(self.stamps_ns[robot], pose, full)
+        if stamp_ns is None or stamp_ns <= estimate.stamp_ns:
+            return estimate
+        if robot in self.reduced.layout.scales:
+            return self.carried(data, robot, stamp_ns).robot(data, robot)
+        return carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
+
+    def carried(self, data: DataSet, robot: str, stamp_ns: int) -> "Filter":
+        """The robot's last pose moved on to a later time, where its odometry leads; unlike
+        `carried_on` with what is not known of its scales."""
+        start = self.robot(data, robot)
+        if stamp_ns <= start.stamp_ns:
+            return self
+        guess = carried_on(data, robot, start, stamp_ns, self.scales(robot)).map_from_base
+        return self.advanced(data, robot, stamp_ns, guess)
 
     def scales(self, robot: str) -> Array:
         """The robot's scale errors at the fixed point, (2,)."""

@@ -65,8 +65,9 @@ class Smoother:
         self._since_solve = 0
         self._tries: dict[str, int] = {}
         self._undetermined: dict[str, tuple[str, ...]] = {}
-        # Where each robot is by its odometry since the filter's last step, and by which filter.
-        self._carried: dict[str, tuple[Filter, RobotEstimate]] = {}
+        # Where each robot is by its odometry since the filter's last step, and by which filter;
+        # where scales are estimated, the filter carried on that far.
+        self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
         self._tolerance = _LIVE_TOLERANCE
         self.iterations = 0
 
@@ -371,12 +372,18 @@ class Smoother:
     def robot(self, robot: str) -> RobotEstimate | None:
         if self._filter is None or not self._filter.has_robot(robot):
             return None
-        known_filter, estimate = self._carried.get(robot, (None, None))
-        if known_filter is not self._filter or estimate is None:
-            estimate = self._filter.robot(self.data, robot)
+        known = self._carried.get(robot)
+        if known is not None and known[0] is self._filter:
+            _, estimate, ahead = known
+        else:
+            estimate, ahead = self._filter.robot(self.data, robot), self._filter
         last_ns = self.data.tracks[robot].last_ns
-        estimate = carried_on(self.data, robot, estimate, last_ns, self._filter.scales(robot))
-        self._carried[robot] = (self._filter, estimate)
+        if robot in self._filter.reduced.layout.scales:
+            ahead = ahead.carried(self.data, robot, last_ns)
+            estimate = ahead.robot(self.data, robot)
+        else:
+            estimate = carried_on(self.data, robot, estimate, last_ns, ahead.scales(robot))
+        self._carried[robot] = (self._filter, estimate, ahead)
         return estimate
 
     def cameras(self) -> dict[str, CameraEstimate]:
