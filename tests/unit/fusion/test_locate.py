@@ -1,0 +1,151 @@
+"""Where an unlocated camera is: by its motion past the robot, or in words why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import CameraPlan, Plan, RobotPlan, circle, looking_at, make_session, standing
+
+from trigpoint.config import OdometryNoise
+from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.intake import Intake
+from trigpoint.fusion.locate import Located, Undetermined, locate
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry, Sightings
+from trigpoint.target import Target
+from trigpoint.tools.simulation.targets import target_of
+
+EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
+QUIET = OdometryNoise(0.001, 0.001, 0.001, 0.001)
+
+
+def seen_data(
+    target: Target, *, way=None, seconds: float = 4.0, most: int | None = None
+) -> DataSet:
+    """What one camera sees of a robot whose pose in the map is known."""
+    robot = RobotPlan(way or circle(), target, QUIET)
+    plan = Plan({"c1": CameraPlan(EYE)}, {"r1": robot}, seconds=seconds, picture_rate=4.0)
+    session = make_session(plan)
+    inputs = session.inputs
+    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
+    intake = Intake(inputs.site, inputs.targets)
+    for node, message in session.messages:
+        if isinstance(message, Odometry):
+            data.tracks["r1"].add(message.stamp_ns, message.pose)
+        elif isinstance(message, Sightings):
+            intake.add(node, message, data.lenses[node])
+    track = data.tracks["r1"]
+    for observation in intake.ready("r1", track.first_ns, track.last_ns)[:most]:
+        pose = session.map_from_base("r1", observation.stamp_ns)
+        data.entries.append(Entry(observation, pose))
+    return data
+
+
+def frontal(data: DataSet, *, faces: int = 1) -> DataSet:
+    """The data with one picture alone, and in it the largest faces alone."""
+    views = [
+        replace(entry.observation, views=tuple(sorted(entry.observation.views, key=width)[-faces:]))
+        for entry in data.entries
+    ]
+    best = max(range(len(views)), key=lambda i: (len(views[i].views), width(views[i].views[-1])))
+    chosen = views[best] if views[best].chosen is None else replace(views[best], chosen=None)
+    return replace(data, entries=[Entry(chosen, data.entries[best].map_from_base)])
+
+
+def width(view) -> float:
+    return float(np.ptp(view.pixels[:, 0]))
+
+
+def error(found: Located | Undetermined) -> np.ndarray:
+    assert isinstance(found, Located), found
+    return np.abs(found.camera.map_from_camera.difference(EYE))
+
+
+@pytest.mark.parametrize("kind", ["charuco", "checkerboard"])
+def test_motion_past_the_camera_locates_it(kind: str) -> None:
+    data = seen_data(target_of(kind))
+    found = locate(data, data.first_state(), "c1")
+    # Dozens of pictures of 0.15 px at two metres, where a pixel is 4 mm: millimetres.
+    assert error(found)[:3].max() < 0.02
+    assert error(found)[3:].max() < 0.01
+    assert isinstance(found, Located)
+    assert len(found.readings) == len(data.entries)
+    for index, pose in found.map_from_base.items():
+        known = data.entries[index].map_from_base
+        assert known is not None
+        assert np.linalg.norm(pose.translation - known.translation) < 0.02
+
+
+def test_one_frontal_picture_of_one_of_six_look_alikes_is_undetermined_in_words() -> None:
+    data = frontal(seen_data(target_of("checkerboard")))
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+    assert "fit alike" in found.reasons[0]
+    assert found.reasons[0].count("(") == 2
+
+
+def test_one_picture_of_two_marked_faces_is_enough() -> None:
+    data = frontal(seen_data(target_of("charuco")), faces=2)
+    assert len(data.entries[0].observation.views) == 2
+    assert error(locate(data, data.first_state(), "c1"))[:3].max() < 0.05
+
+
+def test_robot_that_stands_before_the_camera_leaves_look_alikes_open() -> None:
+    data = seen_data(target_of("checkerboard"), way=standing(), seconds=2.0)
+    one_face = [
+        Entry(replace(e.observation, views=e.observation.views[:1]), e.map_from_base)
+        for e in data.entries
+    ]
+    assert one_face
+    found = locate(replace(data, entries=one_face), data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+
+
+def test_robot_that_is_not_in_the_map_yet_is_said_so() -> None:
+    data = seen_data(target_of("charuco"), seconds=1.0)
+    for entry in data.entries:
+        entry.map_from_base = None
+    found = locate(data, data.first_state(), "c1")
+    assert found == Undetermined(("the robot that it saw is not tied to the map yet",))
+
+
+def test_pictures_of_too_few_corners_are_said_so() -> None:
+    data = seen_data(target_of("charuco"), seconds=2.0)
+    for entry in data.entries:
+        views = tuple(
+            replace(v, corners=v.corners[:3], pixels=v.pixels[:3]) for v in entry.observation.views
+        )
+        entry.observation = replace(entry.observation, views=views)
+    found = locate(data, data.first_state(), "c1")
+    assert found == Undetermined(("no picture of it shows enough of a face to place it",))
+
+
+def test_pictures_that_contradict_the_odometry_are_said_so() -> None:
+    data = seen_data(target_of("charuco"))
+    random = np.random.default_rng(0)
+    for entry in data.entries:
+        views = tuple(
+            replace(v, pixels=v.pixels + random.normal(0, 12.0, v.pixels.shape))
+            for v in entry.observation.views
+        )
+        entry.observation = replace(entry.observation, views=views)
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+    assert "fits its pictures" in found.reasons[0] or "contradict" in found.reasons[0]
+
+
+def test_a_few_wild_pictures_do_not_move_the_camera() -> None:
+    data = seen_data(target_of("charuco"))
+    for entry in data.entries[::6]:
+        views = tuple(replace(v, pixels=v.pixels + 40.0) for v in entry.observation.views)
+        entry.observation = replace(entry.observation, views=views)
+    assert error(locate(data, data.first_state(), "c1"))[:3].max() < 0.03
+
+
+def test_located_camera_is_never_mirrored() -> None:
+    data = seen_data(target_of("checkerboard"))
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Located)
+    pose: Pose = found.camera.map_from_camera
+    assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
+    assert pose.translation[2] > 0.5
