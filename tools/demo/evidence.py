@@ -10,6 +10,9 @@ from trigpoint.errors import InputError, read_text
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network, PoseRecord, decode_tum, load_network
+from trigpoint.recorder.recording import open_recording
+from trigpoint.tools.bound import session_bound
+from trigpoint.tools.session_inputs import session_inputs
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.tools.truth import NetworkError, TruthFile, load_truth, network_error
 from trigpoint.topics import topic_of
@@ -52,6 +55,7 @@ def load_results(folder: DemoFolder) -> DemoResults:
         series=tracks.uncertainty(network.cameras),
         walls=np.array([[wall.start, wall.end] for wall in world.walls]),
         restarts=record.restarts,
+        bound_m=_bound_m(folder) if error.distance is not None else None,
     )
 
 
@@ -136,6 +140,16 @@ def _joint_covariance(path: Path) -> Array:
             return archive["covariance"]
     except (OSError, KeyError, ValueError) as reason:
         raise InputError(f"{path}: no joint covariance ({reason}); run the demo again") from None
+
+
+def _bound_m(folder: DemoFolder) -> float | None:
+    """The least mean distance error that one can expect of the session; None where its recorder
+    was started again, so that no file has all of it."""
+    if len(folder.sessions) != 1:
+        return None
+    recording = open_recording(folder.session)
+    inputs = session_inputs(recording, site=None, network=None)
+    return session_bound(recording, inputs, folder.path).mean_distance_error
 
 
 def _keys(counts: _Counts, recorded: dict[str, int]) -> tuple[KeyCount, ...]:

@@ -26,7 +26,7 @@ def robot_error_chart(results: DemoResults) -> str:
     robot = results.robots[0]
     odometry, live = _errors_cm(robot, robot.odometry), _errors_cm(robot, robot.live)
     top = max([1.0, *odometry[1], *live[1]]) * 1.08
-    axes = Axes.of(WIDTH, HEIGHT, x=(0.0, results.seconds), y=(0.0, top), right=76.0)
+    axes = Axes.of(WIDTH, HEIGHT, x=(0.0, results.seconds), y=(0.0, top), right=88.0)
     lines = [
         polyline(_thinned(axes.points(*odometry)), class_="way reckoned"),
         polyline(_thinned(axes.points(*live)), class_="way corrected"),

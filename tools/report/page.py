@@ -60,7 +60,7 @@ def _header(results: DemoResults) -> str:
     )
     return element(
         "header",
-        element("div", _MARK, element("span", "Trigpoint"), class_="mark"),
+        element("div", _MARK, element("span", "Trigpoint"), class_="brand"),
         element("h1", escape(headline(results))),
         element("p", lead, class_="lead"),
     )
@@ -90,7 +90,7 @@ def _cameras(results: DemoResults) -> str:
     words = (
         "Each camera from above, up close: the ring is the truth, the point is what was found. "
         "The filled ellipse is one standard deviation, the dashed one holds 95 of 100; so the "
-        "ring should mostly lie inside the dashed one."
+        "ring should mostly lie inside the dashed one. The numbers count the height too."
     )
     plan = Plan(results, _WIDE, upright=False)
     return element(

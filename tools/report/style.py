@@ -34,10 +34,10 @@ body {{
   font-variant-numeric:tabular-nums;
 }}
 main {{ max-width:1080px; margin:0 auto; padding:40px 24px 64px }}
-header .mark {{ display:flex; align-items:center; gap:10px; color:var(--soft); font-size:15px }}
-header .mark svg {{ width:22px; height:22px }}
-header .mark path {{ fill:none; stroke:var(--ink); stroke-width:2; stroke-linejoin:round }}
-header .mark circle {{ fill:var(--reckoned) }}
+.brand {{ display:flex; align-items:center; gap:10px; color:var(--soft); font-size:15px }}
+.brand svg {{ width:22px; height:22px }}
+.brand path {{ fill:none; stroke:var(--ink); stroke-width:2; stroke-linejoin:round }}
+.brand circle {{ fill:var(--reckoned) }}
 h1 {{ font-size:34px; line-height:1.18; letter-spacing:-.015em; margin:18px 0 10px; max-width:24em;
   text-wrap:balance }}
 h2 {{ font-size:21px; letter-spacing:-.005em; margin:52px 0 4px }}
@@ -45,6 +45,7 @@ h3 {{ font-size:16px; margin:0 0 6px }}
 p {{ margin:0 0 12px; max-width:44em }}
 .lead {{ font-size:18px; color:var(--soft) }}
 .quiet, .note {{ color:var(--soft); font-size:14.5px }}
+.scroll + .note {{ margin-top:12px }}
 .failures {{ border-left:4px solid var(--bad); padding:8px 16px; margin:20px 0;
   background:var(--card) }}
 .failures li {{ margin:2px 0 }}
@@ -137,8 +138,7 @@ footer {{ margin-top:56px; padding-top:14px; border-top:1px solid var(--rule); c
   .card {{ padding:12px }}
   .legend {{ grid-template-columns:1fr }}
   .closeups {{ grid-template-columns:1fr 1fr }}
-  .chart text {{ font-size:17px }}
-  .chart .tick, .chart .axis-title {{ font-size:15px }}
+  .chart text, .chart .tick, .chart .axis-title {{ font-size:15px }}
   th, td {{ padding:6px 8px }}
 }}
 @media print {{

@@ -5,7 +5,8 @@ from html import escape
 
 import numpy as np
 
-from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M, DemoResults
+from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M as _PAPER_M
+from trigpoint.tools.demo.results import DemoResults
 
 from .svg import element
 
@@ -54,10 +55,9 @@ def _distance(results: DemoResults) -> str:
     error = results.mean_distance_error_m
     if error is None:
         return ""
-    words = "mean error of the distances between cameras; "
-    words += f"the paper reached {_cm(PAPER_DISTANCE_ERROR_M)}"
+    words = f"mean error of the distances between cameras; the paper's is {_cm(_PAPER_M)}"
     if results.bound_m is not None:
-        words += f", no estimator could expect less than {_cm(results.bound_m)} of this drive"
+        words += f", the least that this drive allows {_cm(results.bound_m)}"
     return _tile(_cm(error), words)
 
 
@@ -90,7 +90,8 @@ def _messages(results: DemoResults) -> str:
         total = sum(results.restarts.values())
         return _tile(f"{total} ×", "a part ended, was started again, and the system went on")
     if broken:
-        return _tile(f"{len(broken)} keys", "lost messages that should be reliable", is_bad=True)
+        number = f"{len(broken)} key{'s' * (len(broken) > 1)}"
+        return _tile(number, "on which messages were lost that must arrive", is_bad=True)
     return _tile("0 lost", f"of {sent} messages on reliable keys: sent, received and recorded")
 
 

@@ -1,0 +1,127 @@
+"""The demo as a user runs it: a short drive past two cameras, in a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from builders import eventually
+
+from trigpoint.network import load_network
+from trigpoint.recorder.recording import open_recording
+from trigpoint.tools.demo.folder import DemoFolder
+
+pytestmark = pytest.mark.timeout(400)
+
+PATIENCE_S = 240.0
+FILES = (
+    "site.toml", "target.toml", "truth.json", "session.mcap", "network.json", "covariance.npz",
+    "r1.tum", "session.rrd", "report.html", "demo.json",
+)  # fmt: skip
+
+
+class Demo:
+    """A running demo and its folder."""
+
+    def __init__(self, out: Path, *more: str) -> None:
+        self.folder = DemoFolder(out)
+        command = (sys.executable, "-m", "trigpoint", "demo", "--out", str(out), "--no-viewer")
+        self.process = subprocess.Popen(
+            (*command, *more),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=out.parent,
+        )
+
+    def parts(self) -> dict[str, int]:
+        """Part -> process id, as the folder says; empty before it says so."""
+        try:
+            processes = dict(self.folder.read().processes)
+        except Exception:  # noqa: BLE001 - not written yet
+            return {}
+        processes.pop("demo", None)
+        return processes
+
+    def is_driving(self) -> bool:
+        """Whether fusion has been receiving for a while."""
+        return (self.folder.path / "checkpoint.bin").exists() and len(self.parts()) >= 6
+
+    def finish(self) -> tuple[int, str]:
+        """Its exit status and what it printed."""
+        output, _ = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, output
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[object]:
+    demos: list[Demo] = []
+
+    def run(*more: str) -> Demo:
+        demos.append(Demo(tmp_path / "demo", *more))
+        return demos[-1]
+
+    yield run
+    for demo in demos:
+        if demo.process.poll() is None:
+            demo.process.send_signal(signal.SIGTERM)
+            demo.finish()
+
+
+def is_alive(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_short_demo_finds_the_cameras_that_it_meets_and_leaves_its_files(start):
+    demo = start("--seconds", "16", "--seed", "1")
+    status, output = demo.finish()
+    assert status == 0, output
+    folder = demo.folder.path
+    assert [name for name in FILES if not (folder / name).exists()] == []
+    network = load_network(folder)
+    assert network.cameras["c1"].status == "located"
+    assert network.cameras["c6"].status == "unseen"
+    assert "not met" in next(line for line in output.splitlines() if line.startswith("c6"))
+    recording = open_recording(folder)
+    assert recording.problem == ""
+    assert {"site.toml", "target.toml", "network.json"} <= recording.attachments.keys()
+    assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert not any(is_alive(number) for number in demo.parts().values())
+
+
+def test_killed_parts_are_started_again_and_the_demo_goes_on(start):
+    demo = start("--seconds", "20", "--seed", "1")
+    assert eventually(demo.is_driving, 60.0)
+    first = demo.parts()
+    time.sleep(6.0)
+    for name in ("fusion", "recorder", "edge c1 c3 c5", "robot r1", "firmware r1"):
+        os.kill(first[name], signal.SIGKILL)
+    status, output = demo.finish()
+    assert status == 0, output
+    for name in ("fusion", "recorder", "edge c1 c3 c5", "robot r1", "firmware r1"):
+        assert f"{name} was ended by SIGKILL; it is started again" in output
+        assert f"{name} ended and was started again 1 ×" in output
+    assert len(demo.folder.sessions) == 2
+    assert load_network(demo.folder.path).cameras["c1"].status == "located"
+
+
+def test_interrupted_demo_stops_in_order_and_leaves_what_there_is(start):
+    demo = start("--seconds", "60")
+    assert eventually(demo.is_driving, 60.0)
+    time.sleep(5.0)
+    demo.process.send_signal(signal.SIGINT)
+    status, output = demo.finish()
+    assert status == 130, output
+    assert "stopped; what there is lies in" in output
+    assert open_recording(demo.folder.session).problem == ""
+    assert json.loads((demo.folder.path / "network.json").read_text())["site"] == "lab"
+    assert not any(is_alive(number) for number in demo.parts().values())
