@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 
 from trigpoint.messages import DiagnosticStatus
+from trigpoint.topics import topic_of
 
 _NO_GAUGES = (
     "version",
@@ -111,8 +112,20 @@ def table(status: SiteStatus) -> str:
     return "\n".join(lines)
 
 
+def _by_topic(rates: dict[str, float]) -> dict[str, float]:
+    """The rates of counters like «sent lab/camera/c1/sightings» added up over the cameras or
+    robots; the others as they are."""
+    sums: dict[str, float] = {}
+    for name, rate in rates.items():
+        verb, _, key = name.partition(" ")
+        topic = topic_of(key)
+        short = f"{verb} {topic.name}" if topic is not None else name
+        sums[short] = round(sums.get(short, 0.0) + rate, 1)
+    return sums
+
+
 def _row(node: NodeStatus) -> tuple[str, str, str, str, str, str]:
-    rates = ", ".join(f"{name} {rate:g}" for name, rate in node.rates.items() if rate)
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
     note = "" if node.message == "running" else node.message
     if node.last_error and node.last_error != node.message:

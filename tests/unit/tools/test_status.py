@@ -49,6 +49,14 @@ def test_tokens_and_diagnostics_are_put_together() -> None:
     )
 
 
+def test_rates_of_keys_are_added_up_for_people() -> None:
+    values = {f"sent lab/camera/c{i}/pose.rate": "1.5" for i in (1, 2)} | {"pictures.rate": "5.0"}
+    status = DiagnosticStatus(0, "fusion/fusion", "running", "", values)
+    site = summarise("lab", peers=0, tokens=["lab/alive/fusion/fusion"], statuses=[status])
+    assert site.nodes[0].rates["sent lab/camera/c2/pose"] == 1.5
+    assert "sent camera_pose 3, pictures 5" in table(site)
+
+
 def test_numbers_that_are_none_do_not_break_the_view() -> None:
     values = {"a.rate": "fast", "b.total": "nan", "c.lost": "1e400", "uptime": "-"}
     status = DiagnosticStatus(200, "robot/r1", "", "", values)
