@@ -8,6 +8,7 @@ smaller than one residual by the root of their number only where errors are inde
 """
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
 from .dataset import DataSet
-from .problem import Batch, State, batch_jacobian
+from .odometry_track import PLANAR
+from .problem import Batch, Problem, State, batch_jacobian
 
 _LEAST_PICTURES = 3
 # Standard deviations by which the mean residuals must be too large to be those of noise.
 _SIGNIFICANT = 3.0
 _CHANGED = 0.1
+_OUT_OF_PLANE = 3
 
 
 def share_out(data: DataSet, assembled: Assembled, state: State) -> bool:
@@ -29,8 +32,9 @@ def share_out(data: DataSet, assembled: Assembled, state: State) -> bool:
     for batch in assembled.problem.batches:
         _, residual, _ = batch_jacobian(assembled.problem, batch, state)
         residual = residual / np.sqrt(batch.shares)[:, None, None]
+        common = _common_share(assembled.problem, batch, state)
         for rows in _standstills(batch):
-            share = _share(batch, residual, rows)
+            share = common * _share(batch, residual, rows)
             for source in batch.sources[rows]:
                 entry = data.entries[int(source)]
                 changed |= abs(entry.share - share) > _CHANGED * entry.share
@@ -62,6 +66,36 @@ def _share(batch: Batch, residual: Array, rows: np.ndarray) -> float:
     limit = noise * (1 + _SIGNIFICANT * np.sqrt(2 / (2 * len(counts))))
     systematic = mean_square - noise if mean_square > limit else 0.0
     return 1 / (1 + number * systematic)
+
+
+def _common_share(problem: Problem, batch: Batch, state: State) -> float:
+    """How much each observation of a batch counts, since a view's corners err together.
+
+    A planar robot cannot rise, pitch or roll, so what its pictures gain by letting it do so is
+    error: χ² of three degrees of freedom a picture where corners err independently and the floor
+    is even, and more in the measure in which a picture knows less than its corners say.
+    """
+    chain = problem.chains[batch.robot]
+    if not chain.planar:
+        return 1.0
+    spatial = replace(problem, chains={**problem.chains, batch.robot: replace(chain, planar=False)})
+    jacobian, residual, _ = batch_jacobian(spatial, batch, state)
+    n = len(batch.nodes)
+    scale = np.sqrt(batch.shares)[:, None]
+    residual = residual.reshape(n, -1) / scale
+    jacobian = jacobian[..., :6].reshape(n, -1, 6) / scale[..., None]
+    gain = _explained(jacobian, residual) - _explained(jacobian[..., PLANAR], residual)
+    ratio = float(np.mean(gain)) / _OUT_OF_PLANE
+    limit = 1 + _SIGNIFICANT * np.sqrt(2 / (_OUT_OF_PLANE * n))
+    return 1 / ratio if ratio > limit else 1.0
+
+
+def _explained(jacobian: Array, residual: Array) -> Array:
+    """χ² that unknowns (n, m, k) take from residuals (n, m), each for itself, (n,)."""
+    gradient = (np.swapaxes(jacobian, 1, 2) @ residual[..., None])[..., 0]
+    hessian = np.swapaxes(jacobian, 1, 2) @ jacobian
+    step = (np.linalg.pinv(hessian, hermitian=True) @ gradient[..., None])[..., 0]
+    return np.sum(gradient * step, axis=1)
 
 
 def _by_corner(batch: Batch, residual: Array, rows: np.ndarray) -> Array:
