@@ -102,6 +102,11 @@ class Bus(Protocol):
         """The ids of the sessions that this one is connected to."""
         ...
 
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        """What `bus.connect` names, while the session is connected to nobody."""
+        ...
+
     def publisher(self, topic: Topic, key: str) -> Publisher:
         """Declare a publisher with the topic's delivery."""
         ...

@@ -127,6 +127,10 @@ class MemoryBus:
     def peers(self) -> tuple[str, ...]:
         return ()
 
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        return ()
+
     def publisher(self, topic: Topic, key: str) -> MemoryPublisher:
         publisher = MemoryPublisher(self._broker, topic, key, self._identity)
         self._declared.append(publisher)

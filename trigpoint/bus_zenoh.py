@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 import zenoh
-from zenoh import CongestionControl, Priority, Reliability, ext, handlers
+from zenoh import CongestionControl, Priority, Reliability, ext
 
 from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
 from .bus_gate import Gate
@@ -65,7 +65,7 @@ def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
         if settings.gate:
             gate_settings = settings.gate_settings()
             gate = Gate(settings.gate, lambda: open_session(gate_settings))
-        bus = ZenohBus(session, locators=settings.locators, gate=gate)
+        bus = ZenohBus(session, locators=settings.locators, connect=settings.connect, gate=gate)
     except BaseException:
         session.close()
         raise
@@ -211,7 +211,7 @@ def _subscribe(
     def receive(sample: zenoh.Sample) -> None:
         queue.push((time.time_ns(), sample))
 
-    arrived = handlers.Callback(receive, indirect=False)
+    arrived = zenoh.handlers.Callback(receive, indirect=False)
     if not topic.cache:
         return session.declare_subscriber(expression, arrived).undeclare
     subscriber = ext.declare_advanced_subscriber(
@@ -225,7 +225,7 @@ def _subscribe(
     def miss(missed: ext.Miss) -> None:
         queue.miss(missed.nb)
 
-    listener = subscriber.sample_miss_listener(handlers.Callback(miss, indirect=False))
+    listener = subscriber.sample_miss_listener(zenoh.handlers.Callback(miss, indirect=False))
 
     def undeclare() -> None:
         listener.undeclare()
@@ -273,9 +273,15 @@ class ZenohBus:
     """An open session, which it owns; made by `open_bus`."""
 
     def __init__(
-        self, session: zenoh.Session, *, locators: tuple[str, ...] = (), gate: Gate | None = None
+        self,
+        session: zenoh.Session,
+        *,
+        locators: tuple[str, ...] = (),
+        connect: tuple[str, ...] = (),
+        gate: Gate | None = None,
     ) -> None:
         self._session, self._locators, self._gate = session, locators, gate
+        self._connect = connect
         self._lock = threading.Lock()
         self._declared: dict[int, Closable] = {}
 
@@ -291,6 +297,10 @@ class ZenohBus:
     def peers(self) -> tuple[str, ...]:
         info = self._session.info
         return tuple(_identity(zid) for zid in (*info.peers_zid(), *info.routers_zid()))
+
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        return self._connect if self._connect and not self.peers else ()
 
     def publisher(self, topic: Topic, key: str) -> ZenohPublisher:
         return self._declare(key, lambda: ZenohPublisher(self._session, topic, key, self._forget))
@@ -325,7 +335,7 @@ class ZenohBus:
             server = Server(key, answer)
             try:
                 queryable = self._session.declare_queryable(
-                    key, handlers.Callback(arrive, indirect=False)
+                    key, zenoh.handlers.Callback(arrive, indirect=False)
                 )
             except zenoh.ZError:
                 server.close()

@@ -73,6 +73,7 @@ class Node:
         self._threads: list[threading.Thread] = []
         self._error: BaseException | None = None
         self._logged_error = ""
+        self._connection = ""
 
     def __enter__(self) -> Self:
         self._refuse_second()
@@ -185,11 +186,20 @@ class Node:
             self._logged_error = self.health.last_error
             _log.error("%s: %s", self.label, self._logged_error)
         level, message = report.level, report.message
-        if complaint := self._peers.complaint():
+        if complaint := self._peers.complaint() or self._connection_complaint():
             level, message = Level.ERROR, complaint
-        values = self._identity() | report.values
+        values = self._identity() | {"peers": str(len(self._bus.peers))} | report.values
         status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)
         return Diagnostics(self._clock.now_ns(), (status,))
+
+    def _connection_complaint(self) -> str:
+        """What is wrong with the connection to the others; a change goes to the log."""
+        names = ", ".join(self._bus.unreached)
+        complaint = f"nobody answers at {names} (bus.connect); trying again" if names else ""
+        if complaint != self._connection:
+            self._connection = complaint
+            _log.warning("%s: %s", self.label, complaint or "connected again")
+        return complaint
 
     def _identity(self) -> dict[str, str]:
         return {

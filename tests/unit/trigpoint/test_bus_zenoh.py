@@ -24,8 +24,10 @@ def test_peer_waits_for_a_meeting_point_that_comes_later(free_port: Callable[[],
     port = free_port()
     with open_bus(make_site(bus=f'connect = ["tcp/127.0.0.1:{port}"]')) as early:
         assert early.peers == ()
+        assert early.unreached == (f"tcp/127.0.0.1:{port}",)
         with open_bus(make_site(bus=f'listen = ["tcp/127.0.0.1:{port}"]')):
             assert eventually(lambda: early.peers != ())
+            assert early.unreached == ()
 
 
 def test_address_of_another_machine_cannot_be_listened_on() -> None:

@@ -106,6 +106,21 @@ def test_other_contract_is_named(bus: MemoryBus, caplog: pytest.LogCaptureFixtur
     assert caplog.text.count("robot/r1 (host elsewhere, process 7) speaks contract 2") == 1
 
 
+def test_lost_connection_is_told_once_and_its_return_too(
+    bus: MemoryBus, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["tcp/127.0.0.1:9"]
+    monkeypatch.setattr(MemoryBus, "unreached", property(lambda _: tuple(names)))
+    with make_node(bus):
+        message = "nobody answers at tcp/127.0.0.1:9 (bus.connect); trying again"
+        assert eventually(lambda: next_status(bus).message == message)
+        next_status(bus)
+        names.clear()
+        assert eventually(lambda: next_status(bus).message == "running")
+    assert caplog.text.count(message) == 1
+    assert caplog.text.count("connected again") == 1
+
+
 def test_garbage_on_the_diagnostics_is_rejected_and_its_sender_named(bus: MemoryBus) -> None:
     with make_node(bus) as node:
         bus.publisher(DIAGNOSTICS, KEY).put(b"garbage")
