@@ -6,7 +6,6 @@ threads with their unbounded queues took 44 to 410 ms and kept the program from 
 """
 
 import json
-import logging
 import math
 import sys
 import threading
@@ -20,6 +19,7 @@ from zenoh import CongestionControl, Priority, Reliability, ext
 
 from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
 from .bus_gate import Gate
+from .bus_opening import open_patiently, settle
 from .bus_queue import SampleQueue
 from .bus_server import Server
 from .bus_settings import Settings, session_settings
@@ -27,16 +27,11 @@ from .config import Site
 from .errors import BusError
 from .topics import Delivery, Topic
 
-_log = logging.getLogger(__name__)
-
 _SWITCH_INTERVAL_S = 0.001
 _HEARTBEAT_S = 0.5
-_RETRY_S = 1.0
 _ANNOUNCE_S = 0.05
 """A subscriber that meets a new publisher's live sample before its token takes that for the first
 one and never asks for those before (one of forty starts, when both begin in the same moment)."""
-_SETTLE_S = 0.2
-_SETTLE_LIMIT_S = 1.0
 _ERROR_ENCODING = "text/plain"
 
 _QOS: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
@@ -59,7 +54,7 @@ def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
     A client whose endpoint cannot be reached tries again for `patience_s`, which the log says.
     """
     settings = session_settings(site.name, site.bus)
-    session = _open_patiently(settings, patience_s)
+    session = open_patiently(lambda: open_session(settings), settings, patience_s)
     try:
         gate = None
         if settings.gate:
@@ -70,34 +65,8 @@ def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
         session.close()
         raise
     if settings.meets_others:
-        _settle(bus)
+        settle(bus)
     return bus
-
-
-def _settle(bus: "ZenohBus") -> None:
-    """Wait until the peers that are there have told of each other, so that a first look at who is
-    alive is complete: without, four of ten newcomers overlooked their double."""
-    deadline = time.monotonic() + _SETTLE_LIMIT_S
-    peers, since = bus.peers, time.monotonic()
-    while (now := time.monotonic()) < deadline and now - since < _SETTLE_S:
-        time.sleep(0.02)
-        if bus.peers != peers:
-            peers, since = bus.peers, time.monotonic()
-
-
-def _open_patiently(settings: Settings, patience_s: float) -> zenoh.Session:
-    deadline = time.monotonic() + patience_s
-    is_said = False
-    while True:
-        try:
-            return open_session(settings)
-        except BusError as reason:
-            if settings.mode != "client" or time.monotonic() > deadline:
-                raise
-            if not is_said:
-                _log.warning("%s; check that it runs; trying again", reason)
-            is_said = True
-        time.sleep(_RETRY_S)
 
 
 def open_session(settings: Settings) -> zenoh.Session:
