@@ -154,6 +154,8 @@ class DemoFolder:
 
 def _is_ours(number: int, folder: Path) -> bool:
     """Whether a process lives and was started for this folder (the number may be another's now)."""
+    if number == os.getpid():
+        return False
     try:
         words = Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")
     except OSError:
