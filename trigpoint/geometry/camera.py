@@ -72,8 +72,10 @@ class CameraModel:
 
     def with_parameters(self, parameters: ArrayLike) -> "CameraModel":
         """The same camera with other `parameters` (inverse of the property)."""
-        p = [float(value) for value in np.asarray(parameters, dtype=float)]
-        return CameraModel(self.width, self.height, *p[:4], tuple(p[4:]), self.model)
+        fx, fy, cx, cy, *distortion = (
+            float(value) for value in np.asarray(parameters, dtype=float)
+        )
+        return CameraModel(self.width, self.height, fx, fy, cx, cy, tuple(distortion), self.model)
 
     def project(self, points: ArrayLike) -> Array:
         """Pixels (…, 2) of points (…, 3) in the optical frame; points behind it give nonsense."""

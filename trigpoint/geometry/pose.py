@@ -59,8 +59,9 @@ class Pose:
     def __len__(self) -> int:
         return len(self.translation) if self.translation.ndim > 1 else 1
 
-    def __getitem__(self, index: object) -> "Pose":
-        return Pose(self.rotation[index], self.translation[index])  # pyright: ignore[reportArgumentType]
+    def __getitem__(self, index: int | slice | np.ndarray) -> "Pose":
+        """One of many, or some of them, by the leading dimension."""
+        return Pose(self.rotation[index], self.translation[index])
 
     @overload
     def __matmul__(self, other: "Pose") -> "Pose": ...
