@@ -1,0 +1,20 @@
+"""A run as JSON."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from .machine import Machine
+from .table import Row
+
+
+def write_report(path: Path, rows: Sequence[Row], machine: Machine, *, effort: float) -> None:
+    """Write the rows, each with its ratio, and the machine."""
+    report = {
+        "effort": effort,
+        "machine": asdict(machine),
+        "rows": [asdict(row) | {"ratio": row.ratio} for row in rows],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,82 @@
+"""What a finder found, held against the truth."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .views import TrueFace, View
+
+# A found face belongs to a true one where half of its corners are nearer than this.
+_NEAR_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """A face that a finder found: its id, or -1; `corners`: (n,) ids; `pixels`: (n, 2)."""
+
+    face: int
+    corners: np.ndarray
+    pixels: np.ndarray
+
+
+@dataclass(slots=True)
+class Score:
+    """`whole`: faces that should be found; `found`: of these; `wrong`: found where none is.
+
+    `errors`: the distance from the truth of each corner, pixels, by view, face and corner.
+    """
+
+    whole: int = 0
+    found: int = 0
+    wrong: int = 0
+    errors: dict[tuple[int, int, int], float] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Of the faces that should be found, how many were."""
+        return self.found / self.whole if self.whole else 0.0
+
+    def rms(self, among: Iterable[tuple[int, int, int]] | None = None) -> float:
+        """Root mean square error of a coordinate over the corners (or some of them), pixels."""
+        errors = [self.errors[key] for key in (self.errors if among is None else among)]
+        return float(np.sqrt(np.mean(np.square(errors)) / 2)) if errors else 0.0
+
+
+def score_of(views: list[View], answers: list[list[Found]]) -> Score:
+    """The score over views of what was found in each."""
+    score = Score()
+    for number, (view, answer) in enumerate(zip(views, answers, strict=True)):
+        seen = set()
+        for found in answer:
+            match = _match(found, view.faces)
+            if match is None:
+                score.wrong += 1
+                continue
+            true, corners, errors = match
+            seen.add(true.face.id)
+            keys = [(number, true.face.id, corner) for corner in corners.tolist()]
+            score.errors.update(zip(keys, errors.tolist(), strict=True))
+        score.whole += view.whole
+        score.found += sum(true.is_whole and true.face.id in seen for true in view.faces)
+    return score
+
+
+def _match(
+    found: Found, faces: tuple[TrueFace, ...]
+) -> tuple[TrueFace, np.ndarray, np.ndarray] | None:
+    """The true face, the corner ids in its order and the errors (n,); None where none is near."""
+    readings = []
+    for true in faces:
+        if found.face not in (-1, true.face.id):
+            continue
+        orders = [found.corners.astype(int)]
+        if true.face.reads_from_both_ends:
+            orders.append(true.face.corner_count - 1 - orders[0])
+        for corners in orders:
+            errors = np.linalg.norm(found.pixels - true.pixels[corners], axis=1)
+            readings.append((float(np.median(errors)), len(readings), true, corners, errors))
+    if not readings:
+        return None
+    median, _, true, corners, errors = min(readings, key=lambda reading: reading[:2])
+    return (true, corners, errors) if median < _NEAR_PX else None

@@ -1,0 +1,46 @@
+"""Durations of jobs, measured in turns, so that other work on the machine meets all of them."""
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+ROUNDS = 7
+_Result = TypeVar("_Result")
+
+
+def timed(job: Callable[[], _Result]) -> tuple[float, _Result]:
+    """How long a job took, seconds, and its result; for jobs that wait or have threads."""
+    began = time.perf_counter()
+    result = job()
+    return time.perf_counter() - began, result
+
+
+def worked(job: Callable[[], _Result]) -> tuple[float, _Result]:
+    """How long this process worked on a job of one thread, seconds, and its result.
+
+    On a busy machine that is what the job costs; the rest is waiting for a core.
+    """
+    began = time.process_time()
+    result = job()
+    return time.process_time() - began, result
+
+
+def side_by_side(
+    ours: Callable[[], object], other: Callable[[], object], *, times: int, rounds: int = ROUNDS
+) -> tuple[float, float]:
+    """Seconds of work a call of both: the best of `rounds` turns, each of `times` calls.
+
+    The best, since whatever else the machine does can only add to a duration.
+    """
+    for job in (ours, other):  # the first call of a kind also builds what is kept
+        job()
+    turns = [(_average(ours, times), _average(other, times)) for _ in range(rounds)]
+    return min(turn[0] for turn in turns), min(turn[1] for turn in turns)
+
+
+def _average(job: Callable[[], object], times: int) -> float:
+    def repeat() -> None:
+        for _ in range(times):
+            job()
+
+    return worked(repeat)[0] / times

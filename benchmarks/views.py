@@ -1,0 +1,107 @@
+"""Rendered pictures of the simulated lab with the true corners of the faces in them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Target
+from trigpoint.tools.simulation.rendering import CameraRenderer
+from trigpoint.tools.simulation.visibility import SeenFace
+from trigpoint.tools.simulation.world import World, load_world
+
+SEED = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueFace:
+    """`pixels`: (n, 2), where every corner is; `is_whole`: whether all can be seen, and their
+    squares are large enough for a detector to be asked for them."""
+
+    face: Face
+    pixels: Array
+    is_whole: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A picture, (h, w) uint8, and the faces that turn their front to the camera."""
+
+    picture: np.ndarray
+    faces: tuple[TrueFace, ...]
+
+    @property
+    def whole(self) -> int:
+        """How many faces a detector should find."""
+        return sum(face.is_whole for face in self.faces)
+
+
+class Gallery:
+    """The pictures of the demo's drive with one kind of target, taken when asked for."""
+
+    def __init__(self, target: str) -> None:
+        self.world: World = load_world("lab", seed=SEED, target=target)
+        self._renderers = {name: CameraRenderer(self.world, name) for name in self.world.cameras}
+
+    @property
+    def target(self) -> Target:
+        """What the robot carries."""
+        return self.world.target(self.world.first_robot)
+
+    def with_faces(self, count: int) -> list[View]:
+        """Views of whole faces, spread over the cameras and the drive."""
+        moments = [m for m in self._moments() if any(self._is_whole(s) for s in self._seen(*m))]
+        return self._views(moments, count)
+
+    def without_faces(self, count: int) -> list[View]:
+        """Views of the rooms in which no face shows its front."""
+        return self._views([m for m in self._moments() if not self._seen(*m)], count)
+
+    def of_the_drive(self, count: int) -> list[View]:
+        """Views as they come: with faces, with some in part, and mostly without."""
+        return self._views(self._moments(), count)
+
+    def render(self, camera: str, index: int) -> np.ndarray:
+        """One picture."""
+        return self._renderers[camera].picture(index)
+
+    def _moments(self) -> list[tuple[str, int]]:
+        duration_s = self.world.duration_s
+        return [
+            (name, index)
+            for name, camera in self.world.cameras.items()
+            for index in range(0, int(duration_s * camera.rate), 2)
+        ]
+
+    def _views(self, moments: Sequence[tuple[str, int]], count: int) -> list[View]:
+        chosen = np.linspace(0, len(moments) - 1, min(count, len(moments))).round().astype(int)
+        return [self._view(*moments[i]) for i in chosen]
+
+    def _view(self, camera: str, index: int) -> View:
+        faces = tuple(
+            TrueFace(seen.face, self._pixels(camera, index, seen.face), self._is_whole(seen))
+            for seen in self._seen(camera, index)
+        )
+        return View(self.render(camera, index), faces)
+
+    def _seen(self, camera: str, index: int) -> list[SeenFace]:
+        robot = self.world.first_robot
+        return self.world.seen(camera, robot, float(self.world.camera(camera).time_of(index)))
+
+    def _is_whole(self, seen: SeenFace) -> bool:
+        is_large = seen.smallest_square_px >= self.world.smallest_square_px
+        return is_large and len(seen.corners) == seen.face.corner_count
+
+    def _pixels(self, camera: str, index: int, face: Face) -> Array:
+        eye = self.world.camera(camera)
+        base = self.world.map_from_base(self.world.first_robot, float(eye.time_of(index)))
+        camera_from_face = eye.map_from_camera.inverse() @ base @ face.base_from_face
+        return eye.model.project(camera_from_face @ face.corners)
+
+
+@cache
+def gallery(target: str) -> Gallery:
+    """The gallery of a kind of target; its rooms are drawn once."""
+    return Gallery(target)

@@ -1,0 +1,39 @@
+"""The benchmarks open, and give rows that can be printed and written."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmarks import messages
+from benchmarks.machine import machine
+from benchmarks.report import write_report
+from benchmarks.table import BENCHMARKS, Row, formatted, open_benchmark
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_name_of_the_table_opens(name: str) -> None:
+    assert callable(open_benchmark(name))
+
+
+def test_a_benchmark_gives_rows_with_both_sides_and_their_ratio() -> None:
+    rows = messages.run(0.01)
+    assert [row.what.split()[0] for row in rows] == ["encode", "decode"] * 3
+    for row in rows:
+        assert row.benchmark == "messages"
+        assert row.ours > 0
+        assert row.other > 0
+        assert row.ratio is not None
+        assert math.isclose(row.ratio * row.other, row.ours)
+
+
+def test_a_row_against_nothing_has_no_ratio_and_is_printed_and_written(tmp_path: Path) -> None:
+    row = Row("detection", "wrong faces", "faces", 2, 0, "OpenCV")
+    assert row.ratio is None
+    assert "| 2 " in formatted([row])[2]
+    path = tmp_path / "new" / "rows.json"
+    write_report(path, [row], machine(), effort=1.0)
+    report = json.loads(path.read_text(encoding="utf-8"))
+    assert report["rows"][0]["ratio"] is None
+    assert report["machine"]["cores"] >= 1
