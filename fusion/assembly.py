@@ -14,7 +14,14 @@ from trigpoint.target import Target
 from .dataset import DataSet, KnownCameras
 from .observations import Observation, points_of
 from .odometry_track import Motion
-from .problem import Batch, Chain, Priors, Problem, State, layout_of
+from .problem import (
+    Batch,
+    Chain,
+    Priors,
+    Problem,
+    State,
+    layout_of,
+)
 
 # Where no camera sees the robot for long, nodes are put in between, so that the way there is
 # worked out with the rest and can be interpolated.

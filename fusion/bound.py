@@ -14,10 +14,11 @@ from trigpoint.geometry.rotation import Array
 
 from .assembly import assemble
 from .dataset import DataSet, Entry
+from .equations import linearise
 from .faces import best_reading
 from .observations import Observation, Verdict
 from .odometry_track import OdometryTrack
-from .problem import CameraState, State, linearise
+from .problem import CameraState, State
 from .solver import reduce
 
 

@@ -16,18 +16,17 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, hat
 
 from .dataset import DataSet
+from .equations import EXACT, linearise
+from .models import batch_jacobian
 from .observations import Observation, points_of
 from .problem import (
-    EXACT,
     Batch,
     Chain,
     Priors,
     Problem,
     RobotState,
     State,
-    batch_jacobian,
     layout_of,
-    linearise,
 )
 from .solver import Reduced, covariance_of, eliminate
 

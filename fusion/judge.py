@@ -2,13 +2,15 @@
 
 import numpy as np
 
+from trigpoint.clock import to_ns
 from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
 from .dataset import DataSet
 from .faces import best_reading
+from .models import batch_jacobian
 from .observations import Verdict
-from .problem import Batch, Problem, State, batch_jacobian
+from .problem import Batch, Problem, State
 from .solver import Solution
 
 # χ² by which the next reading must be worse; e^(-25/2) is one in 300,000.
@@ -17,16 +19,48 @@ DECISIVE = 25.0
 _WILD_SIGMAS = 5.0
 # With more wild corners than this the whole observation is wrong.
 _WILD_SHARE = 0.25
+_BESIDE_NS = to_ns(2.0)
+_MUCH_BETTER = 0.5
 
 
 def judge(data: DataSet, assembled: Assembled, state: State) -> bool:
     """Mark outliers and rejected observations in the data set; whether anything changed."""
-    changed = False
+    changed, wrong = False, []
     for batch in assembled.problem.batches:
         length = _lengths(assembled.problem, batch, state)
         for row, source in enumerate(batch.sources):
-            changed |= _judge_one(data, int(source), state, length[row])
-    return changed
+            count = data.entries[source].observation.corner_count
+            if _wild(length[row, :count]).mean() <= _WILD_SHARE:
+                changed |= _mark_outliers(data, int(source), length[row, :count])
+            elif _read_anew(data, int(source), state):
+                changed = True
+            else:
+                wrong.append((int(source), float(np.nanmedian(length[row, :count]))))
+    for source in _worst(data, wrong):
+        entry = data.entries[source]
+        entry.observation = entry.observation.judged(Verdict.REJECTED)
+    return changed or bool(wrong)
+
+
+def _worst(data: DataSet, wrong: list[tuple[int, float]]) -> list[int]:
+    """Those that are not much better than another one of their robot at about their time: a wrong
+    observation draws the good ones beside it off, which fit once it is gone."""
+    found = []
+    for source, length in wrong:
+        mine = data.entries[source].observation
+        beside = [
+            other_length
+            for other, other_length in wrong
+            if data.entries[other].observation.robot == mine.robot
+            and abs(data.entries[other].observation.stamp_ns - mine.stamp_ns) <= _BESIDE_NS
+        ]
+        if length >= _MUCH_BETTER * max(beside):
+            found.append(source)
+    return found
+
+
+def _wild(length: Array) -> np.ndarray:
+    return ~(length <= _WILD_SIGMAS)
 
 
 def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
@@ -37,16 +71,10 @@ def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     return length / np.sqrt(batch.shares)[:, None]
 
 
-def _judge_one(data: DataSet, source: int, state: State, length: Array) -> bool:
-    entry = data.entries[source]
-    observation = entry.observation
-    count = observation.corner_count
-    wild = ~(length[:count] <= _WILD_SIGMAS)
-    if wild.mean() > _WILD_SHARE:
-        if _read_anew(data, source, state):
-            return True
-        entry.observation = observation.judged(Verdict.REJECTED)
-        return True
+def _mark_outliers(data: DataSet, source: int, length: Array) -> bool:
+    """Mark the wild corners of an observation; whether these are others than before."""
+    observation = data.entries[source].observation
+    wild = _wild(length)
     if not wild.any():
         return False
     ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
@@ -54,7 +82,7 @@ def _judge_one(data: DataSet, source: int, state: State, length: Array) -> bool:
     known = observation.outliers
     if known and all(np.array_equal(a, b) for a, b in zip(known, outliers, strict=True)):
         return False
-    entry.observation = observation.with_outliers(outliers)
+    data.entries[source].observation = observation.with_outliers(outliers)
     return True
 
 

@@ -14,8 +14,9 @@ from trigpoint.geometry import Pose
 from . import faces
 from .assembly import assemble
 from .dataset import DataSet, Entry
+from .models import batch_jacobian
 from .observations import Reading, Verdict
-from .problem import CameraState, Problem, State, batch_jacobian
+from .problem import CameraState, Problem, State
 from .solver import solve
 
 MOST_SEEDS = 10
@@ -219,13 +220,13 @@ def _solved(
 
 
 def _median_rms(problem: Problem, state: State) -> float:
-    """Median over observations of the RMS of a coordinate, in sigmas."""
-    values = []
+    """RMS of a coordinate over the corners but the wild ones, in sigmas: from the median of their
+    lengths, which for normal coordinates is √(2 ln 2)."""
+    lengths = []
     for batch in problem.batches:
         _, residual, _ = batch_jacobian(problem, batch, state)
-        used = (batch.weights > 0).sum(axis=1)
-        values.append(np.sqrt((residual**2).sum(axis=(1, 2)) / np.maximum(2 * used, 1)))
-    return float(np.median(np.concatenate(values)))
+        lengths.append(np.linalg.norm(residual, axis=-1)[batch.weights > 0])
+    return float(np.median(np.concatenate(lengths)) / np.sqrt(2 * np.log(2)))
 
 
 def _is_known(hypothesis: _Hypothesis, others: list[_Hypothesis]) -> bool:

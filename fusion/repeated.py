@@ -16,8 +16,9 @@ from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
 from .dataset import DataSet
+from .models import batch_jacobian
 from .odometry_track import PLANAR
-from .problem import Batch, Problem, State, batch_jacobian
+from .problem import Batch, Problem, State
 
 _LEAST_PICTURES = 3
 # Standard deviations by which the mean residuals must be too large to be those of noise.

@@ -13,16 +13,14 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, c
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
+from .equations import ChainEquations, NormalEquations, linearise
 from .problem import (
     CameraState,
-    ChainEquations,
     Layout,
-    NormalEquations,
     Problem,
     RobotState,
     State,
     inner_nodes,
-    linearise,
 )
 
 _DAMPING_START = 1e-9

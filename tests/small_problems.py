@@ -11,6 +11,7 @@ from trigpoint.clock import to_ns
 from trigpoint.config import parse_site
 from trigpoint.fusion.assembly import Assembled, assemble
 from trigpoint.fusion.dataset import DataSet, Entry, KnownCameras
+from trigpoint.fusion.equations import NormalEquations
 from trigpoint.fusion.observations import (
     Observation,
     Reading,
@@ -20,7 +21,7 @@ from trigpoint.fusion.observations import (
     face_points,
 )
 from trigpoint.fusion.odometry_track import OdometryTrack
-from trigpoint.fusion.problem import CameraState, NormalEquations, Problem, RobotState, State
+from trigpoint.fusion.problem import CameraState, Problem, RobotState, State
 from trigpoint.fusion.solver import moved_state
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3

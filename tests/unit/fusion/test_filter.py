@@ -7,8 +7,8 @@ from small_problems import EPOCH_NS, first_state, small_data, true_pose
 from trigpoint.clock import to_ns
 from trigpoint.fusion.assembly import assemble
 from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.equations import EXACT, linearise
 from trigpoint.fusion.filter import Filter, carried_on
-from trigpoint.fusion.problem import EXACT, linearise
 from trigpoint.fusion.solver import reduce
 from trigpoint.geometry import Pose
 

@@ -16,14 +16,9 @@ from small_problems import (
 )
 
 from trigpoint.fusion.assembly import Assembled, assemble
-from trigpoint.fusion.problem import (
-    EXACT,
-    Problem,
-    State,
-    batch_jacobian,
-    linearise,
-    odometry_terms,
-)
+from trigpoint.fusion.equations import EXACT, linearise
+from trigpoint.fusion.models import batch_jacobian, odometry_terms
+from trigpoint.fusion.problem import Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 

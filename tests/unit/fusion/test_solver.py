@@ -9,7 +9,8 @@ from small_problems import whole_gradient as gradient_of
 
 from trigpoint.fusion import solver
 from trigpoint.fusion.assembly import Assembled, assemble
-from trigpoint.fusion.problem import Problem, State, linearise
+from trigpoint.fusion.equations import linearise
+from trigpoint.fusion.problem import Problem, State
 from trigpoint.fusion.solver import covariance_of, reduce, solve
 from trigpoint.geometry.rotation import Array
 

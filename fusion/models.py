@@ -1,0 +1,115 @@
+"""What a state predicts of sightings and of odometry, and how that changes with it.
+
+Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
+axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+from .odometry_track import Motion
+from .problem import Batch, Problem, State
+
+
+def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
+    """Weighted Jacobian (n, K, 2, d + q), residual (n, K, 2) and dense columns (q,) of a batch.
+
+    Residual = (projection - pixel)/sigma. With p the corner in the map and o in the optical frame,
+    o = R_cᵀ(p - t_c): ∂o/∂δt_c = -R_cᵀ, ∂o/∂δθ_c = R_cᵀ[p - t_c]×, ∂p/∂δt_b = I,
+    ∂p/∂δθ_b = -[R_b p_b]×, and likewise for a face on the base.
+    """
+    camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
+    chain, layout = problem.chains[batch.robot], problem.layout
+    base_from_face = robot.base_from_face[batch.faces]
+    in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
+    in_base = in_face_axes + base_from_face.translation
+    node = robot.map_from_base[batch.nodes]
+    # True time = stamp - offset: a larger offset looks at the robot earlier on its way.
+    twist = chain.velocity[batch.nodes].reshape(-1, 2, 3)
+    by_offset = -(twist @ np.swapaxes(node.rotation, 1, 2)).reshape(-1, 6)
+    node = node.disturbed(by_offset * (camera.time_offset_s - batch.time_offset_s))
+    arm = in_base @ np.swapaxes(node.rotation, 1, 2)
+    from_camera = arm + node.translation[:, None] - camera.map_from_camera.translation
+    camera_rotation = camera.map_from_camera.rotation
+    optical = from_camera @ camera_rotation
+    # A corner behind the camera has no projection: it is pushed back before it, where its residual
+    # is large and its derivative harmless.
+    optical[..., 2] = np.where(batch.weights > 0, np.maximum(optical[..., 2], 1e-2), 1.0)
+    pixels, by_optical, by_lens = camera.lens.project_jacobians(optical)
+    weights = batch.weights[..., None]
+    residual = (pixels - batch.pixels) * weights
+    by_map = (by_optical @ camera_rotation.T) * weights[..., None]
+    by_node = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)
+    parts = [
+        by_node[..., chain.tangent],
+        np.concatenate([-by_map, by_map @ so3.hat(from_camera)], axis=-1),
+    ]
+    columns = [layout.pose[batch.camera]]
+    if batch.camera in layout.lens:
+        parts.append(by_lens * weights[..., None])
+        columns.append(layout.lens[batch.camera])
+    if batch.camera in layout.time_offset:
+        parts.append(by_node @ by_offset[:, None, :, None])
+        columns.append(layout.time_offset[batch.camera])
+    if batch.robot in layout.faces:
+        by_base = by_map @ node.rotation[:, None]
+        by_face = np.concatenate([by_base, -by_base @ so3.hat(in_face_axes)], axis=-1)
+        count = len(robot.base_from_face)
+        mine = batch.faces[..., None] == np.arange(count)
+        parts.append(
+            (by_face[..., None, :] * mine[..., None, :, None]).reshape(*by_face.shape[:3], -1)
+        )
+        columns.append(layout.faces[batch.robot])
+    every = np.arange(layout.size)
+    return (
+        np.concatenate(parts, axis=-1),
+        residual,
+        np.concatenate([every[column] for column in columns]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryTerms:
+    """Whitened residual (n, d) between consecutive nodes, and its derivatives."""
+
+    residual: Array
+    by_earlier: Array
+    by_later: Array
+    by_scale: Array
+
+
+def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
+    """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
+
+    Disturbances turn it by ∂t/∂δθ_i = R_iᵀ[t_j - t_i]×, ∂r/∂δθ = J_l⁻¹(r) R_iᵀ (Solà et al.), and
+    one of ΔR by -J_r⁻¹(r), where J_r(r) = J_l(-r).
+    """
+    to_earlier = np.swapaxes(earlier.rotation, 1, 2)
+    between = later.translation - earlier.translation
+    reported = motion.earlier_from_later
+    turn = so3.log(to_earlier @ later.rotation @ np.swapaxes(reported.rotation, 1, 2))
+    moved = (to_earlier @ between[..., None])[..., 0] - reported.translation
+    turning = np.linalg.inv(so3.left_jacobian(turn)) @ to_earlier
+    n = len(between)
+    by_later = np.zeros((n, 6, 6))
+    by_later[:, :3, :3] = to_earlier
+    by_later[:, 3:, 3:] = turning
+    by_earlier = -by_later
+    by_earlier[:, :3, 3:] = to_earlier @ so3.hat(between)
+    by_scale = -motion.by_scale
+    by_scale[:, 3:] = np.linalg.solve(so3.left_jacobian(-turn), by_scale[:, 3:])
+    residual = np.concatenate([moved, turn], axis=1)[:, tangent]
+    free = np.ix_(range(n), tangent, tangent)
+    root = np.linalg.cholesky(motion.covariance[free])
+    solve = np.linalg.solve
+    return OdometryTerms(
+        solve(root, residual[..., None])[..., 0],
+        solve(root, by_earlier[free]),
+        solve(root, by_later[free]),
+        solve(root, by_scale[:, tangent]),
+    )
