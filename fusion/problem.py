@@ -2,7 +2,8 @@
 
 Unknowns are the robots' poses at their sightings («nodes», a chain per robot, held by odometry)
 and the dense part: cameras, and where they have a prior sigma lenses, time offsets, odometry
-scales and the faces' poses. A camera sees one robot at a time, so the normal equations (`equations`) are
+scales and the faces' poses. A camera sees one robot at a time, so the normal equations
+(`equations`) are
 
     [A  B ] [nodes]     A: block-tridiagonal, one block row a node
     [Bᵀ C ] [dense]     C: small and dense
