@@ -108,7 +108,7 @@ def _robot(
         truth=_tum(folder.path / truth.robots[name], record.epoch_ns).until(end_s),
         odometry=odometry,
         live=tracks.live(name),
-        believed=_believed(folder.journal(name), record.epoch_ns),
+        believed=_believed(folder.journal(name), record.epoch_ns).until(end_s),
         smoothed=_tum(folder.path / f"{name}.tum", record.epoch_ns),
         corrections=tracks.corrections(name),
     )

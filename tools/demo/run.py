@@ -151,6 +151,7 @@ class Run:
         while not watch.is_settled(kind) and time.monotonic() < deadline_s:
             time.sleep(_LOOK_S)
             watch.read()
+        watch.wait_for_fusion()
         time.sleep(_FLIGHT_S)
 
 

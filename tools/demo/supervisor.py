@@ -140,7 +140,7 @@ class Supervisor:
         fallen = [part for part in self.parts if not part.is_running]
         for part in list(fallen):
             if not part.spec.needed:
-                self.parts.remove(part)
+                self._let_go(part)
                 continue
             if part.restarts >= _MOST_RESTARTS:
                 raise OperationError(f"{part.ended()}, {part.restarts + 1} times (see {part.log})")
@@ -148,6 +148,11 @@ class Supervisor:
             part.restarts += 1
             part.start()
         return bool(fallen)
+
+    def _let_go(self, part: Part) -> None:
+        if part.has_failed():
+            self._say(f"{part.ended()}; it goes on without")
+        self.parts.remove(part)
 
     def stop(self, ranks: Sequence[int] | None = None) -> None:
         """Stop the parts of these ranks (None: all), rank by rank; kill what does not stop."""

@@ -14,12 +14,14 @@ from trigpoint.topics import (
     ROBOT_POSE,
     Topic,
     alive_key,
+    command_key,
     node_of,
     topic_of,
 )
 
 _TOTAL = ".total"
 _LOST = ".lost"
+_TURN_S = 10.0
 
 
 class Watch:
@@ -94,6 +96,11 @@ class Watch:
             for node, number in senders.items()
             if node.startswith(f"{kind}/") and _is_reliable(key)
         )
+
+    def wait_for_fusion(self) -> None:
+        """Return when fusion has worked on all that it has received: it answers between its turns.
+        At once where it is not there."""
+        self._bus.query(command_key(self._site, "fusion/map"), timeout_s=_TURN_S)
 
     def total(self, word: str) -> int:
         """A counter's sum over all nodes."""

@@ -87,6 +87,14 @@ def test_window_that_was_closed_is_not_opened_again(supervise, said):
     assert said == []
 
 
+def test_window_that_cannot_be_opened_is_said_and_nothing_else_stops(supervise, said):
+    with supervise(spec("viewer", FAILS, needed=False), spec("a", SLEEPS)) as supervisor:
+        assert eventually(lambda: not supervisor.parts[0].is_running)
+        supervisor.expect_all()
+        assert [part.spec.name for part in supervisor.parts] == ["a"]
+    assert said == ["viewer ended with status 1: the port is on fire; it goes on without"]
+
+
 def test_parts_stop_in_the_order_of_their_ranks(supervise, tmp_path):
     notes = tmp_path / "notes.txt"
 
