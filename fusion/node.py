@@ -63,6 +63,8 @@ class FusionNode:
         """Work everything out to the end and write it. Called after the working thread ended."""
         with self._lock:
             self._checkpoint.close()
+            # What is known now is kept first: whoever stops us may not wait for the last solution.
+            self._pipeline.results().save(self._out)
             self._pipeline.finish()
             self._pipeline.results().save(self._out)
         _log.info("the network is in %s", self._out / "network.json")

@@ -78,7 +78,7 @@ class Pipeline:
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []
         self._sequence: Counter[str] = Counter()
-        self._corrected_ns: dict[str, int] = {}
+        self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
         self._early: list[tuple[str, Sightings]] = []
 
@@ -188,15 +188,9 @@ class Pipeline:
         self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
 
     def _correct(self, robot: str, estimate: RobotEstimate) -> None:
-        period_ns = to_ns(1 / self.site.fusion.correction_rate)
-        last_ns = self._corrected_ns.get(robot)
-        # Half a period of grace, so that pictures at just that rate are not halved by jitter.
-        if last_ns is not None and 0 <= estimate.stamp_ns - last_ns < period_ns // 2:
-            return
         map_id = self.map_id
-        if map_id is None:
+        if map_id is None or not self._is_correction_due(robot, estimate.stamp_ns):
             return
-        self._corrected_ns[robot] = estimate.stamp_ns
         self._sequence[robot] += 1
         self._send(
             topics.CORRECTION,
@@ -204,6 +198,16 @@ class Pipeline:
             PoseEstimate(estimate.stamp_ns, "map", estimate.map_from_base, estimate.covariance),
             encode_mark(CorrectionMark(map_id, self._sequence[robot])),
         )
+
+    def _is_correction_due(self, robot: str, stamp_ns: int) -> bool:
+        """Whether the rate allows one now; half a period early is forgiven but not forgotten, so
+        that pictures at just that rate are not halved by their jitter."""
+        period_ns = to_ns(1 / self.site.fusion.correction_rate)
+        due_ns = max(self._correction_due_ns.get(robot, stamp_ns), stamp_ns - period_ns // 2)
+        if stamp_ns < due_ns - period_ns // 2:
+            return False
+        self._correction_due_ns[robot] = due_ns + period_ns
+        return True
 
     def _say_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
         period_ns = 0 if is_urgent else _CAMERA_PERIOD_NS
