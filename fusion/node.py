@@ -146,6 +146,7 @@ class FusionNode:
                 self._pipeline.advance()
         self._pipeline.advance()
         if count:
+            self._pipeline.resumed()
             _log.info(
                 "map %s resumed from %s (%d messages); the command %s starts a new one",
                 self._pipeline.map_id,

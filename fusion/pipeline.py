@@ -40,6 +40,7 @@ from .smoother import Smoother
 _TF_PERIOD_NS = to_ns(0.1)
 _CAMERA_PERIOD_NS = to_ns(1.0)
 _COVERAGE_PERIOD_NS = to_ns(5.0)
+_SEQUENCE_MARGIN = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +161,16 @@ class Pipeline:
             self._early.append((camera, message))
         else:
             self.counts["without_intrinsics"] += 1
+
+    def resumed(self) -> None:
+        """Say that what was pushed so far came from a checkpoint.
+
+        Whoever wrote it may have sent more corrections than it shows, and a robot refuses a
+        sequence number that it has seen; so the next ones are well beyond.
+        """
+        for robot in self.site.robots:
+            self._sequence[robot] += _SEQUENCE_MARGIN
+        self._outputs.clear()
 
     # -- work -------------------------------------------------------------------------------------
 
