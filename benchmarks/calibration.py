@@ -45,7 +45,8 @@ def _time_row(what: str, ours: float, duration: float) -> Row:
 
 
 def _drive(seed: int) -> tuple[float, float, float, float, float]:
-    """Seconds to calibrate, seconds of processors' work in them, the drive's duration (s), its error and its bound (m)."""
+    """Seconds to calibrate, seconds of the processors' work in them, the drive's duration (s), its
+    error and its bound (m)."""
     with TemporaryDirectory() as folder:
         path = Path(folder)
         world = load_world("drive", seed=seed)
