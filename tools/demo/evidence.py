@@ -55,6 +55,7 @@ def load_results(folder: DemoFolder) -> DemoResults:
         series=tracks.uncertainty(network.cameras),
         walls=np.array([[wall.start, wall.end] for wall in world.walls]),
         restarts=record.restarts,
+        is_whole=record.seconds == world.duration_s,
         bound_m=_bound_m(folder) if error.distance is not None else None,
     )
 

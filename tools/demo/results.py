@@ -153,7 +153,8 @@ class DemoResults:
     """Everything that the table and the report show. `walls`: (n, 2, 2) ends on the floor;
     `covariance`: (6n, 6n) of the located cameras in their order; `mean_distance_error_m`: over all
     pairs of them, None where there is none; `bound_m`: the smallest mean distance error that any
-    estimator can expect of this drive, None where it was not worked out."""
+    estimator can expect of this drive, None where it was not worked out; `is_whole`: whether the
+    session was not cut shorter or longer than the drive."""
 
     site: str
     world: str
@@ -170,6 +171,7 @@ class DemoResults:
     walls: Array
     restarts: dict[str, int] = field(default_factory=dict)
     bound_m: float | None = None
+    is_whole: bool = True
 
     @property
     def located(self) -> list[CameraResult]:

@@ -158,10 +158,9 @@ def _further(results: DemoResults, folder: str) -> str:
         f"trigpoint calibrate {folder}/session.mcap   # the same estimate from the recording\n"
         f"trigpoint replay {folder}/session.mcap      # put it back on the bus"
     )
-    again = (
-        f"trigpoint demo --seed {results.seed} --target {results.target} "
-        f"--seconds {results.seconds:g} --out {folder}"
-    )
+    again = f"trigpoint demo --seed {results.seed} --target {results.target} --out {folder}"
+    if not results.is_whole:
+        again += f" --seconds {results.seconds:g}"
     return element(
         "section",
         element("h2", "Look further"),

@@ -142,7 +142,13 @@ footer {{ margin-top:56px; padding-top:14px; border-top:1px solid var(--rule); c
   th, td {{ padding:6px 8px }}
 }}
 @media print {{
-  body {{ background:#fff; font-size:12pt }}
+  body {{ background:#fff; font-size:10pt }}
+  h1 {{ font-size:20pt }}
+  h2 {{ margin-top:20pt }}
+  .tiles {{ grid-template-columns:repeat(5,1fr) }}
+  .tile b {{ font-size:15pt }}
+  .closeups {{ grid-template-columns:repeat(6,1fr) }}
+  .charts {{ grid-template-columns:1fr 1fr }}
   main {{ max-width:none; padding:0 }}
   .card, .tile, .closeups figure, tr {{ break-inside:avoid }}
   h2 {{ break-after:avoid }}

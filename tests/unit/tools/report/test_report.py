@@ -113,6 +113,12 @@ def test_missed_camera_is_the_headline_and_among_what_went_wrong():
     assert "camera c2 was missed" in text
 
 
+def test_command_that_drives_again_cuts_as_the_run_was_cut():
+    assert "--seconds" not in " ".join(read(make_results()).words)
+    cut = read(make_results(is_whole=False, seconds=16.0))
+    assert "trigpoint demo --seed 3 --target charuco --out out --seconds 16" in cut.words
+
+
 def test_names_from_files_cannot_break_the_page():
     key = make_key("camera/<b>&/sightings")
     reader = read(make_results(keys=(key,), target="<script>"))
