@@ -28,6 +28,7 @@ from .trajectory import interpolated
 _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_REBUILDS = 20
+_MOST_SETTLING = 3
 # What a step may still promise of χ² at the end: 0.1 and 0.01 of a sigma.
 _LIVE_TOLERANCE = 1e-2
 _FINAL_TOLERANCE = 1e-4
@@ -287,12 +288,30 @@ class Smoother:
                 self._guess(index)
             if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
                 continue
-            prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, 0.01 * np.eye(6))
             if self._filter is None or not self._filter.has_camera(observation.camera):
                 continue  # located just now: the next solution looks at it again
+            prior = self._loosely(observation, entry.map_from_base)
             aligned = self._aligned(self._filter, observation, prior)
-            if aligned is not None:
+            if aligned is None:
+                continue
+            is_rejected = observation.verdict is Verdict.REJECTED
+            if not (is_rejected and _is_elsewhere(aligned[1], prior)):
                 entry.observation = aligned[0].judged(Verdict.ACCEPTED)
+
+    def _loosely(self, observation: Observation, map_from_base: Pose) -> RobotEstimate:
+        """Where the robot stood by the sightings around: within a decimetre and a tenth of a
+        radian, and what odometry may have drifted since the nearest one."""
+        variance = np.repeat([0.01, 0.01], 3)
+        robot, stamp_ns = observation.robot, observation.stamp_ns
+        chain = self._assembled.problem.chains.get(robot) if self._assembled else None
+        track = self.data.tracks[robot]
+        if chain is not None and track.covers(stamp_ns):
+            nearest = int(chain.stamps_ns[np.argmin(np.abs(chain.stamps_ns - stamp_ns))])
+            if nearest != stamp_ns:
+                moments = np.array(sorted([nearest, stamp_ns]))
+                drift = np.diagonal(track.motion(moments, chain.scales).covariance[0])
+                variance = variance + np.repeat([drift[:3].sum(), drift[3:].sum()], 3)
+        return RobotEstimate(stamp_ns, map_from_base, np.diag(variance))
 
     def _solve_consistently(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
         """Solve until scales and time offsets, which the problem's making needs, stay put.
@@ -366,6 +385,21 @@ class Smoother:
             found = [name for name in missing if self._locate(name)]
             if not found:
                 break
+        self._settle()
+
+    def _settle(self) -> None:
+        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
+        for _ in range(_MOST_SETTLING):
+            before = self._rejected()
+            if not before:
+                return
+            self.solve()
+            if self._rejected() == before:
+                return
+
+    def _rejected(self) -> set[int]:
+        entries = self.data.entries
+        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
 
     # -- output -----------------------------------------------------------------------------------
 
@@ -461,6 +495,12 @@ class Smoother:
         if self._assembled is None or self._solution is None:
             return None
         return judge.chi2_per_dof(self._assembled.problem, self._solution)
+
+
+def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
+    """Whether a pose is more than five sigmas from where the robot stood."""
+    apart = map_from_base.difference(prior.map_from_base)
+    return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)
 
 
 def _is_consistent(before: State, after: State) -> bool:
