@@ -1,0 +1,35 @@
+"""Drives that many tests look at, made and solved once."""
+
+import pytest
+from drives import Session, lab_plan, make_session, offline
+
+from trigpoint.fusion.results import Results
+
+
+@pytest.fixture(scope="session")
+def charuco() -> Session:
+    """Three cameras around a robot whose faces tell which they are."""
+    return make_session(lab_plan("charuco"))
+
+
+@pytest.fixture(scope="session")
+def checkerboard() -> Session:
+    """The same with the paper's boards: six faces alike, each readable from either end."""
+    return make_session(lab_plan("checkerboard"))
+
+
+@pytest.fixture(scope="session", params=["charuco", "checkerboard"])
+def session(request: pytest.FixtureRequest, charuco: Session, checkerboard: Session) -> Session:
+    """Either drive."""
+    return charuco if request.param == "charuco" else checkerboard
+
+
+@pytest.fixture(scope="session")
+def results(session: Session) -> Results:
+    """What `calibrate` makes of the drive."""
+    return offline(session)
+
+
+@pytest.fixture(scope="session")
+def charuco_results(charuco: Session) -> Results:
+    return offline(charuco)
