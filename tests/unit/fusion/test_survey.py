@@ -261,7 +261,7 @@ def uneven(*, radius: float = 1.2) -> object:
 
 
 def test_time_offsets_are_found() -> None:
-    true = dict(zip(("c1", "c2", "c3"), (0.03, -0.05, 0.02), strict=True))
+    true: dict[str, float] = {"c1": 0.03, "c2": -0.05, "c3": 0.02}
     cameras = {
         name: replace(camera, time_offset_s=true[name], more="time_offset_sigma = 0.05")
         for name, camera in lab_cameras().items()
