@@ -30,9 +30,9 @@ class Checkpoint:
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path, self._clock = path, clock
-        path.parent.mkdir(parents=True, exist_ok=True)
         sound = _sound_length(path)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("r+b" if path.exists() else "w+b")
         except OSError as reason:
             raise OperationError(
@@ -76,18 +76,24 @@ def read_checkpoint(path: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def _sound_length(path: Path) -> int:
-    """How many bytes of the file are whole records."""
-    length = len(_MAGIC) if path.exists() and path.read_bytes()[: len(_MAGIC)] == _MAGIC else 0
+    """How many bytes of the file are whole records, with the file's head."""
+    length = 0
     for end, _, _ in _records(path):
         length = end
     return length
 
 
 def _records(path: Path) -> Iterator[tuple[int, str, bytes]]:
-    """(end of the record, key, payload)."""
-    if not path.exists():
+    """(end of the record, key, payload); raise OperationError where the file cannot be read."""
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
         return
-    with path.open("rb") as file:
+    except OSError as reason:
+        raise OperationError(
+            f"{path}: the checkpoint cannot be read ({reason.strerror}); give another --out"
+        ) from None
+    with file:
         magic = file.read(len(_MAGIC))
         if magic != _MAGIC:
             if magic:
