@@ -155,12 +155,12 @@ def pose_of(network, name: str) -> Pose:
     return network.cameras[name].map_from_camera.pose
 
 
-def test_twice_the_pictures_make_it_surer(charuco: Session, charuco_results: Results) -> None:
-    more = make_session(replace(charuco.plan, picture_rate=4.0))
-    results = offline(more)
-    assert_honest(more, results)
+def test_half_the_pictures_make_it_less_sure(charuco: Session, charuco_results: Results) -> None:
+    fewer = make_session(replace(charuco.plan, picture_rate=1.0))
+    results = offline(fewer)
+    assert_honest(fewer, results)
     for name, camera in results.network.cameras.items():
-        assert camera.position_sigma < charuco_results.network.cameras[name].position_sigma
+        assert camera.position_sigma > charuco_results.network.cameras[name].position_sigma
 
 
 # -- what the data do not say ---------------------------------------------------------------------
@@ -219,11 +219,10 @@ def test_marked_faces_locate_a_camera_whatever_the_robot_does(charuco: Session, 
     assert_sound(results)
 
 
-@pytest.mark.parametrize("way", [standing(), turning()], ids=["stands", "turns"])
-def test_look_alikes_on_the_spot_leave_the_camera_undetermined(checkerboard: Session, way) -> None:
+def test_look_alikes_on_the_spot_leave_the_camera_undetermined(checkerboard: Session) -> None:
     # Faces 60° apart and a robot that stays where it is: the camera may be on either of its sides.
-    robots = {"r1": replace(checkerboard.plan.robots["r1"], way=way)}
-    session = make_session(replace(checkerboard.plan, robots=robots, seconds=3.0))
+    robots = {"r1": replace(checkerboard.plan.robots["r1"], way=turning())}
+    session = make_session(replace(checkerboard.plan, robots=robots, seconds=2.5))
     results = offline(session)
     assert statuses(results) == {"c1": "undetermined", "c2": "unseen", "c3": "unseen"}
     assert "fit alike" in results.network.cameras["c1"].undetermined[0]
@@ -342,11 +341,10 @@ def arm(seconds: Array) -> Pose:
     return Pose(so3.exp(turns), np.stack([x, y, 0.15 * np.sin(0.9 * seconds)], axis=-1))
 
 
-@pytest.mark.parametrize(("kind", "rate"), [("charuco", 2.0), ("checkerboard", 0.5)])
-def test_target_on_an_arm_locates_cameras_by_its_motion_in_space(kind: str, rate: float) -> None:
+def test_target_on_an_arm_locates_cameras_by_its_motion_in_space() -> None:
     noise = OdometryNoise(vertical=0.003, tilt=0.003, tilt_turn=0.004)
-    robot = RobotPlan(arm, target_of(kind), noise, planar=False)
-    session = make_session(Plan(lab_cameras(radius=0.5), {"r1": robot}, picture_rate=rate))
+    robot = RobotPlan(arm, target_of("charuco"), noise, planar=False)
+    session = make_session(Plan(lab_cameras(radius=0.5), {"r1": robot}, picture_rate=1.0))
     assert_honest(session, offline(session))
 
 
@@ -355,7 +353,7 @@ def test_target_on_an_arm_locates_cameras_by_its_motion_in_space(kind: str, rate
 
 def two_robots(seconds: float = 22.0) -> Session:
     """r2 carries another target, in an odometry frame of its own, half a round behind r1."""
-    plan = lab_plan(seconds=seconds)
+    plan = lab_plan(seconds=seconds, picture_rate=1.0)
     other = structs.replace(target_of("charuco"), name="other")
     second = RobotPlan(circle(speed=0.35), other, map_from_odom=Pose.planar(0.0, 2.4, np.pi))
     return make_session(replace(plan, robots=plan.robots | {"r2": second}))
@@ -471,7 +469,7 @@ def test_displaced_pictures_are_rejected_and_counted(charuco: Session) -> None:
     assert sum(c.rejected for c in results.network.cameras.values()) == len(moved)
 
 
-def test_single_wild_corners_cost_no_picture(session: Session) -> None:
+def test_single_wild_corners_cost_no_picture(charuco: Session) -> None:
     def scatter(random: np.random.Generator, faces):
         found = []
         for face in faces:
@@ -481,12 +479,12 @@ def test_single_wild_corners_cost_no_picture(session: Session) -> None:
             found.append(replace(face, pixels=pixels))
         return tuple(found)
 
-    wild = changed(session, messages=disturbed(session.messages, scatter))
+    wild = changed(charuco, messages=disturbed(charuco.messages, scatter))
     results = offline(wild)
     assert_honest(wild, results)
     assert sum(c.rejected for c in results.network.cameras.values()) == 0
     for camera in results.network.cameras.values():
-        assert camera.reprojection_rms == pytest.approx(session.plan.sigma, rel=0.15)
+        assert camera.reprojection_rms == pytest.approx(charuco.plan.sigma, rel=0.15)
 
 
 def test_face_that_is_named_wrongly_is_rejected(charuco: Session) -> None:

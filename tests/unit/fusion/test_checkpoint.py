@@ -1,0 +1,106 @@
+"""What came in is on the disk: whole, cut off, foreign."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trigpoint.clock import ManualClock
+from trigpoint.errors import OperationError
+from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
+
+RECORDS = [(f"lab/robot/r1/odom{i}", bytes([i]) * (10 * i)) for i in range(8)]
+
+
+def write(path: Path, records: list[tuple[str, bytes]]) -> None:
+    checkpoint = Checkpoint(path, ManualClock())
+    for key, payload in records:
+        checkpoint.write(key, payload)
+    checkpoint.close()
+
+
+@given(
+    records=st.lists(st.tuples(st.text(max_size=20), st.binary(max_size=200)), max_size=10),
+    parts=st.integers(0, 10),
+)
+def test_what_is_written_is_read_again_also_over_several_lives(
+    tmp_path_factory: pytest.TempPathFactory, records: list[tuple[str, bytes]], parts: int
+) -> None:
+    path = tmp_path_factory.mktemp("checkpoint") / "checkpoint.bin"
+    write(path, records[:parts])
+    write(path, records[parts:])
+    assert list(read_checkpoint(path)) == records
+
+
+def test_no_file_holds_nothing(tmp_path: Path) -> None:
+    assert list(read_checkpoint(tmp_path / "none.bin")) == []
+
+
+@pytest.mark.parametrize("cut", [1, 3, 50])
+def test_record_that_was_cut_off_is_left_out_and_overwritten(
+    tmp_path: Path, cut: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "checkpoint.bin"
+    write(path, RECORDS)
+    path.write_bytes(path.read_bytes()[:-cut])
+    assert list(read_checkpoint(path)) == RECORDS[:-1]
+    assert "cut off" in caplog.text
+    write(path, [("after", b"1")])
+    assert list(read_checkpoint(path)) == [*RECORDS[:-1], ("after", b"1")]
+
+
+def test_file_is_read_as_far_as_it_is_sound(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.bin"
+    write(path, RECORDS)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(bytes(data))
+    found = list(read_checkpoint(path))
+    assert found == RECORDS[: len(found)]
+    assert 0 < len(found) < len(RECORDS)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 something else entirely"])
+def test_foreign_file_is_named_and_replaced(
+    tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "checkpoint.bin"
+    path.write_bytes(content)
+    assert list(read_checkpoint(path)) == []
+    assert ("is no checkpoint" in caplog.text) == bool(content)
+    write(path, RECORDS)
+    assert list(read_checkpoint(path)) == RECORDS
+
+
+def test_record_is_on_the_disk_half_a_second_later(tmp_path: Path) -> None:
+    path, clock = tmp_path / "checkpoint.bin", ManualClock()
+    checkpoint = Checkpoint(path, clock)
+    checkpoint.write("key", b"payload")
+    checkpoint.flush()
+    assert list(read_checkpoint(path)) == []
+    clock.advance(0.6)
+    checkpoint.flush()
+    assert list(read_checkpoint(path)) == [("key", b"payload")]
+    checkpoint.close()
+
+
+def test_restart_forgets_everything(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.bin"
+    checkpoint = Checkpoint(path, ManualClock())
+    checkpoint.write("old", b"1")
+    checkpoint.restart()
+    checkpoint.write("new", b"2")
+    checkpoint.close()
+    assert list(read_checkpoint(path)) == [("new", b"2")]
+
+
+def test_place_that_cannot_be_used_is_one_clear_line(tmp_path: Path) -> None:
+    folder, file = tmp_path / "folder", tmp_path / "file"
+    folder.mkdir()
+    file.write_text("taken")
+    for path in (folder, file / "checkpoint.bin"):
+        with pytest.raises(OperationError, match="give another --out"):
+            Checkpoint(path, ManualClock())
+    with pytest.raises(OperationError, match="cannot be read"):
+        list(read_checkpoint(folder))

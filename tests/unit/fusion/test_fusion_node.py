@@ -1,0 +1,267 @@
+"""The estimator on a bus: what it takes, what it says, what it answers, and its second life."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import eventually
+from drives import EPOCH_NS, Session
+
+from trigpoint import cdr, topics
+from trigpoint.bus import Subscription
+from trigpoint.bus_memory import MemoryBroker, MemoryBus
+from trigpoint.clock import ManualClock
+from trigpoint.correction import decode_mark
+from trigpoint.errors import OperationError
+from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.node import FusionNode
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.results import Results
+from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.network import decode_network, load_network
+from trigpoint.node import Node
+from trigpoint.topics import Topic
+
+TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
+
+
+@dataclass(slots=True)
+class Running:
+    """A fusion node on a bus of its own, and another session beside it. The clock stands where the
+    sessions begin, so that nothing is late."""
+
+    bus: MemoryBus
+    node: Node
+    fusion: FusionNode
+    clock: ManualClock
+    sent: int = 0
+
+    def feed(self, messages: tuple[tuple[str, Message], ...]) -> None:
+        """Publish, and wait until all of it was taken."""
+        publishers = {}
+        for name, message in messages:
+            topic = TOPIC_OF[type(message)]  # pyright: ignore[reportArgumentType]
+            key = topic.key("lab", name)
+            if key not in publishers:
+                publishers[key] = self.bus.publisher(topic, key)
+            publishers[key].put(cdr.encode(message))
+            self.sent += 1
+        assert eventually(lambda: self.taken() == self.sent, timeout_s=60.0)
+
+    def taken(self) -> int:
+        names = ("r1/odom", "c1", "c2", "c3")
+        paths = [f"robot/{n}" if "/" in n else f"camera/{n}/sightings" for n in names]
+        infos = [f"camera/{n}/camera_info" for n in ("c1", "c2", "c3")]
+        return sum(self.node.health.total(f"received lab/{p}") for p in (*paths, *infos))
+
+    def ask(self, path: str) -> dict:
+        [reply] = self.bus.query(topics.command_key("lab", path), timeout_s=60.0)
+        assert not reply.error, reply.error
+        return json.loads(reply.payload)
+
+    def listen(self, topic: Topic) -> Subscription:
+        return self.bus.subscribe(topic, topic.expression("lab"))
+
+
+@contextmanager
+def running(inputs: Inputs, out: Path) -> Iterator[Running]:
+    """Start a fusion node; at the end it is stopped but not finished, as by a kill."""
+    broker, clock = MemoryBroker(), ManualClock(EPOCH_NS)
+    with (
+        broker.session() as bus,
+        broker.session() as other,
+        Node(bus, site="lab", kind="fusion", name="fusion") as node,
+    ):
+        fusion = FusionNode(bus, node, inputs, out, clock)
+        fusion.start()
+        yield Running(other, node, fusion, clock)
+
+
+def received(subscription: Subscription) -> list[tuple[str, Message, bytes]]:
+    found = []
+    while (sample := subscription.take(0.0)) is not None:
+        topic = topics.topic_of(sample.key)
+        assert topic is not None
+        assert sample.encoding == topic.encoding
+        message = cdr.decode(topic.type_name, sample.payload)
+        found.append((sample.key, message, sample.attachment))
+    return found
+
+
+def test_drive_over_the_bus_ends_in_the_network_of_the_session(
+    charuco: Session, charuco_results: Results, tmp_path: Path
+) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        wanted = (
+            topics.CAMERA_POSE,
+            topics.ROBOT_POSE,
+            topics.CORRECTION,
+            topics.TF,
+            topics.COVERAGE,
+        )
+        heard = {topic.name: run.listen(topic) for topic in wanted}
+        run.feed(charuco.messages)
+        odometry = sum(isinstance(m, Odometry) for _, m in charuco.messages)
+        assert eventually(lambda: heard["robot_pose"].depth == odometry)
+        answered = run.ask("fusion/network")
+        said = {name: received(subscription) for name, subscription in heard.items()}
+        map_id = run.ask("fusion/map")["map_id"]
+        assert run.node.health.total("rejected") == 0
+        assert eventually(lambda: run.node.health.report().values["cameras_located"] == "3")
+    run.fusion.finish()
+    network = load_network(tmp_path)
+    assert {camera["status"] for camera in answered["cameras"].values()} == {"located"}
+    assert network.map_id == map_id == answered["map_id"] == charuco_results.network.map_id
+    for name, record in charuco_results.network.cameras.items():
+        assert_same_place(network.cameras[name], record)
+    assert {key for key, *_ in said["camera_pose"]} == {f"lab/camera/c{i}/pose" for i in (1, 2, 3)}
+    assert {key for key, *_ in said["coverage"]} == {f"lab/coverage/c{i}" for i in (1, 2, 3)}
+    assert len(said["tf"]) > 100
+    marks = [decode_mark(attachment) for *_, attachment in said["correction"]]
+    assert {str(mark.map_id) for mark in marks} == {map_id}
+    assert [mark.sequence for mark in marks] == list(range(1, len(marks) + 1))
+    with np.load(tmp_path / "covariance.npz") as archive:
+        assert archive["covariance"].shape == (18, 18)
+        assert archive["cameras"].tolist() == ["c1", "c2", "c3"]
+    assert (tmp_path / "r1.tum").read_text().count("\n") == odometry
+
+
+def assert_same_place(mine, record) -> None:
+    """Within a tenth of a sigma."""
+    assert mine.status == record.status
+    apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
+    sigma = np.sqrt(np.diagonal(record.covariance_matrix))
+    np.testing.assert_allclose(apart / sigma, 0.0, atol=0.1)
+
+
+def test_killed_fusion_resumes_its_map_and_ends_where_it_would_have(
+    charuco: Session, charuco_results: Results, tmp_path: Path
+) -> None:
+    middle = 2 * len(charuco.messages) // 3
+    first, second = tmp_path / "first", tmp_path / "second"
+    with running(charuco.inputs, first) as run:
+        corrections = run.listen(topics.CORRECTION)
+        run.feed(charuco.messages[:middle])
+        before = run.ask("fusion/map")
+        assert eventually(lambda: corrections.depth > 0)
+        run.ask("fusion/network")  # answered between two turns: all that was taken is done
+        run.clock.advance(0.6)
+        size = (first / "checkpoint.bin").stat().st_size
+        assert eventually(lambda: (first / "checkpoint.bin").stat().st_size > size)
+        last = max(decode_mark(mark).sequence for *_, mark in received(corrections))
+        # What a killed process leaves is what is on the disk now.
+        second.mkdir()
+        shutil.copy(first / "checkpoint.bin", second)
+    with running(charuco.inputs, second) as run:
+        assert run.ask("fusion/map") == before
+        corrections = run.listen(topics.CORRECTION)
+        run.feed(charuco.messages[middle:])
+        assert eventually(lambda: corrections.depth > 0)
+        marks = [decode_mark(mark) for *_, mark in received(corrections)]
+    run.fusion.finish()
+    assert {str(mark.map_id) for mark in marks} == {before["map_id"]}
+    assert min(mark.sequence for mark in marks) > last
+    network = load_network(second)
+    assert network.map_id == before["map_id"]
+    for name, record in charuco_results.network.cameras.items():
+        assert network.cameras[name].sightings == record.sightings
+        assert_same_place(network.cameras[name], record)
+
+
+def test_reset_begins_a_new_map(charuco: Session, tmp_path: Path) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        run.feed(charuco.messages[:150])
+        first = run.ask("fusion/map")
+        assert run.ask("fusion/reset") == {}
+        [reply] = run.bus.query("lab/fusion/map")
+        assert "no map yet" in reply.error
+        run.feed(charuco.messages[150:200])
+        second = run.ask("fusion/map")
+        assert run.ask("fusion/network")["map_id"] == second["map_id"]
+    assert first != second
+    assert decode_network((tmp_path / "network.json").read_bytes()).map_id == second["map_id"]
+
+
+def test_clock_is_answered(charuco: Session, tmp_path: Path) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        assert run.ask("clock") == {"now_ns": EPOCH_NS}
+
+
+def test_map_that_is_not_there_yet_is_refused_in_words(charuco: Session, tmp_path: Path) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        [reply] = run.bus.query("lab/fusion/map")
+    assert "no odometry of the first robot" in reply.error
+
+
+@pytest.mark.parametrize("payload", [b"", b"garbage", b"\x00\x01\x00\x00" + b"\xff" * 60])
+def test_garbage_is_rejected_and_its_sender_named(
+    charuco: Session, tmp_path: Path, payload: bytes
+) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        for topic, name in (
+            (topics.ODOMETRY, "r1"),
+            (topics.SIGHTINGS, "c1"),
+            (topics.CAMERA_INFO, "c1"),
+        ):
+            run.bus.publisher(topic, topic.key("lab", name)).put(payload)
+        assert eventually(lambda: run.node.health.total("rejected") == 3)
+        assert f"from session {run.bus.identity}" in run.node.health.last_error
+        run.feed(charuco.messages[:60])  # and it goes on
+        assert run.ask("fusion/map")["map_id"]
+
+
+def test_sample_of_another_type_is_rejected(charuco: Session, tmp_path: Path) -> None:
+    _, odometry = charuco.messages[0]
+    with running(charuco.inputs, tmp_path) as run:
+        key = topics.ODOMETRY.key("lab", "r1")
+        run.bus.publisher(topics.CORRECTION, key).put(cdr.encode(odometry))
+        assert eventually(lambda: run.node.health.total("rejected") == 1)
+        assert "its encoding is" in run.node.health.last_error
+
+
+def test_what_does_not_fit_is_in_the_diagnostics(charuco: Session, tmp_path: Path) -> None:
+    strange = Sightings(EPOCH_NS, "c1/optical", 320, 240, ())
+    with running(charuco.inputs, tmp_path) as run:
+        run.feed((("c1", strange), *charuco.messages[:10]))
+        assert eventually(lambda: run.node.health.total("left_out.wrong_size") == 1)
+        assert "320 × 240" in run.node.health.last_error
+
+
+def test_announced_lenses_are_used(charuco: Session, tmp_path: Path) -> None:
+    inputs = Inputs(charuco.inputs.site, charuco.inputs.targets)
+    infos = tuple(
+        (n, CameraInfo(EPOCH_NS, f"{n}/optical", c.lens)) for n, c in charuco.plan.cameras.items()
+    )
+    with running(inputs, tmp_path) as run:
+        run.feed((*infos, *charuco.messages[:200]))
+        network = run.ask("fusion/network")
+    assert network["cameras"]["c1"]["status"] == "located"
+    assert network["cameras"]["c1"]["intrinsics"]["k"][0] == charuco.plan.cameras["c1"].lens.fx
+
+
+def test_checkpoint_of_another_site_is_refused(charuco: Session, tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path / "checkpoint.bin", ManualClock())
+    checkpoint.write("hall/robot/r1/odom", cdr.encode(charuco.messages[0][1]))
+    checkpoint.close()
+    with pytest.raises(OperationError, match="another site"), running(charuco.inputs, tmp_path):
+        pass
+
+
+def test_poses_that_are_said_are_those_of_the_map(charuco: Session, tmp_path: Path) -> None:
+    with running(charuco.inputs, tmp_path) as run:
+        heard = run.listen(topics.ROBOT_POSE)
+        run.feed(charuco.messages[:100])
+        assert eventually(lambda: heard.depth > 0)
+        poses = [message for _, message, _ in received(heard)]
+    assert poses
+    for message in poses:
+        assert isinstance(message, PoseEstimate)
+        assert message.frame_id == "map"
+        true = charuco.map_from_base("r1", message.stamp_ns)
+        # Two seconds after the start: centimetres.
+        assert np.abs(message.pose.difference(true)).max() < 0.05
