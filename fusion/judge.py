@@ -15,8 +15,8 @@ from .solver import Solution
 
 # χ² by which the next reading must be worse; e^(-25/2) is one in 300,000.
 DECISIVE = 25.0
-# A corner of a good sighting lies beyond this many sigmas once in 90 times, which costs little; those
-# of pictures have tails (an edge half hidden, a marker near by), which bias a pose if they stay.
+# A corner of a good sighting lies beyond this many sigmas once in 90 times, which costs little;
+# those of pictures have tails (an edge half hidden, a marker near by), which bias a pose.
 _WILD_SIGMAS = 3.0
 # With more wild corners than this the whole observation is wrong.
 _WILD_SHARE = 0.25

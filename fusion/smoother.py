@@ -13,7 +13,8 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from . import judge, repeated
-from .assembly import Assembled, assemble, true_time_ns
+from .assembly import Assembled, true_time_ns
+from .consistent import solve_consistently
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .faces import PosePrior, align
@@ -22,19 +23,17 @@ from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
 from .odometry_track import Added
 from .problem import State
-from .solver import Solution, solve
+from .solver import Solution
+from .survey import camera_estimates, joint_covariance
 from .trajectory import interpolated
 
 _HUBER = 4.0
 _MOST_ROUNDS = 6
-_MOST_REBUILDS = 20
 _MOST_SETTLING = 3
-# What a step may still promise of χ² at the end: 0.1 and 0.01 of a sigma.
+# What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
+_ROUGH_TOLERANCE = 0.1
 _LIVE_TOLERANCE = 1e-2
 _FINAL_TOLERANCE = 1e-4
-# A rebuilt problem differs from the extrapolated one by the square of these.
-_SCALE_TOLERANCE = 1e-4
-_OFFSET_TOLERANCE_S = 1e-4
 # An observation's surprise is χ² of twice its corners; beyond this many times that, the sighting,
 # the robot or the camera is not where the rest says.
 _SURPRISING = 3.0
@@ -257,7 +256,7 @@ class Smoother:
         solution = assembled = None
         for round_ in range(_MOST_ROUNDS):
             is_rough = round_ == 0
-            assembled, solution = self._solve_consistently(used, is_rough=is_rough)
+            assembled, solution = self._solve_used(used, is_rough=is_rough)
             changed = judge.judge(self.data, assembled, solution.state)
             if not is_rough:
                 changed |= repeated.share_out(self.data, assembled, solution.state)
@@ -313,36 +312,14 @@ class Smoother:
                 variance = variance + np.repeat([drift[:3].sum(), drift[3:].sum()], 3)
         return RobotEstimate(stamp_ns, map_from_base, np.diag(variance))
 
-    def _solve_consistently(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
-        """Solve until scales and time offsets, which the problem's making needs, stay put.
-
-        Roughly: corners far off count linearly, and the last tenth of χ² is not waited for.
-        """
-        huber, tolerance = (_HUBER, 0.1) if is_rough else (np.inf, self._tolerance)
-        before = self._state
-        assembled, solution = self._solve_once(used, huber, tolerance)
-        for _ in range(_MOST_REBUILDS):
-            if is_rough or _is_consistent(before, self._state):
-                break
-            before = self._state
-            assembled, solution = self._solve_once(used, huber, tolerance)
-        return assembled, solution
-
-    def _solve_once(
-        self, used: list[int], huber: float, tolerance: float
-    ) -> tuple[Assembled, Solution]:
-        assembled = assemble(self.data, self._state, used)
-        solution = solve(assembled.problem, assembled.start, huber=huber, tolerance=tolerance)
-        self.iterations += solution.iterations
-        self._state = self._merged(solution.state)
-        for index, node in assembled.node_of.items():
-            entry = self.data.entries[index]
-            robot = entry.observation.robot
-            entry.map_from_base = solution.state.robots[robot].map_from_base[node]
-        return assembled, solution
-
-    def _merged(self, state: State) -> State:
-        return State(self._state.cameras | state.cameras, self._state.robots | state.robots)
+    def _solve_used(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
+        tolerance = _ROUGH_TOLERANCE if is_rough else self._tolerance
+        solved = solve_consistently(
+            self.data, self._state, used, huber=_HUBER if is_rough else np.inf, tolerance=tolerance
+        )
+        self._state = solved.state
+        self.iterations += solved.iterations
+        return solved.assembled, solved.solution
 
     def _forget_unused(self, assembled: Assembled) -> None:
         """Cameras all of whose observations were rejected are not located any more."""
@@ -423,39 +400,12 @@ class Smoother:
     def cameras(self) -> dict[str, CameraEstimate]:
         if self._filter is None:
             return {}
-        reduced, state = self._filter.reduced, self._filter.state
-        covariance, step = reduced.covariance(), self._filter.mean_step()
-        layout, found = reduced.layout, {}
-        for name in self.data.site.cameras:
-            if name not in layout.pose:
-                continue
-            pose, camera = layout.pose[name], state.cameras[name]
-            sigmas = np.sqrt(np.diagonal(covariance))
-            lens_sigma = np.zeros(len(camera.lens.parameters))
-            lens, offset, offset_sigma = camera.lens, camera.time_offset_s, 0.0
-            if name in layout.lens:
-                lens_sigma = sigmas[layout.lens[name]]
-                lens = lens.with_parameters(lens.parameters + step[layout.lens[name]])
-            if name in layout.time_offset:
-                offset += float(step[layout.time_offset[name]][0])
-                offset_sigma = float(sigmas[layout.time_offset[name]][0])
-            found[name] = CameraEstimate(
-                camera.map_from_camera.disturbed(step[pose]),
-                covariance[pose, pose],
-                lens,
-                lens_sigma,
-                offset,
-                offset_sigma,
-            )
-        return found
+        return camera_estimates(self._filter, list(self.data.site.cameras))
 
     def joint_covariance(self) -> Array:
-        names = list(self.cameras())
-        if not names or self._filter is None:
+        if self._filter is None:
             return np.zeros((0, 0))
-        layout = self._filter.reduced.layout
-        columns = np.concatenate([np.arange(layout.size)[layout.pose[name]] for name in names])
-        return self._filter.reduced.covariance()[np.ix_(columns, columns)]
+        return joint_covariance(self._filter, list(self.data.site.cameras))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         return {
@@ -501,13 +451,3 @@ def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
     """Whether a pose is more than five sigmas from where the robot stood."""
     apart = map_from_base.difference(prior.map_from_base)
     return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)
-
-
-def _is_consistent(before: State, after: State) -> bool:
-    for name, robot in after.robots.items():
-        if np.abs(robot.scales - before.robots[name].scales).max() > _SCALE_TOLERANCE:
-            return False
-    return all(
-        abs(camera.time_offset_s - before.cameras[name].time_offset_s) <= _OFFSET_TOLERANCE_S
-        for name, camera in after.cameras.items()
-    )
