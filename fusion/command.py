@@ -36,9 +36,13 @@ def main(
     clock = SystemClock()
     cdr.warm_up()
     with open_bus(loaded) as bus:
-        with Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock) as node:
-            stop_on_signals([node])
-            fusion = FusionNode(bus, node, inputs, folder, clock)
-            fusion.start()
-            node.wait()
-        fusion.finish()
+        fusion = None
+        try:
+            with Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock) as node:
+                stop_on_signals([node])
+                fusion = FusionNode(bus, node, inputs, folder, clock)
+                fusion.start()
+                node.wait()
+        finally:
+            if fusion is not None:
+                fusion.finish()

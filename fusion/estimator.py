@@ -36,11 +36,12 @@ class CameraCount:
 
 @dataclass(frozen=True, slots=True)
 class Update:
-    """What an observation did: `correction`, where it was one of a camera located before."""
+    """What an observation did: `correction`, where it was one of a camera located before;
+    `problem`: why it could not be used at all, "" where it could."""
 
     correction: RobotEstimate | None = None
     located: tuple[str, ...] = ()
-    is_rejected: bool = False
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +61,6 @@ class Estimator(Protocol):
         """Take an observation whose moment odometry covers, in any order."""
         ...
 
-    def keep_observation(self, observation: Observation) -> None:
-        """Take an observation for the next solution alone (too late for anything else)."""
-        ...
-
     def solve(self) -> None:
         """Work everything out anew from all that came in."""
         ...
@@ -78,6 +75,11 @@ class Estimator(Protocol):
 
     def cameras(self) -> dict[str, CameraEstimate]:
         """The located cameras."""
+        ...
+
+    @property
+    def located_count(self) -> int:
+        """How many cameras are located."""
         ...
 
     def joint_covariance(self) -> Array:

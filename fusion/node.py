@@ -7,7 +7,7 @@ from pathlib import Path
 
 from trigpoint import cdr, topics
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
-from trigpoint.clock import Clock
+from trigpoint.clock import Clock, to_seconds
 from trigpoint.errors import MessageError, OperationError
 from trigpoint.network import encode_network
 from trigpoint.node import Node
@@ -22,18 +22,24 @@ NAME = "fusion"
 # The robot's next odometry message ends the wait; without one the others are looked at this often.
 _TURN_S = 0.02
 _MOST_AT_ONCE = 512
+# The longest turn so far was a solution; the last one takes several times as long.
+_LAST_SOLUTION_S = 0.5
 
 _log = logging.getLogger(__name__)
 
 
 class FusionNode:
-    """One site's estimator. The pipeline is used by one thread at a time, under a lock."""
+    """One site's estimator. The pipeline is used under a lock, but for its counters."""
 
     def __init__(self, bus: Bus, node: Node, inputs: Inputs, out: Path, clock: Clock) -> None:
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
         self._lock = threading.Lock()
-        self._pipeline = Pipeline(inputs)
+        self._pipeline = Pipeline(inputs, is_live=False)
+        self._announced: dict[str, bytes] = {}
+        self._reported: dict[str, int] = {}
+        self._located_count = 0
+        self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
         self._resume()
         self._checkpoint = Checkpoint(self._path, clock)
@@ -49,7 +55,7 @@ class FusionNode:
             self._subscriptions.append((topic, subscription))
             self._node.health.watch(topic.name, subscription)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
-        self._node.health.gauge("cameras_located", self._located)
+        self._node.health.gauge("cameras_located", lambda: self._located_count)
         for path, answer in (
             ("fusion/network", self._answer_network),
             ("fusion/map", self._answer_map),
@@ -60,13 +66,19 @@ class FusionNode:
         self._node.thread("estimate", self._run)
 
     def finish(self) -> None:
-        """Work everything out to the end and write it. Called after the working thread ended."""
+        """Write what is known, worked out to the end where that is quick enough for a stop.
+
+        Called after the working thread ended.
+        """
         with self._lock:
             self._checkpoint.close()
             # What is known now is kept first: whoever stops us may not wait for the last solution.
             self._pipeline.results().save(self._out)
-            self._pipeline.finish()
-            self._pipeline.results().save(self._out)
+            if self._longest_s < _LAST_SOLUTION_S:
+                self._pipeline.finish()
+                self._pipeline.results().save(self._out)
+            else:
+                _log.info("the last solution is left to `trigpoint calibrate`: it would take long")
         _log.info("the network is in %s", self._out / "network.json")
 
     # -- the working thread -----------------------------------------------------------------------
@@ -82,9 +94,14 @@ class FusionNode:
                 if first is not None:
                     self._take(topics.ODOMETRY, first)
                 self._take_all()
+                began_ns = self._clock.elapsed_ns()
                 outputs = self._pipeline.advance(self._clock.now_ns())
+                took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
+                self._longest_s = max(self._longest_s, took_s)
                 self._checkpoint.flush()
-            for output in outputs:
+                self._located_count = self._pipeline.located_count
+            # A robot waits for its correction, nobody for the rest.
+            for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
                 self._publish(output)
             self._report()
 
@@ -105,6 +122,8 @@ class FusionNode:
             self._node.health.reject(sample, reason)
             return
         self._node.health.count(f"received {sample.key}")
+        if topic is topics.CAMERA_INFO:
+            self._announced[sample.key] = sample.payload
         self._checkpoint.write(sample.key, sample.payload)
         self._pipeline.push(topics.node_of(sample.key), message)
 
@@ -118,16 +137,13 @@ class FusionNode:
     def _report(self) -> None:
         """Bring what the pipeline left out into the diagnostics."""
         for reason, count in self._pipeline.left_out.items():
-            known = self._node.health.total(f"left_out.{reason}")
-            if count > known:
-                self._node.health.count(f"left_out.{reason}", count - known)
+            more = count - self._reported.get(reason, 0)
+            if more > 0:
+                self._node.health.count(f"left_out.{reason}", more)
+            self._reported[reason] = count
         if self._pipeline.last_problem != self._problem:
             self._problem = self._pipeline.last_problem
             self._node.health.fail(self._problem)
-
-    def _located(self) -> float:
-        with self._lock:
-            return float(len(self._pipeline.cameras()))
 
     # -- the checkpoint ---------------------------------------------------------------------------
 
@@ -140,12 +156,21 @@ class FusionNode:
                 raise OperationError(
                     f"{self._path}: a checkpoint of another site ({key}); give another --out"
                 )
-            self._pipeline.push(topics.node_of(key), cdr.decode(topic.type_name, payload))
+            try:
+                message = cdr.decode(topic.type_name, payload)
+            except MessageError as reason:
+                _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
+                continue
+            self._pipeline.push(topics.node_of(key), message)
             count += 1
+            if topic is topics.CAMERA_INFO:
+                self._announced[key] = payload
             if topic is topics.ODOMETRY:
                 self._pipeline.advance()
         self._pipeline.advance()
-        if count:
+        if not count:
+            self._pipeline = Pipeline(self._inputs)
+        else:
             self._pipeline.resumed()
             _log.info(
                 "map %s resumed from %s (%d messages); the command %s starts a new one",
@@ -173,7 +198,12 @@ class FusionNode:
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
             self._pipeline = Pipeline(self._inputs)
+            self._reported.clear()
             self._checkpoint.restart()
+            for key, payload in self._announced.items():  # a camera says it once
+                self._checkpoint.write(key, payload)
+                message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
+                self._pipeline.push(topics.node_of(key), message)
         _log.info("reset: a new map begins with the next odometry message")
         return b"{}"
 

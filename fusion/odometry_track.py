@@ -23,6 +23,9 @@ SPATIAL = [0, 1, 2, 3, 4, 5]
 # carried, and says nothing about where it is.
 MAXIMUM_SPEED = 5.0  # m/s
 MAXIMUM_TURN_RATE = 20.0  # rad/s
+# What a robot does while its odometry is away is not the straight line between its ends.
+_LONGEST_GAP_S = 1.0
+_GAP_PERIODS = 10
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 _UNKNOWN_VARIANCE = 100.0**2
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
@@ -37,7 +40,7 @@ class Added(Enum):
 
     TAKEN = "taken"
     STALE = "not newer than the last one"
-    JUMP = "taken, but it jumps: the motion before it is unknown"
+    JUMP = "taken, but it jumps or comes after a gap: the motion before it is unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +144,11 @@ class OdometryTrack:
         step = before.inverse() @ Pose(self._rotations[row], self._translations[row])
         turn = so3.log(step.rotation)
         seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
+        if row > 1:
+            usual = (self._stamps[row - 1] - self._stamps[row - 2]) / NANOSECONDS
+            if seconds > max(_LONGEST_GAP_S, _GAP_PERIODS * usual):
+                self._jumps[row] = True
+                return Added.JUMP
         far = np.linalg.norm(step.translation) > MAXIMUM_SPEED * seconds + _ALLOWANCE
         if far or np.linalg.norm(turn) > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
             self._jumps[row] = True
@@ -228,7 +236,7 @@ def _compose(
         so3.exp(scaled[:, 3:]),
         (so3.left_jacobian(scaled[:, 3:]) @ scaled[:, :3, None])[..., 0],
     )
-    path = _path(steps)
+    path = composed(steps)
     begin, end = path[starts], path[ends]
     whole = begin.inverse() @ end
     # Each step's frame, and what still lies ahead of its end, in the axes of its segment's start.
@@ -253,7 +261,7 @@ def _compose(
     return Motion(whole, total, by_scale, (moved < 1e-9) & ~unknown)
 
 
-def _path(steps: Pose) -> Pose:
+def composed(steps: Pose) -> Pose:
     """Poses after 0, 1, … n steps, by a doubling scan over the rotations."""
     rotations = steps.rotation.copy()
     reach = 1

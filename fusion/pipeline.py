@@ -82,6 +82,7 @@ class Pipeline:
         self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
         self._early: list[tuple[str, Sightings]] = []
+        self._problem = ""
 
     @property
     def map_id(self) -> UUID | None:
@@ -95,7 +96,7 @@ class Pipeline:
     @property
     def last_problem(self) -> str:
         """The last message that could not be used, in words; "" where there was none."""
-        return self._intake.last_problem
+        return self._problem or self._intake.last_problem
 
     @property
     def waiting(self) -> int:
@@ -103,9 +104,15 @@ class Pipeline:
         return self._intake.depth
 
     @property
+    def located_count(self) -> int:
+        """How many cameras are located."""
+        return self._estimator.located_count
+
+    @property
     def left_out(self) -> dict[str, int]:
-        """What was not used, by reason."""
-        return dict(self._intake.counts + self.counts)
+        """What was not used, or not in full, by reason."""
+        early = Counter(without_intrinsics=len(self._early))
+        return dict(self._intake.counts + self.counts + early)
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -147,13 +154,23 @@ class Pipeline:
     def _push_camera_info(self, camera: str, message: CameraInfo) -> None:
         if camera in self._inputs.lenses:
             return  # a file says what it is
-        if camera not in self._data.lenses:
+        if camera in self._data.lenses:
+            if self._data.lenses[camera] != message.camera:
+                self.counts["changed_intrinsics"] += 1
+                self._problem = (
+                    f"camera {camera} announces other intrinsics than this map began with, which "
+                    "are not taken over; start a new map with fusion/reset"
+                )
+        else:
             self._data.lenses[camera] = message.camera
             early, self._early = self._early, []
             for node, sightings in early:
                 self._push_sightings(node, sightings)
 
     def _push_sightings(self, camera: str, message: Sightings) -> None:
+        config = self.site.cameras[camera]
+        if camera not in self._data.lenses and config.estimates_intrinsics:
+            self._data.lenses[camera] = config.nominal()
         lens = self._data.lenses.get(camera)
         if lens is not None:
             self._intake.add(camera, message, lens)
@@ -168,6 +185,7 @@ class Pipeline:
         Whoever wrote it may have sent more corrections than it shows, and a robot refuses a
         sequence number that it has seen; so the next ones are well beyond.
         """
+        self._is_live = True
         for robot in self.site.robots:
             self._sequence[robot] += _SEQUENCE_MARGIN
         self._outputs.clear()
@@ -189,12 +207,18 @@ class Pipeline:
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
         late_ns = to_ns(self.site.fusion.late)
-        if now_ns is not None and now_ns - observation.stamp_ns > late_ns:
+        is_late = now_ns is not None and now_ns - observation.stamp_ns > late_ns
+        if is_late:
             self.counts["late"] += 1
-            self._estimator.keep_observation(observation)
-            return
+            self._problem = (
+                f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
+                "make no corrections; synchronise the clocks, or see what is slow"
+            )
         update = self._estimator.add_observation(observation)
-        if update.correction is not None:
+        if update.problem:
+            self.counts["unusable"] += 1
+            self._problem = update.problem
+        if update.correction is not None and not is_late:
             self._correct(observation.robot, update.correction)
         self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
 

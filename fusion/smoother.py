@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -24,7 +25,7 @@ from .observations import Observation, Verdict
 from .odometry_track import Added
 from .problem import State
 from .solver import Solution
-from .survey import camera_estimates, joint_covariance
+from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
 _HUBER = 4.0
@@ -40,6 +41,10 @@ _SURPRISING = 3.0
 _FIRST_SOLVE = 20
 _SOLVE_SHARE = 0.1
 _HISTORY = 64
+_LOOSE = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
 _LEAST_PICTURES_LIVE = 3
 
 
@@ -79,10 +84,19 @@ class Smoother:
             self._filter = Filter.at_origin(self.data)
         return added
 
-    def keep_observation(self, observation: Observation) -> None:
-        self.data.entries.append(Entry(observation))
-
     def add_observation(self, observation: Observation) -> Update:
+        before = (self._state, self._filter, self._solution, self._assembled)
+        count = len(self.data.entries)
+        try:
+            return self._add(observation)
+        except (LinAlgError, ValueError) as reason:
+            # Numbers that no arithmetic survives: the rest goes on as if they had not come.
+            del self.data.entries[count:]
+            self._state, self._filter, self._solution, self._assembled = before
+            self._history.clear()
+            return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+
+    def _add(self, observation: Observation) -> Update:
         self.data.entries.append(Entry(observation))
         index = len(self.data.entries) - 1
         if observation.camera in self._state.cameras:
@@ -112,13 +126,14 @@ class Smoother:
         for step in later:
             self._apply(step.entry, step.time_ns)
         self._since_solve += 1
-        is_rejected = self.data.entries[index].observation.verdict is Verdict.REJECTED
-        return Update(correction=correction, is_rejected=is_rejected)
+        return Update(correction=correction)
 
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
         """Go back before everything of this robot that is later; the steps to do again."""
         assert self._filter is not None
         later: list[_Step] = []
+        if self._history and self._history[0].before.stamps_ns.get(robot, 0) > time_ns:
+            return later  # older than all of it; the next solution has it
         while self._filter.stamps_ns[robot] > time_ns and self._history:
             step = self._history.pop()
             later.insert(0, step)
@@ -150,7 +165,8 @@ class Smoother:
         entry.observation = observation.judged(Verdict.ACCEPTED)
         self._history.append(_Step(time_ns, current, index))
         self._filter = after
-        return after.robot(self.data, robot)
+        estimate = after.robot(self.data, robot)
+        return estimate if is_placed(estimate.covariance) else None
 
     def _share_before(self, index: int) -> float:
         """The share of the same camera's last observation, while the robot stands as it did."""
@@ -327,9 +343,26 @@ class Smoother:
         self._state = State(kept, self._state.robots)
 
     def _guess_rest(self) -> None:
-        for index, entry in enumerate(self.data.entries):
+        """Place every observation that is not used, by the new solution."""
+        open_: dict[str, list[Entry]] = {}
+        for entry in self.data.entries:
             if entry.observation.verdict is not Verdict.ACCEPTED:
-                self._guess(index)
+                open_.setdefault(entry.observation.robot, []).append(entry)
+        for robot, entries in open_.items():
+            for entry, pose in zip(entries, self._poses_at(robot, entries), strict=True):
+                entry.map_from_base = pose
+
+    def _poses_at(self, robot: str, entries: list[Entry]) -> list[Pose | None]:
+        """Where a robot stood at observations, by the last solution and odometry."""
+        chain = self._assembled.problem.chains.get(robot) if self._assembled else None
+        if chain is None:
+            return [None] * len(entries)
+        track = self.data.tracks[robot]
+        stamps = np.array([entry.observation.stamp_ns for entry in entries])
+        nodes = self._state.robots[robot].map_from_base
+        moments = np.clip(stamps, track.first_ns, track.last_ns)
+        poses = interpolated(track, chain, nodes, moments)
+        return [poses[i] for i in range(len(entries))]
 
     def _drop_misplaced(self) -> None:
         """A camera most of whose observations contradict its place loses it, and starts anew."""
@@ -402,17 +435,25 @@ class Smoother:
             return {}
         return camera_estimates(self._filter, list(self.data.site.cameras))
 
+    @property
+    def located_count(self) -> int:
+        return len(self._state.cameras)
+
     def joint_covariance(self) -> Array:
         if self._filter is None:
             return np.zeros((0, 0))
         return joint_covariance(self._filter, list(self.data.site.cameras))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
-        return {
+        seen = [name for name in self.data.site.cameras if self.data.of_camera(name)]
+        pending = {
             name: self._undetermined.get(name, ("too few pictures of the robot so far",))
-            for name in self.data.site.cameras
-            if name not in self._state.cameras and self.data.of_camera(name)
+            for name in seen
+            if name not in self._state.cameras
         }
+        placed = self.cameras()
+        loose = (n for n in seen if n in self._state.cameras and n not in placed)
+        return pending | dict.fromkeys(loose, (_LOOSE,))
 
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)

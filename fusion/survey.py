@@ -6,14 +6,34 @@ from trigpoint.geometry.rotation import Array
 
 from .estimator import CameraEstimate
 from .filter import Filter
+from .problem import Layout
+
+# A pose with a larger sigma is none: behind a jump of the odometry nothing ties it to the map.
+_LOOSE_M = 20.0
+_LOOSE_RAD = 1.0
+
+
+def is_placed(covariance: Array) -> bool:
+    """Whether a pose with this covariance (6, 6) is known well enough to be one."""
+    return bool(
+        np.trace(covariance[:3, :3]) < _LOOSE_M**2 and np.trace(covariance[3:, 3:]) < _LOOSE_RAD**2
+    )
 
 
 def camera_estimates(known: Filter, names: list[str]) -> dict[str, CameraEstimate]:
     """Those of the named cameras that are located, in this order."""
     layout = known.reduced.layout
     covariance, step = known.reduced.covariance(), known.mean_step()
-    located = [name for name in names if name in layout.pose]
+    located = _placed(layout, covariance, names)
     return {name: _estimate(known, name, covariance, step) for name in located}
+
+
+def _placed(layout: Layout, covariance: Array, names: list[str]) -> list[str]:
+    return [
+        name
+        for name in names
+        if name in layout.pose and is_placed(covariance[layout.pose[name], layout.pose[name]])
+    ]
 
 
 def _estimate(known: Filter, name: str, covariance: Array, step: Array) -> CameraEstimate:
@@ -39,10 +59,10 @@ def _estimate(known: Filter, name: str, covariance: Array, step: Array) -> Camer
 
 def joint_covariance(known: Filter, names: list[str]) -> Array:
     """(6n, 6n) over the poses of those of the named cameras that are located, in this order."""
-    layout = known.reduced.layout
+    layout, covariance = known.reduced.layout, known.reduced.covariance()
     every = np.arange(layout.size)
-    columns = [every[layout.pose[name]] for name in names if name in layout.pose]
+    columns = [every[layout.pose[name]] for name in _placed(layout, covariance, names)]
     if not columns:
         return np.zeros((0, 0))
     chosen = np.concatenate(columns)
-    return known.reduced.covariance()[np.ix_(chosen, chosen)]
+    return covariance[np.ix_(chosen, chosen)]

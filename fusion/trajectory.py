@@ -4,7 +4,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
-from .odometry_track import OdometryTrack
+from .odometry_track import OdometryTrack, composed
 from .problem import Chain
 
 
@@ -33,8 +33,4 @@ def _dead_reckoned(track: OdometryTrack, chain: Chain, stamps_ns: np.ndarray) ->
     """Odometry alone at moments, from an arbitrary start."""
     if len(stamps_ns) == 1:
         return Pose.stack([Pose.identity()])
-    steps = track.motion(stamps_ns, chain.scales).earlier_from_later
-    poses = [Pose.identity()]
-    for index in range(len(stamps_ns) - 1):
-        poses.append(poses[-1] @ steps[index])
-    return Pose.stack(poses)
+    return composed(track.motion(stamps_ns, chain.scales).earlier_from_later)

@@ -146,6 +146,10 @@ class McapSink:
             self._writer.abandon()
             with self._condition:
                 self._error = reason
+        except Exception as reason:  # noqa: BLE001 - whatever a library raises must be told
+            self._writer.abandon()
+            with self._condition:
+                self._error = OperationError(f"the recording broke off: {reason!r}")
 
     def _write_all(self) -> None:
         while items := self._take():

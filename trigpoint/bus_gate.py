@@ -9,6 +9,8 @@ from .errors import BusError
 
 _log = logging.getLogger(__name__)
 
+_JOIN_S = 2.0
+
 _RETRY_S = 2.0
 _TAKEN = "Address already in use"
 
@@ -36,7 +38,9 @@ class Gate:
     def close(self) -> None:
         """Close the door and end the thread."""
         self._stopping.set()
-        self._thread.join()
+        self._thread.join(_JOIN_S)
+        if self._thread.is_alive():
+            _log.error("the gate %s did not close in %.0f s", self._thread.name, _JOIN_S)
         if self._session is not None:
             self._session.close()
             self._session = None

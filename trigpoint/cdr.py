@@ -44,6 +44,10 @@ from .messages import (
     Transforms,
 )
 
+# No corner is placed better or worse than this, nor so far away; outside, arithmetic would suffer.
+_LEAST_SIGMA_PX, _MOST_SIGMA_PX = 1e-3, 1e3
+_FURTHEST_PX = 1e5
+
 _SIGHTINGS_DEFINITION = """std_msgs/Header header
 uint32 width
 uint32 height
@@ -224,8 +228,13 @@ def _face_from_ros(face: Any) -> FaceSighting:
     if len(set(face.corners.tolist())) != len(face.corners):
         raise MessageError("a face names a corner twice")
     _finite(face.pixels, "a face")
-    if not (np.isfinite(face.sigma) and face.sigma > 0):
-        raise MessageError(f"a face has a sigma of {face.sigma}; it must be above 0")
+    if not _LEAST_SIGMA_PX <= face.sigma <= _MOST_SIGMA_PX:
+        raise MessageError(
+            f"a face has a sigma of {face.sigma} px; "
+            f"it must lie between {_LEAST_SIGMA_PX} and {_MOST_SIGMA_PX}"
+        )
+    if np.abs(face.pixels).max() > _FURTHEST_PX:
+        raise MessageError(f"a face has a corner beyond {_FURTHEST_PX} pixels")
     pixels = face.pixels.reshape(-1, 2)
     return FaceSighting(face.target, face.face, face.corners, pixels, float(face.sigma))
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta, Struct
 
-from .errors import ConfigError
+from .errors import ConfigError, read_text
 from .geometry import CameraModel
-from .toml_file import load_toml, parse_toml
+from .toml_file import parse_toml
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -210,8 +210,8 @@ def _endpoint(endpoint: str) -> re.Match[str]:
 
 def load_site(path: Path) -> Site:
     """Read site.toml; raise ConfigError that names file, line and key."""
-    file = load_toml(path, _SiteFile, "site file", ConfigError)
-    return _site(file, path.parent, path.read_text(encoding="utf-8"))
+    text = read_text(path, "site file", ConfigError)
+    return parse_site(text, directory=path.parent, file=str(path))
 
 
 def parse_site(text: str, *, directory: Path, file: str = "site.toml") -> Site:

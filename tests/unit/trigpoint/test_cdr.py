@@ -194,8 +194,8 @@ def odometry(pose: Pose) -> Odometry:
     ("make", "complaint"),
     [
         (lambda: sightings(pixels=np.full((2, 2), np.nan, np.float32)), "not finite"),
-        (lambda: sightings(sigma=0.0), "must be above 0"),
-        (lambda: sightings(sigma=float("nan")), "must be above 0"),
+        (lambda: sightings(sigma=0.0), "must lie between"),
+        (lambda: sightings(sigma=float("nan")), "must lie between"),
         (lambda: sightings(corners=np.zeros(2, np.uint16)), "names a corner twice"),
         (lambda: sightings(corners=np.arange(3, dtype=np.uint16)), "3 corners but 4 pixel"),
         (
