@@ -85,12 +85,8 @@ class FusionNode:
 
     def _run(self) -> None:
         while not self._node.stopping.is_set():
-            with self._lock:
-                pipeline = self._pipeline
             first = self._subscriptions[0][1].take(_TURN_S)
             with self._lock:
-                if pipeline is not self._pipeline:
-                    continue  # reset in the meantime; what was taken belongs to the old map
                 if first is not None:
                     self._take(topics.ODOMETRY, first)
                 self._take_all()
