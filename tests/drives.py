@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from trigpoint import cdr, topics
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise, parse_site
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
@@ -19,16 +20,20 @@ from trigpoint.fusion.results import Results
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting, Message, Odometry, Sightings
-from trigpoint.network import PoseRecord
+from trigpoint.messages import CameraInfo, FaceSighting, Message, Odometry, Sightings
+from trigpoint.network import PoseRecord, encode_tum
+from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.target import Face, Pattern, Target
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.targets import target_of, target_text
 from trigpoint.tools.simulation.visibility import seen_faces
 from trigpoint.tools.truth import NetworkError, TruthFile, network_error
 
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_S = 0.025
 _FEWEST_CORNERS = 6
+
+Sent = CameraInfo | Odometry | Sightings
+TOPICS = {CameraInfo: topics.CAMERA_INFO, Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS}
 
 Way = Callable[[Array], Pose]
 
@@ -117,17 +122,22 @@ class Session:
 
     plan: Plan
     inputs: Inputs
-    messages: tuple[tuple[str, Message], ...]
+    messages: tuple[tuple[str, Sent], ...]
     truth: dict[str, Pose]
 
     def map_from_base(self, robot: str, true_ns: int) -> Pose:
         """The true pose at a moment that is a multiple of STEP_S."""
         return self.truth[robot][round((true_ns - EPOCH_NS) / to_ns(STEP_S))]
 
+    @property
+    def truth_file(self) -> TruthFile:
+        """The truth as it lies beside a session."""
+        cameras = {n: PoseRecord.of(c.map_from_camera) for n, c in self.plan.cameras.items()}
+        return TruthFile(cameras, {name: f"{name}_truth.tum" for name in self.plan.robots})
+
     def error(self, results: Results) -> NetworkError:
         """The located cameras against the truth."""
-        records = {n: PoseRecord.of(c.map_from_camera) for n, c in self.plan.cameras.items()}
-        return network_error(results.network, results.covariance, TruthFile(records))
+        return network_error(results.network, results.covariance, self.truth_file)
 
 
 def lab_cameras(count: int = 3, *, radius: float = 1.2, more: str = "") -> dict[str, CameraPlan]:
@@ -263,3 +273,32 @@ def live(
         sent += [(now_ns, output) for output in pipeline.advance(now_ns)]
     sent += [(0, output) for output in pipeline.finish()]
     return pipeline, sent
+
+
+def write_session(session: Session, folder: Path) -> Path:
+    """The session as `calibrate` reads it: session.mcap with its attachments, and truth.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    writer = McapWriter(folder / "session.mcap")
+    files = {"site.toml": session.inputs.site.text}
+    files |= {f"{name}.toml": target_text(t) for name, t in session.inputs.targets.items()}
+    for name, text in files.items():
+        writer.attach(name, text.encode(), "application/toml", time_ns=EPOCH_NS)
+    infos: list[tuple[str, Sent]] = [
+        (name, CameraInfo(EPOCH_NS, f"{name}/optical", model))
+        for name, model in session.inputs.lenses.items()
+    ]
+    for node, message in (*infos, *session.messages):
+        topic = TOPICS[type(message)]
+        writer.add(
+            topic,
+            topic.key("lab", node),
+            cdr.encode(message),
+            log_ns=message.stamp_ns,
+            published_ns=message.stamp_ns,
+        )
+    writer.finish()
+    (folder / "truth.json").write_bytes(msgspec.json.encode(session.truth_file))
+    for name, poses in session.truth.items():
+        stamps_ns = EPOCH_NS + to_ns(STEP_S) * np.arange(len(poses))
+        (folder / f"{name}_truth.tum").write_bytes(encode_tum(stamps_ns, poses))
+    return folder

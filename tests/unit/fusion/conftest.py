@@ -15,7 +15,7 @@ def charuco() -> Session:
 @pytest.fixture(scope="session")
 def checkerboard() -> Session:
     """The same with the paper's boards: six faces alike, each readable from either end."""
-    return make_session(lab_plan("checkerboard"))
+    return make_session(lab_plan("checkerboard", picture_rate=1.25))
 
 
 @pytest.fixture(scope="session", params=["charuco", "checkerboard"])

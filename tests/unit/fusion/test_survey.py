@@ -524,3 +524,19 @@ def test_jump_of_the_odometry_does_not_ruin_the_map(charuco: Session) -> None:
     assert_honest(session, results)
     _, poses = results.trajectories["r1"]
     assert np.abs(poses[-1].difference(session.truth["r1"][-1])).max() < 0.05
+
+
+def test_camera_behind_a_jump_is_undetermined_and_no_place_is_made_up(charuco: Session) -> None:
+    """c1 before the jump, c2 after it, and nothing that ties the two."""
+    session, cut_ns = lifted(charuco, 7.0), EPOCH_NS + to_ns(7.0)
+    kept = tuple(
+        (n, m)
+        for n, m in session.messages
+        if isinstance(m, Odometry) or n == ("c1" if m.stamp_ns < cut_ns else "c2")
+    )
+    results = offline(replace(session, messages=kept))
+    record = results.network.cameras["c2"]
+    assert statuses(results) == {"c1": "located", "c2": "undetermined", "c3": "unseen"}
+    assert "odometry jumped" in record.undetermined[0]
+    assert (record.map_from_camera, record.covariance) == (None, None)
+    assert_sound(results)
