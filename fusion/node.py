@@ -146,6 +146,8 @@ class FusionNode:
     def _resume(self) -> None:
         """Take up the map that a killed fusion left."""
         count = 0
+        if self._path.exists():
+            _log.info("reading %s; nothing is estimated until that is done", self._path)
         for key, payload in read_checkpoint(self._path):
             topic = topics.topic_of(key)
             if topic is None or not key.startswith(f"{self._site.name}/"):
