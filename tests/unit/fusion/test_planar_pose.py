@@ -76,6 +76,7 @@ def test_too_few_corners_or_corners_on_a_line_give_no_pose(chosen: slice) -> Non
     assert planar_poses(model, points, model.project(true @ points), SIGMA) == []
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of arithmetic with infinity
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
 def test_corner_without_a_direction_gives_no_pose_and_no_error(wild: float) -> None:
     model, true = lens(), facing(0.4, 0.3, 1.0)

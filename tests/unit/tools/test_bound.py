@@ -10,6 +10,7 @@ from drives import EPOCH_NS, Session, lab_plan, make_session, offline, write_ses
 from trigpoint.clock import to_ns
 from trigpoint.errors import InputError
 from trigpoint.fusion.bound import Bound
+from trigpoint.fusion.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
 from trigpoint.recorder.recording import open_recording
@@ -37,8 +38,12 @@ def bound_of(folder: Path) -> Bound:
     return session_bound(recording, session_inputs(recording, site=None, network=None), folder)
 
 
-def test_estimators_sigmas_are_just_above_the_bound(session: Session, bound: Bound) -> None:
-    results = offline(session)
+@pytest.fixture(scope="module")
+def results(session: Session) -> Results:
+    return offline(session)
+
+
+def test_estimators_sigmas_are_just_above_the_bound(results: Results, bound: Bound) -> None:
     assert bound.cameras == results.network.located
     for index, name in enumerate(bound.cameras):
         rows = slice(6 * index, 6 * index + 3)
@@ -49,9 +54,9 @@ def test_estimators_sigmas_are_just_above_the_bound(session: Session, bound: Bou
 
 
 def test_bound_of_the_distances_is_of_the_size_of_their_error(
-    session: Session, bound: Bound
+    session: Session, results: Results, bound: Bound
 ) -> None:
-    error = session.error(offline(session)).distance
+    error = session.error(results).distance
     assert error is not None
     # Three distances: their mean error is within a factor of four of what is expected of it in all
     # but a few drives of a thousand.
