@@ -26,6 +26,8 @@ MAXIMUM_TURN_RATE = 20.0  # rad/s
 # What a robot does while its odometry is away is not the straight line between its ends.
 _LONGEST_GAP_S = 1.0
 _GAP_PERIODS = 10
+_GAP_SHARE = 0.5
+_GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 _UNKNOWN_VARIANCE = 100.0**2
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
@@ -91,6 +93,7 @@ class OdometryTrack:
         self._translations = np.zeros((1024, 3))
         self._twists = np.zeros((1024, 6))  # of the increment that ends at the row
         self._jumps = np.zeros(1024, dtype=bool)
+        self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
 
     def __len__(self) -> int:
         return self._count
@@ -147,8 +150,13 @@ class OdometryTrack:
         if row > 1:
             usual = (self._stamps[row - 1] - self._stamps[row - 2]) / NANOSECONDS
             if seconds > max(_LONGEST_GAP_S, _GAP_PERIODS * usual):
-                self._jumps[row] = True
-                return Added.JUMP
+                # Where it went on as before, the ends are known but not the way between them;
+                # where it came much less far, its counters missed some or it drove about.
+                reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
+                self._gaps[row] = max(reach, float(np.linalg.norm(step.translation)), _ALLOWANCE)
+                if np.linalg.norm(step.translation) < _GAP_SHARE * reach - _ALLOWANCE:
+                    self._jumps[row] = True
+                    return Added.JUMP
         far = np.linalg.norm(step.translation) > MAXIMUM_SPEED * seconds + _ALLOWANCE
         if far or np.linalg.norm(turn) > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
             self._jumps[row] = True
@@ -160,7 +168,7 @@ class OdometryTrack:
     def _grow(self) -> None:
         if self._count < len(self._stamps):
             return
-        for name in ("_stamps", "_rotations", "_translations", "_twists", "_jumps"):
+        for name in ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps"):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 
@@ -169,6 +177,12 @@ class OdometryTrack:
         rows = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
         seconds = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
         return self._twists[rows] * _both(1 + scales) / seconds[:, None]
+
+    def is_in_gap(self, stamp_ns: int) -> bool:
+        """Whether a moment lies where odometry was away, so that the way there is not known."""
+        row = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        is_between = 0 < row < self._count and self._stamps[row] != stamp_ns
+        return bool(is_between and self._gaps[row] > 0)
 
     def is_still(self, start_ns: int, end_ns: int) -> bool:
         """Whether the robot did not move between two moments that odometry covers."""
@@ -205,6 +219,9 @@ class OdometryTrack:
         noise, twists = self.noise, self._twists[rows]
         length = np.linalg.norm(twists[:, :3], axis=1) * part
         turned = np.linalg.norm(twists[:, 3:], axis=1) * part
+        unseen = self._gaps[rows] * part
+        length = np.maximum(length, unseen)
+        turned = np.maximum(turned, unseen / _GAP_RADIUS_M)
         middle = so3.exp(0.5 * part[:, None] * twists[:, 3:])
         along = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2])
         covariance = np.zeros((len(rows), 6, 6))

@@ -206,6 +206,9 @@ class Pipeline:
         return outputs
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
+        if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):
+            self.counts["in_odometry_gap"] += 1
+            return
         late_ns = to_ns(self.site.fusion.late)
         is_late = now_ns is not None and now_ns - observation.stamp_ns > late_ns
         if is_late:
