@@ -242,6 +242,41 @@ def is_wide(motion: Motion, row: int) -> bool:
     return bool(np.all(sigmas > [10.0, 10.0, 3.0]))
 
 
+def with_gap(gap_s: float, *, share: float) -> tuple[OdometryTrack, Added]:
+    """A robot at 0.4 m/s whose odometry is away; it comes `share` of the way it drove before."""
+    track = OdometryTrack(NOISE, planar=True)
+    for index in range(21):
+        track.add(index * PERIOD_NS, Pose.planar(0.02 * index, 0.0, 0.0))
+    end = Pose.planar(0.4 + share * 0.4 * gap_s, 0.0, 0.0)
+    return track, track.add(20 * PERIOD_NS + to_ns(gap_s), end)
+
+
+def test_gap_on_the_way_is_as_uncertain_as_bends_that_nobody_saw() -> None:
+    track, added = with_gap(2.0, share=1.0)
+    assert added is Added.TAKEN
+    ends = np.array([20 * PERIOD_NS, track.last_ns])
+    motion = track.motion(ends, NO_SCALES)
+    np.testing.assert_allclose(motion.earlier_from_later.translation[0], [0.8, 0.0, 0.0], atol=1e-9)
+    # 0.8 m at the tightest bends of 0.5 m radius are 1.6 rad.
+    turned = NOISE.heading_drive**2 * 0.8 + NOISE.heading_turn**2 * 1.6
+    assert motion.covariance[0, 5, 5] == pytest.approx(turned, rel=1e-6)
+
+
+def test_moment_within_a_gap_is_known_as_such() -> None:
+    track, _ = with_gap(2.0, share=1.0)
+    assert track.is_in_gap(20 * PERIOD_NS + to_ns(1.0))
+    assert not track.is_in_gap(20 * PERIOD_NS)
+    assert not track.is_in_gap(track.last_ns)
+    assert not track.is_in_gap(round(10.5 * PERIOD_NS))
+
+
+def test_gap_after_which_the_robot_came_less_far_leaves_the_motion_unknown() -> None:
+    track, added = with_gap(19.0, share=0.0)
+    assert added is Added.JUMP
+    motion = track.motion(np.array([20 * PERIOD_NS, track.last_ns]), NO_SCALES)
+    assert np.sqrt(motion.covariance[0, 0, 0]) > 10.0
+
+
 def test_planar_track_takes_the_plane_of_a_tilted_report() -> None:
     track = OdometryTrack(NOISE, planar=True)
     tilted = Pose(so3.about_z(0.3) @ so3.exp([0.02, 0.01, 0.0]), np.array([1.0, 2.0, 0.3]))
