@@ -5,7 +5,6 @@ until the evidence decides between them.
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -331,8 +330,3 @@ def _aligned(
             break
         pose = pose.disturbed(disturbance)
     return (pose, cost) if np.isfinite(cost) else None
-
-
-def all_readings(observation: Observation) -> list[tuple[Reading, ...]]:
-    """Every combination of the views' readings."""
-    return list(product(*(view.readings for view in observation.views)))

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 
 from trigpoint.errors import InputError, read_text
-from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network, PoseRecord
 
@@ -86,9 +85,3 @@ def _distance_error(network: Network, truth: TruthFile, names: list[str]) -> flo
 
 def _places(records: list[PoseRecord | None]) -> Array:
     return np.array([record.translation for record in records if record is not None])
-
-
-def pose_error(estimated: Pose, true: Pose) -> tuple[float, float]:
-    """Distance (m) and angle (rad) between two poses."""
-    error = estimated.difference(true)
-    return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))

@@ -10,7 +10,7 @@ import pytest
 from trigpoint.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.network import CameraRecord, Network, PoseRecord, Statistics
-from trigpoint.tools.truth import TruthFile, load_truth, network_error, pose_error
+from trigpoint.tools.truth import TruthFile, load_truth, network_error
 
 TRUE = {
     "c1": Pose.planar(0.0, 0.0, 0.0),
@@ -66,10 +66,6 @@ def test_camera_that_is_not_located_or_not_in_the_truth_is_left_out() -> None:
 def test_one_camera_has_no_distance() -> None:
     error = network_error(*network_of({"c1": [0.0] * 6}), TRUTH)
     assert (error.distance, error.nees) == (None, None)
-
-
-def test_pose_error_is_distance_and_angle() -> None:
-    assert pose_error(Pose.planar(3.0, 4.0, 0.5), Pose.identity()) == pytest.approx((5.0, 0.5))
 
 
 def test_file_is_read(tmp_path: Path) -> None:
