@@ -164,6 +164,7 @@ def test_nodes_that_share_their_stopping_end_together(bus: MemoryBus) -> None:
     with make_node(bus, "c1", stopping) as one, make_node(bus, "c2", stopping) as two:
         two.stop()
         one.wait()
+        assert one.stopping.is_set()
 
 
 def test_thread_that_does_not_stop_is_named(
@@ -183,6 +184,7 @@ def test_signal_stops_the_node(bus: MemoryBus, number: signal.Signals) -> None:
         stop_on_signals([node])
         signal.raise_signal(number)
         node.wait()
+        assert node.stopping.is_set()
 
 
 def test_second_signal_interrupts(bus: MemoryBus) -> None:
