@@ -20,9 +20,15 @@ LEAST_WILD_PX = 0.7
 # Of a face's grid spacing: real boards are not flat to better than this.
 LEAST_WILD_SHARE = 0.04
 WILD_SIGMAS = 5.0
+# Of the spacing: corners that scatter by so much are not those of one flat face.
+SCATTER_SHARE = 0.1
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
-_ITERATIONS = 8
+_ITERATIONS = 12
+_SMALL_STEP = 1e-7
+_LEAST_DAMPING = 1e-7
+_DAMPING_STEP = 10.0
+_TINY = 1e-12 * np.eye(11)
 _RUNAWAY = 1e4
 
 
@@ -96,14 +102,17 @@ def sound_corners(points: Array, pixels: Array, size: tuple[int, int]) -> tuple[
     where fewer than four remain or all scatter.
     """
     keep = np.ones(len(points), dtype=bool)
-    least = max(LEAST_WILD_PX, LEAST_WILD_SHARE * _spacing(pixels))
+    spacing = _spacing(pixels)
+    least = max(LEAST_WILD_PX, LEAST_WILD_SHARE * spacing)
     while keep.sum() >= 4:
         fit = fit_plane(points[keep], pixels[keep], size)
         if fit is None:
             break
         distances = fit.residuals(points, pixels)
-        usual = np.median(distances[keep]) / 1.18  # the median of a Rayleigh distribution
-        limit = max(least, WILD_SIGMAS * float(usual))
+        usual = float(np.median(distances[keep])) / 1.18  # the median of a Rayleigh distribution
+        if usual > max(LEAST_WILD_PX, SCATTER_SHARE * spacing):
+            break
+        limit = max(least, WILD_SIGMAS * usual)
         worst = np.where(keep, distances, 0.0)
         if worst.max() <= limit:
             return keep, _sigma(distances[keep])
@@ -128,29 +137,46 @@ def _sigma(distances: Array) -> float:
 
 
 def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit | None:
-    """Gauss-Newton over the homography's nine numbers (its scale held) and the radial ones.
+    """Levenberg-Marquardt over the homography's nine numbers (its scale held) and the radial ones.
 
     None where it runs away, since the points lie on no plane in front of the camera.
     """
-    homography, radial = fit.homography, fit.radial
     weight = _PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR
+    now = PlanarFit(fit.homography, fit.radial, np.zeros(2), 1.0)
+    error, jacobian = _linearised(now, points, target)
+    cost = _cost(error, weight, now)
+    damping = _LEAST_DAMPING
     for _ in range(_ITERATIONS):
-        now = PlanarFit(homography, radial, np.zeros(2), 1.0)
-        error, jacobian = _linearised(now, points, target)
         prior = np.zeros((3, 11))
         prior[0, 9] = prior[1, 10] = weight
-        prior[2, :9] = homography.reshape(-1)
+        prior[2, :9] = now.homography.reshape(-1)
         rows = np.vstack([jacobian, prior])
         if not np.max(np.abs(rows)) < _RUNAWAY:
             return None
-        right = np.concatenate([error, -weight * radial, [0.0]])
-        step = np.linalg.solve(rows.T @ rows + 1e-9 * np.eye(11), rows.T @ right)
-        homography = homography + step[:9].reshape(3, 3)
-        homography = homography / np.linalg.norm(homography)
-        radial = np.clip(radial + step[9:], -0.9, 0.9)
-        if np.max(np.abs(step)) < 1e-7:
+        right = rows.T @ np.concatenate([error, -weight * now.radial, [0.0]])
+        normal = rows.T @ rows
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + _TINY, right)
+        moved = _moved(now, step)
+        error_there, jacobian_there = _linearised(moved, points, target)
+        cost_there = _cost(error_there, weight, moved)
+        if not cost_there <= cost:
+            damping *= _DAMPING_STEP
+            continue
+        now, error, jacobian, cost = moved, error_there, jacobian_there, cost_there
+        damping = max(_LEAST_DAMPING, damping / _DAMPING_STEP)
+        if np.max(np.abs(step)) < _SMALL_STEP:
             break
-    return PlanarFit(homography, radial, fit.centre, fit.scale)
+    return PlanarFit(now.homography, now.radial, fit.centre, fit.scale)
+
+
+def _moved(fit: PlanarFit, step: Array) -> PlanarFit:
+    homography = fit.homography + step[:9].reshape(3, 3)
+    homography = homography / np.linalg.norm(homography)
+    return PlanarFit(homography, np.clip(fit.radial + step[9:], -0.9, 0.9), fit.centre, fit.scale)
+
+
+def _cost(error: Array, weight: float, fit: PlanarFit) -> float:
+    return float(error @ error + weight**2 * (fit.radial @ fit.radial))
 
 
 def _linearised(fit: PlanarFit, points: Array, target: Array) -> tuple[Array, Array]:

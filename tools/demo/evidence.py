@@ -55,6 +55,11 @@ def load_results(folder: DemoFolder) -> DemoResults:
         series=tracks.uncertainty(network.cameras),
         walls=np.array([[wall.start, wall.end] for wall in world.walls]),
         restarts=record.restarts,
+        rejected={
+            node: numbers["rejected"]
+            for node, numbers in record.counts.items()
+            if numbers.get("rejected")
+        },
         is_whole=record.seconds == world.duration_s,
         bound_m=_bound_m(folder) if error.distance is not None else None,
     )

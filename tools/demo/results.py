@@ -170,6 +170,7 @@ class DemoResults:
     series: tuple[Series, ...]
     walls: Array
     restarts: dict[str, int] = field(default_factory=dict)
+    rejected: dict[str, int] = field(default_factory=dict)
     bound_m: float | None = None
     is_whole: bool = True
 
@@ -203,7 +204,7 @@ class DemoResults:
     @property
     def failures(self) -> list[str]:
         """Why the run did not do what it should, in words; empty where it did."""
-        return [*self._missed(), *self._wrong(), *self._lost()]
+        return [*self._missed(), *self._wrong(), *self._lost(), *self._refused()]
 
     def _missed(self) -> list[str]:
         return [
@@ -227,6 +228,12 @@ class DemoResults:
             f"{count.path}: {count.sent} sent, {_received(count)}, {count.recorded} recorded"
             for count in self.keys
             if count.is_reliable and not count.is_complete
+        ]
+
+    def _refused(self) -> list[str]:
+        return [
+            f"{node} rejected {number} messages that break the contract (its log says which)"
+            for node, number in self.rejected.items()
         ]
 
 

@@ -62,3 +62,27 @@ def test_points_on_a_line_fix_no_plane_that_lies() -> None:
     line = POINTS[:8]
     fit = fit_plane(line, seen(0.0)[:8], SIZE)
     assert fit is None or np.isfinite(fit.project(line)).all()
+
+
+def test_few_corners_at_the_edge_of_a_picture_do_not_run_away() -> None:
+    """Six sound corners of a half-hidden face of 5 x 4 squares, as an agent measured them."""
+    numbers = np.array([2, 3, 5, 6, 7, 11])
+    points = np.column_stack([numbers % 4, numbers // 4]) * 0.06
+    pixels = np.array(
+        [
+            [10.885198, 319.77066],
+            [21.568577, 305.46185],
+            [7.8312583, 353.74243],
+            [18.772213, 338.31488],
+            [28.412207, 323.57617],
+            [42.62961, 344.8857],
+        ]
+    )
+    keep, sigma = sound_corners(points, pixels, SIZE)
+    assert keep.sum() >= 5
+    assert sigma < 0.5
+
+
+def test_corners_that_all_scatter_are_none() -> None:
+    pixels = seen(0.0) + np.random.default_rng(3).normal(0, 8.0, (48, 2))
+    assert not sound_corners(POINTS, pixels, SIZE)[0].any()

@@ -61,6 +61,11 @@ def test_counts_that_a_restart_broke_are_no_failure():
     assert make_results(keys=keys, restarts={"edge c1": 1}).failures == []
 
 
+def test_message_that_a_node_rejects_is_a_failure():
+    (failure,) = make_results(rejected={"fusion/fusion": 1}).failures
+    assert "fusion/fusion rejected 1" in failure
+
+
 def test_promised_distance_error_is_what_errors_drawn_from_the_covariance_come_to():
     random = np.random.default_rng(5)
     places = [(0.0, 1.0, 1.5), (8.0, -1.0, 1.0), (3.0, 4.0, 2.0)]
