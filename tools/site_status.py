@@ -1,5 +1,6 @@
 """What the nodes of a site say of themselves, put together."""
 
+import textwrap
 from collections.abc import Iterable
 
 from msgspec import Struct
@@ -98,36 +99,53 @@ def _number(text: str) -> float:
     return value if abs(value) < 1e15 else 0.0
 
 
-def table(status: SiteStatus) -> str:
-    """The status for people."""
+def table(status: SiteStatus, *, width: int = 100) -> str:
+    """The status for people, in lines of at most `width` where their words allow it."""
     if not status.nodes:
         return f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
-    rows = [("node", "state", "up", "a second", "lost", "")]
-    rows += [_row(node) for node in status.nodes]
-    widths = [max(len(row[column]) for row in rows) for column in range(5)]
-    lines = [f"Site {status.site}, {status.peers} other sessions on the bus"]
-    for row in rows:
-        cells = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
-        lines.append("  ".join([*cells, row[5]]).rstrip())
+    rows = [("node", "state", "up")]
+    rows += [(node.name, node.state, f"{node.uptime_s:.0f} s") for node in status.nodes]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    heads = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
+    lines = [
+        f"Site {status.site}, {status.peers} other sessions on the bus",
+        f"{heads[0]}  what it does a second, what was lost, what is wrong",
+    ]
+    margin = " " * (len(heads[0]) + 2)
+    for head, node in zip(heads[1:], status.nodes, strict=True):
+        first = f"{head}  "
+        for text in _notes(node) or ["-"]:
+            lines += textwrap.wrap(
+                text,
+                max(width, len(margin) + 20),
+                initial_indent=first,
+                subsequent_indent=margin,
+                break_on_hyphens=False,
+            )
+            first = margin
     return "\n".join(lines)
+
+
+def _notes(node: NodeStatus) -> list[str]:
+    """What there is to say of a node, a line each; nothing for one that rests."""
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
+    losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
+    notes = [rates, losses and f"lost: {losses}"]
+    notes += ["" if node.message == "running" else node.message]
+    if node.last_error != node.message:
+        notes += [node.last_error and f"last error: {node.last_error}"]
+    return [note for note in notes if note]
 
 
 def _by_topic(rates: dict[str, float]) -> dict[str, float]:
     """The rates of counters like «sent lab/camera/c1/sightings» added up over the cameras or
-    robots; the others as they are."""
+    robots; of the others those that say more than these do: «sightings» is the queue that what was
+    received or recorded came through."""
     sums: dict[str, float] = {}
     for name, rate in rates.items():
         verb, _, key = name.partition(" ")
         topic = topic_of(key)
         short = f"{verb} {topic.name}" if topic is not None else name
         sums[short] = round(sums.get(short, 0.0) + rate, 1)
-    return sums
-
-
-def _row(node: NodeStatus) -> tuple[str, str, str, str, str, str]:
-    rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
-    losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
-    note = "" if node.message == "running" else node.message
-    if node.last_error and node.last_error != node.message:
-        note = f"{note}; last error: {node.last_error}".removeprefix("; ")
-    return node.name, node.state, f"{node.uptime_s:.0f} s", rates or "-", losses or "-", note
+    told = {name.partition(" ")[2] for name in sums if name.startswith(("received ", "recorded "))}
+    return {name: rate for name, rate in sums.items() if name not in told}

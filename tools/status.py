@@ -1,5 +1,6 @@
 """`trigpoint status`: who is alive on a site, how fast, and what was lost."""
 
+import shutil
 import threading
 import time
 from pathlib import Path
@@ -34,6 +35,7 @@ def main(
     """Show the live site: who is alive, rates, losses and last errors."""
     configuration = load_site(site)
     watcher = Watcher()
+    width = shutil.get_terminal_size().columns
     with open_bus(configuration, patience_s=_PATIENCE_S) as bus:
         if watch:
             stop_on_signals([watcher])
@@ -42,7 +44,7 @@ def main(
             if json:
                 typer.echo(msgspec.json.encode(status).decode())
             else:
-                typer.echo((_CLEAR if watch else "") + table(status))
+                typer.echo((_CLEAR if watch else "") + table(status, width=width))
             if not watch:
                 return
 

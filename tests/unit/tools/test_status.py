@@ -80,14 +80,24 @@ def test_table_shows_rates_losses_and_errors() -> None:
         last_error="x",
     )
     text = table(SiteStatus("lab", 3, [node]))
-    assert re.split(" {2,}", text.splitlines()[-1]) == [
-        "robot/r1",
-        "error",
-        "10 s",
-        "odom 50",
-        "2 odom",
-        "no; last error: x",
-    ]
+    lines = text.splitlines()
+    assert re.split(" {2,}", lines[-4]) == ["robot/r1", "error", "10 s", "odom 50"]
+    assert [line.strip() for line in lines[-3:]] == ["lost: 2 odom", "no", "last error: x"]
+
+
+def test_table_keeps_to_its_width() -> None:
+    keys = [f"sent lab/{kind}.rate" for kind in ("tf", "diagnostics", "coverage/c1")]
+    status = DiagnosticStatus(0, "fusion/fusion", "running", "", dict.fromkeys(keys, "5"))
+    site = summarise("lab", peers=0, tokens=["lab/alive/fusion/fusion"], statuses=[status])
+    lines = table(site, width=60).splitlines()
+    assert max(map(len, lines[2:])) <= 60
+    assert " ".join(line.strip() for line in lines).endswith("5")
+
+
+def test_rate_of_a_queue_is_not_told_twice() -> None:
+    rates = {"sightings": 10.0, "received lab/camera/c1/sightings": 10.0}
+    text = table(SiteStatus("lab", 0, [NodeStatus("fusion/fusion", "ok", rates=rates)]))
+    assert text.splitlines()[-1].endswith("  received sightings 10")
     assert "Nobody is alive on site lab" in table(SiteStatus("lab", 0, []))
 
 
