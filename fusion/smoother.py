@@ -1,7 +1,7 @@
 """The default estimator: a smoother over all robot poses and cameras, with a filter for the moment.
 
-Each sighting updates the filter at once; the batch solution is redone when enough has come in since
-the last one (so its cost stays a fixed share), and whenever a camera is located.
+Each sighting updates the filter at once; the batch solution (`batch`) is redone when enough has
+come in since the last one (so its cost stays a fixed share), and whenever a camera is located.
 """
 
 from collections import deque
@@ -13,28 +13,17 @@ from scipy.linalg import LinAlgError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from . import judge, repeated
-from .assembly import Assembled, true_time_ns
-from .consistent import solve_consistently
+from . import judge
+from .assembly import true_time_ns
+from .batch import BatchSolution, align_to
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
-from .faces import PosePrior, align
 from .filter import Filter, RobotEstimate, carried_on
-from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
 from .odometry_track import Added
-from .problem import State
-from .solver import Solution
 from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
-_HUBER = 4.0
-_MOST_ROUNDS = 6
-_MOST_SETTLING = 3
-# What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
-_ROUGH_TOLERANCE = 0.1
-_LIVE_TOLERANCE = 1e-2
-_FINAL_TOLERANCE = 1e-4
 # An observation's surprise is χ² of twice its corners; beyond this many times that, the sighting,
 # the robot or the camera is not where the rest says.
 _SURPRISING = 3.0
@@ -62,19 +51,17 @@ class Smoother:
 
     def __init__(self, data: DataSet) -> None:
         self.data = data
-        self._state = data.first_state()
+        self._batch = BatchSolution(data)
         self._filter: Filter | None = None
-        self._solution: Solution | None = None
-        self._assembled: Assembled | None = None
         self._history: deque[_Step] = deque(maxlen=_HISTORY)
         self._since_solve = 0
-        self._tries: dict[str, int] = {}
-        self._undetermined: dict[str, tuple[str, ...]] = {}
         # Where each robot is by its odometry since the filter's last step, and by which filter;
         # where scales are estimated, the filter carried on that far.
         self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
-        self._tolerance = _LIVE_TOLERANCE
-        self.iterations = 0
+
+    @property
+    def iterations(self) -> int:
+        return self._batch.iterations
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -85,21 +72,22 @@ class Smoother:
         return added
 
     def add_observation(self, observation: Observation) -> Update:
-        before = (self._state, self._filter, self._solution, self._assembled)
+        batch = self._batch
+        before = (batch.state, self._filter, batch.solution, batch.assembled)
         count = len(self.data.entries)
         try:
             return self._add(observation)
         except (LinAlgError, ValueError) as reason:
             # Numbers that no arithmetic survives: the rest goes on as if they had not come.
             del self.data.entries[count:]
-            self._state, self._filter, self._solution, self._assembled = before
+            batch.state, self._filter, batch.solution, batch.assembled = before
             self._history.clear()
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
     def _add(self, observation: Observation) -> Update:
         self.data.entries.append(Entry(observation))
         index = len(self.data.entries) - 1
-        if observation.camera in self._state.cameras:
+        if observation.camera in self._batch.state.cameras:
             update = self._use(index)
         else:
             self._guess(index)
@@ -110,7 +98,21 @@ class Smoother:
 
     def _is_solution_due(self) -> bool:
         due = max(_FIRST_SOLVE, _SOLVE_SHARE * len(self.data.entries))
-        return bool(self._state.cameras) and self._since_solve >= due
+        return bool(self._batch.state.cameras) and self._since_solve >= due
+
+    # -- the batch solution -----------------------------------------------------------------------
+
+    def solve(self) -> None:
+        self._go_on_from(self._batch.solve(self._filter))
+
+    def finish(self) -> None:
+        self._go_on_from(self._batch.finish(self._filter))
+
+    def _go_on_from(self, known: Filter | None) -> None:
+        if known is not self._filter:
+            self._filter = known
+            self._since_solve = 0
+            self._history.clear()
 
     # -- an observation of a located camera -------------------------------------------------------
 
@@ -120,7 +122,7 @@ class Smoother:
             return Update()
         if not self._filter.has_robot(observation.robot):
             return self._tie(index)
-        time_ns = true_time_ns(observation, self._state)
+        time_ns = true_time_ns(observation, self._batch.state)
         later = self._rewind(observation.robot, time_ns)
         correction = self._apply(index, time_ns)
         for step in later:
@@ -149,7 +151,7 @@ class Smoother:
         if time_ns < current.stamps_ns[robot]:
             return None  # older than the history: the next solution has it
         predicted = current.robot(self.data, robot, time_ns)
-        aligned = self._aligned(current, entry.observation, predicted)
+        aligned = align_to(self.data, current, entry.observation, predicted)
         if aligned is None:
             entry.observation = entry.observation.judged(Verdict.REJECTED)
             entry.map_from_base = predicted.map_from_base
@@ -179,35 +181,11 @@ class Smoother:
                 return entry.share if track.is_still(*np.sort(moments).tolist()) else 1.0
         return 1.0
 
-    def _aligned(
-        self, current: Filter, observation: Observation, predicted: RobotEstimate | None
-    ) -> tuple[Observation, Pose] | None:
-        """The observation as it is read best, and where that puts the robot."""
-        camera = current.state.cameras[observation.camera]
-        robot = observation.robot
-        prior, distance = None, 3.0
-        if predicted is not None:
-            prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
-            between = predicted.map_from_base.translation - camera.map_from_camera.translation
-            distance = float(np.linalg.norm(between))
-        alignment = align(
-            observation,
-            self.data.targets[robot],
-            camera.lens,
-            camera.map_from_camera,
-            tangent=self.data.tracks[robot].tangent,
-            prior=prior,
-            extra_sigma_px=current.camera_sigma_px(observation.camera, distance),
-        )
-        if alignment is None or alignment.margin < judge.DECISIVE:
-            return None
-        return observation.read_as(alignment.readings), alignment.map_from_base
-
     def _tie(self, index: int) -> Update:
         """A robot meets its first located camera: its odometry gets its place in the map."""
         assert self._filter is not None
         entry = self.data.entries[index]
-        aligned = self._aligned(self._filter, entry.observation, None)
+        aligned = align_to(self.data, self._filter, entry.observation, None)
         if aligned is None:
             return Update()
         observation, entry.map_from_base = aligned
@@ -221,195 +199,20 @@ class Smoother:
         """Where the robot stood, as far as it is known now."""
         entry = self.data.entries[index]
         observation = entry.observation
-        entry.map_from_base = self._pose_at(observation.robot, observation.stamp_ns)
-
-    def _pose_at(self, robot: str, stamp_ns: int) -> Pose | None:
-        if self._filter is None or not self._filter.has_robot(robot):
-            return None
-        if stamp_ns >= self._filter.stamps_ns[robot]:
-            return self._filter.robot(self.data, robot, stamp_ns).map_from_base
-        if self._assembled is not None and robot in self._assembled.problem.chains:
-            chain = self._assembled.problem.chains[robot]
-            nodes = self._state.robots[robot].map_from_base
-            return interpolated(self.data.tracks[robot], chain, nodes, np.array([stamp_ns]))[0]
-        return None
+        entry.map_from_base = self._batch.pose_at(
+            self._filter, observation.robot, observation.stamp_ns
+        )
 
     def _try_to_locate(self, camera: str) -> Update:
         """Try again whenever a camera's pictures have grown by half since the last try."""
         pictures = len(self.data.of_camera(camera))
-        if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._tries.get(camera, 0)):
+        if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._batch.tries.get(camera, 0)):
             return Update()
-        self._tries[camera] = pictures
-        if self._locate(camera):
+        self._batch.tries[camera] = pictures
+        if self._batch.locate(camera):
             self.solve()
-            return Update(located=(camera,) if camera in self._state.cameras else ())
+            return Update(located=(camera,) if camera in self._batch.state.cameras else ())
         return Update()
-
-    def _locate(self, camera: str) -> bool:
-        result = locate(self.data, self._state, camera)
-        if isinstance(result, Undetermined):
-            self._undetermined[camera] = result.reasons
-            return False
-        self._undetermined.pop(camera, None)
-        self._take(camera, result)
-        return True
-
-    def _take(self, camera: str, located: Located) -> None:
-        self._state = State(self._state.cameras | {camera: located.camera}, self._state.robots)
-        for index, readings in located.readings.items():
-            entry = self.data.entries[index]
-            entry.observation = entry.observation.read_as(readings).judged(Verdict.ACCEPTED)
-            entry.map_from_base = located.map_from_base.get(index, entry.map_from_base)
-
-    # -- the batch solution -----------------------------------------------------------------------
-
-    def solve(self) -> None:
-        """Solve over everything; observations that contradict the rest are set aside."""
-        self._readmit()
-        used = self.data.usable(self._state.cameras)
-        if not used:
-            return
-        solution = assembled = None
-        for round_ in range(_MOST_ROUNDS):
-            is_rough = round_ == 0
-            assembled, solution = self._solve_used(used, is_rough=is_rough)
-            changed = judge.judge(self.data, assembled, solution.state)
-            if not is_rough:
-                changed |= repeated.share_out(self.data, assembled, solution.state)
-            used = self.data.usable(self._state.cameras)
-            if not used:
-                return
-            if round_ > 0 and not changed:
-                break
-        assert solution is not None
-        assert assembled is not None
-        self._solution, self._assembled = solution, assembled
-        self._since_solve = 0
-        self._history.clear()
-        self._forget_unused(assembled)
-        self._filter = Filter.after(self._state, assembled.problem, solution.reduced)
-        self._guess_rest()
-        self._drop_misplaced()
-
-    def _readmit(self) -> None:
-        """Give observations that were set aside another chance, and place those without a place."""
-        for index, entry in enumerate(self.data.entries):
-            observation = entry.observation
-            if observation.camera not in self._state.cameras:
-                continue
-            if observation.outliers and observation.chosen is not None:
-                entry.observation = observation.read_as(observation.chosen)
-            if entry.map_from_base is None:
-                self._guess(index)
-            if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
-                continue
-            if self._filter is None or not self._filter.has_camera(observation.camera):
-                continue  # located just now: the next solution looks at it again
-            prior = self._loosely(observation, entry.map_from_base)
-            aligned = self._aligned(self._filter, observation, prior)
-            if aligned is None:
-                continue
-            is_rejected = observation.verdict is Verdict.REJECTED
-            if not (is_rejected and _is_elsewhere(aligned[1], prior)):
-                entry.observation = aligned[0].judged(Verdict.ACCEPTED)
-
-    def _loosely(self, observation: Observation, map_from_base: Pose) -> RobotEstimate:
-        """Where the robot stood by the sightings around: within a decimetre and a tenth of a
-        radian, and what odometry may have drifted since the nearest one."""
-        variance = np.repeat([0.01, 0.01], 3)
-        robot, stamp_ns = observation.robot, observation.stamp_ns
-        chain = self._assembled.problem.chains.get(robot) if self._assembled else None
-        track = self.data.tracks[robot]
-        if chain is not None and track.covers(stamp_ns):
-            nearest = int(chain.stamps_ns[np.argmin(np.abs(chain.stamps_ns - stamp_ns))])
-            if nearest != stamp_ns:
-                moments = np.array(sorted([nearest, stamp_ns]))
-                drift = np.diagonal(track.motion(moments, chain.scales).covariance[0])
-                variance = variance + np.repeat([drift[:3].sum(), drift[3:].sum()], 3)
-        return RobotEstimate(stamp_ns, map_from_base, np.diag(variance))
-
-    def _solve_used(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
-        tolerance = _ROUGH_TOLERANCE if is_rough else self._tolerance
-        solved = solve_consistently(
-            self.data, self._state, used, huber=_HUBER if is_rough else np.inf, tolerance=tolerance
-        )
-        self._state = solved.state
-        self.iterations += solved.iterations
-        return solved.assembled, solved.solution
-
-    def _forget_unused(self, assembled: Assembled) -> None:
-        """Cameras all of whose observations were rejected are not located any more."""
-        kept = {n: c for n, c in self._state.cameras.items() if n in assembled.problem.layout.pose}
-        self._state = State(kept, self._state.robots)
-
-    def _guess_rest(self) -> None:
-        """Place every observation that is not used, by the new solution."""
-        open_: dict[str, list[Entry]] = {}
-        for entry in self.data.entries:
-            if entry.observation.verdict is not Verdict.ACCEPTED:
-                open_.setdefault(entry.observation.robot, []).append(entry)
-        for robot, entries in open_.items():
-            for entry, pose in zip(entries, self._poses_at(robot, entries), strict=True):
-                entry.map_from_base = pose
-
-    def _poses_at(self, robot: str, entries: list[Entry]) -> list[Pose | None]:
-        """Where a robot stood at observations, by the last solution and odometry."""
-        chain = self._assembled.problem.chains.get(robot) if self._assembled else None
-        if chain is None:
-            return [None] * len(entries)
-        track = self.data.tracks[robot]
-        stamps = np.array([entry.observation.stamp_ns for entry in entries])
-        nodes = self._state.robots[robot].map_from_base
-        moments = np.clip(stamps, track.first_ns, track.last_ns)
-        poses = interpolated(track, chain, nodes, moments)
-        return [poses[i] for i in range(len(entries))]
-
-    def _drop_misplaced(self) -> None:
-        """A camera most of whose observations contradict its place loses it, and starts anew."""
-        for camera in list(self._state.cameras):
-            if camera in self.data.known.poses:
-                continue
-            entries = self.data.of_camera(camera)
-            accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
-            if accepted * 2 >= len(entries):
-                continue
-            cameras = {n: c for n, c in self._state.cameras.items() if n != camera}
-            self._state = State(cameras, self._state.robots)
-            for entry in entries:
-                entry.observation = entry.observation.judged(Verdict.PENDING)
-            self._undetermined[camera] = ("its pictures contradict each other",)
-            self._tries[camera] = len(entries)
-            self.solve()
-            return
-
-    def finish(self) -> None:
-        """Locate what can be located from all that came in, and solve to the end."""
-        self._tolerance = _FINAL_TOLERANCE
-        for _ in range(len(self.data.site.cameras) + 1):
-            self.solve()
-            missing = [
-                name
-                for name in self.data.site.cameras
-                if name not in self._state.cameras and self.data.of_camera(name)
-            ]
-            found = [name for name in missing if self._locate(name)]
-            if not found:
-                break
-        self._settle()
-
-    def _settle(self) -> None:
-        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
-        for _ in range(_MOST_SETTLING):
-            before = self._rejected()
-            if not before:
-                return
-            self.solve()
-            if self._rejected() == before:
-                return
-
-    def _rejected(self) -> set[int]:
-        entries = self.data.entries
-        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
 
     # -- output -----------------------------------------------------------------------------------
 
@@ -437,7 +240,7 @@ class Smoother:
 
     @property
     def located_count(self) -> int:
-        return len(self._state.cameras)
+        return len(self._batch.state.cameras)
 
     def joint_covariance(self) -> Array:
         if self._filter is None:
@@ -447,48 +250,44 @@ class Smoother:
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         seen = [name for name in self.data.site.cameras if self.data.of_camera(name)]
         pending = {
-            name: self._undetermined.get(name, ("too few pictures of the robot so far",))
+            name: self._batch.undetermined.get(name, ("too few pictures of the robot so far",))
             for name in seen
-            if name not in self._state.cameras
+            if name not in self._batch.state.cameras
         }
         placed = self.cameras()
-        loose = (n for n in seen if n in self._state.cameras and n not in placed)
+        loose = (n for n in seen if n in self._batch.state.cameras and n not in placed)
         return pending | dict.fromkeys(loose, (_LOOSE,))
 
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)
         rejected = sum(e.observation.verdict is Verdict.REJECTED for e in entries)
         rms = None
-        if self._assembled is not None and self._solution is not None:
-            rms = judge.reprojection_rms_px(self._assembled.problem, self._solution.state, camera)
+        if self._batch.assembled is not None and self._batch.solution is not None:
+            rms = judge.reprojection_rms_px(
+                self._batch.assembled.problem, self._batch.solution.state, camera
+            )
         return CameraCount(len(entries), rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
         track = self.data.tracks[robot]
-        if self._assembled is None or robot not in self._assembled.problem.chains:
+        if self._batch.assembled is None or robot not in self._batch.assembled.problem.chains:
             if robot != self.data.anchored_robot or not len(track):
                 return None
             return Trajectory(track.stamps_ns.copy(), track.odom_from_base)
-        chain = self._assembled.problem.chains[robot]
-        nodes = self._state.robots[robot].map_from_base
+        chain = self._batch.assembled.problem.chains[robot]
+        nodes = self._batch.state.robots[robot].map_from_base
         return Trajectory(
             track.stamps_ns.copy(), interpolated(track, chain, nodes, track.stamps_ns)
         )
 
     def scales(self, robot: str) -> Array:
-        return self._state.robots[robot].scales
+        return self._batch.state.robots[robot].scales
 
     def base_from_faces(self, robot: str) -> Pose:
-        return self._state.robots[robot].base_from_face
+        return self._batch.state.robots[robot].base_from_face
 
     @property
     def chi2_per_dof(self) -> float | None:
-        if self._assembled is None or self._solution is None:
+        if self._batch.assembled is None or self._batch.solution is None:
             return None
-        return judge.chi2_per_dof(self._assembled.problem, self._solution)
-
-
-def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
-    """Whether a pose is more than five sigmas from where the robot stood."""
-    apart = map_from_base.difference(prior.map_from_base)
-    return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)
+        return judge.chi2_per_dof(self._batch.assembled.problem, self._batch.solution)

@@ -1,0 +1,275 @@
+"""The batch solution: everything that came in, worked out together.
+
+In goes the data set: observations with a verdict, a reading and a guess of where the robot stood,
+and the robots' odometry. Out come
+
+- the `state` (cameras, robots, scales), its `solution` and the `assembled` problem behind it;
+- a `Filter` with what is known at the end, which `solve` and `finish` return;
+- in the data set's entries: verdicts, outliers, readings, shares, and where the robot stood;
+- `undetermined`: what is not known of the cameras that could not be located.
+
+One solution goes: readmit what was set aside, solve and judge in rounds until nothing changes, say
+where the robot stood at what is not used, drop a camera that most of its pictures contradict.
+"""
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+
+from . import judge, repeated
+from .assembly import Assembled
+from .consistent import solve_consistently
+from .dataset import DataSet, Entry
+from .alignment import PosePrior, align
+from .filter import Filter, RobotEstimate
+from .locate import Located, Undetermined, locate
+from .observations import Observation, Verdict
+from .problem import State
+from .solver import Solution
+from .trajectory import interpolated
+
+_HUBER = 4.0
+_MOST_ROUNDS = 6
+_MOST_SETTLING = 3
+# What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
+_ROUGH_TOLERANCE = 0.1
+LIVE_TOLERANCE = 1e-2
+FINAL_TOLERANCE = 1e-4
+
+
+class BatchSolution:
+    """The solution over a data set, redone on demand. Not thread-safe."""
+
+    def __init__(self, data: DataSet) -> None:
+        self.data = data
+        self.state = data.first_state()
+        self.solution: Solution | None = None
+        self.assembled: Assembled | None = None
+        self.undetermined: dict[str, tuple[str, ...]] = {}
+        # How many pictures each camera had when it was last tried to locate it.
+        self.tries: dict[str, int] = {}
+        self.tolerance = LIVE_TOLERANCE
+        self.iterations = 0
+
+    # -- solving ----------------------------------------------------------------------------------
+
+    def finish(self, known: Filter | None) -> Filter | None:
+        """Locate what can be located from all that came in, and solve to the end."""
+        self.tolerance = FINAL_TOLERANCE
+        for _ in range(len(self.data.site.cameras) + 1):
+            known = self.solve(known)
+            missing = [
+                name
+                for name in self.data.site.cameras
+                if name not in self.state.cameras and self.data.of_camera(name)
+            ]
+            found = [name for name in missing if self.locate(name)]
+            if not found:
+                break
+        return self._settle(known)
+
+    def _settle(self, known: Filter | None) -> Filter | None:
+        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
+        for _ in range(_MOST_SETTLING):
+            before = self._rejected()
+            if not before:
+                break
+            known = self.solve(known)
+            if self._rejected() == before:
+                break
+        return known
+
+    def _rejected(self) -> set[int]:
+        entries = self.data.entries
+        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
+
+    def solve(self, known: Filter | None) -> Filter | None:
+        """Solve over everything; observations that contradict the rest are set aside.
+
+        `known`: what is known up to now. Returns what is known then; `known`, where there is
+        nothing to solve.
+        """
+        self._readmit(known)
+        rounds = self._rounds()
+        if rounds is None:
+            return known
+        self.assembled, self.solution = rounds
+        self._forget_unused(self.assembled)
+        known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        self._guess_rest()
+        dropped = self._drop_misplaced()
+        return self.solve(known) if dropped else known
+
+    def _rounds(self) -> tuple[Assembled, Solution] | None:
+        """Solve and judge until nothing changes; None where nothing is left to solve."""
+        used = self.data.usable(self.state.cameras)
+        last = None
+        for round_ in range(_MOST_ROUNDS):
+            if not used:
+                return None
+            is_rough = round_ == 0
+            last = assembled, _ = self._solve_used(used, is_rough=is_rough)
+            changed = judge.judge(self.data, assembled, self.state)
+            if not is_rough:
+                changed |= repeated.share_out(self.data, assembled, self.state)
+            used = self.data.usable(self.state.cameras)
+            if round_ > 0 and not changed:
+                break
+        return last if used else None
+
+    def _solve_used(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
+        tolerance = _ROUGH_TOLERANCE if is_rough else self.tolerance
+        solved = solve_consistently(
+            self.data, self.state, used, huber=_HUBER if is_rough else np.inf, tolerance=tolerance
+        )
+        self.state = solved.state
+        self.iterations += solved.iterations
+        return solved.assembled, solved.solution
+
+    # -- what was set aside -----------------------------------------------------------------------
+
+    def _readmit(self, known: Filter | None) -> None:
+        """Give observations that were set aside another chance, and place those without a place."""
+        for entry in self.data.entries:
+            observation = entry.observation
+            if observation.camera not in self.state.cameras:
+                continue
+            if observation.outliers and observation.chosen is not None:
+                entry.observation = observation.read_as(observation.chosen)
+            if entry.map_from_base is None:
+                entry.map_from_base = self.pose_at(known, observation.robot, observation.stamp_ns)
+            if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
+                continue
+            if known is None or not known.has_camera(observation.camera):
+                continue  # located just now: the next solution looks at it again
+            prior = self._loosely(observation, entry.map_from_base)
+            aligned = align_to(self.data, known, observation, prior)
+            if aligned is None:
+                continue
+            is_rejected = observation.verdict is Verdict.REJECTED
+            if not (is_rejected and _is_elsewhere(aligned[1], prior)):
+                entry.observation = aligned[0].judged(Verdict.ACCEPTED)
+
+    def _loosely(self, observation: Observation, map_from_base: Pose) -> RobotEstimate:
+        """Where the robot stood by the sightings around: within a decimetre and a tenth of a
+        radian, and what odometry may have drifted since the nearest one."""
+        variance = np.repeat([0.01, 0.01], 3)
+        robot, stamp_ns = observation.robot, observation.stamp_ns
+        chain = self.assembled.problem.chains.get(robot) if self.assembled else None
+        track = self.data.tracks[robot]
+        if chain is not None and track.covers(stamp_ns):
+            nearest = int(chain.stamps_ns[np.argmin(np.abs(chain.stamps_ns - stamp_ns))])
+            if nearest != stamp_ns:
+                moments = np.array(sorted([nearest, stamp_ns]))
+                drift = np.diagonal(track.motion(moments, chain.scales).covariance[0])
+                variance = variance + np.repeat([drift[:3].sum(), drift[3:].sum()], 3)
+        return RobotEstimate(stamp_ns, map_from_base, np.diag(variance))
+
+    def _forget_unused(self, assembled: Assembled) -> None:
+        """Cameras all of whose observations were rejected are not located any more."""
+        kept = {n: c for n, c in self.state.cameras.items() if n in assembled.problem.layout.pose}
+        self.state = State(kept, self.state.robots)
+
+    def _guess_rest(self) -> None:
+        """Place every observation that is not used, by the new solution."""
+        open_: dict[str, list[Entry]] = {}
+        for entry in self.data.entries:
+            if entry.observation.verdict is not Verdict.ACCEPTED:
+                open_.setdefault(entry.observation.robot, []).append(entry)
+        for robot, entries in open_.items():
+            for entry, pose in zip(entries, self._poses_at(robot, entries), strict=True):
+                entry.map_from_base = pose
+
+    def _poses_at(self, robot: str, entries: list[Entry]) -> list[Pose | None]:
+        """Where a robot stood at observations, by the last solution and odometry."""
+        chain = self.assembled.problem.chains.get(robot) if self.assembled else None
+        if chain is None:
+            return [None] * len(entries)
+        track = self.data.tracks[robot]
+        stamps = np.array([entry.observation.stamp_ns for entry in entries])
+        nodes = self.state.robots[robot].map_from_base
+        moments = np.clip(stamps, track.first_ns, track.last_ns)
+        poses = interpolated(track, chain, nodes, moments)
+        return [poses[i] for i in range(len(entries))]
+
+    def pose_at(self, known: Filter | None, robot: str, stamp_ns: int) -> Pose | None:
+        """Where the robot stood at a moment, as far as it is known now."""
+        if known is None or not known.has_robot(robot):
+            return None
+        if stamp_ns >= known.stamps_ns[robot]:
+            return known.robot(self.data, robot, stamp_ns).map_from_base
+        if self.assembled is not None and robot in self.assembled.problem.chains:
+            chain = self.assembled.problem.chains[robot]
+            nodes = self.state.robots[robot].map_from_base
+            return interpolated(self.data.tracks[robot], chain, nodes, np.array([stamp_ns]))[0]
+        return None
+
+    # -- locating ---------------------------------------------------------------------------------
+
+    def locate(self, camera: str) -> bool:
+        """Try to locate a camera; whether that succeeded. The next solution uses it."""
+        result = locate(self.data, self.state, camera)
+        if isinstance(result, Undetermined):
+            self.undetermined[camera] = result.reasons
+            return False
+        self.undetermined.pop(camera, None)
+        self._take(camera, result)
+        return True
+
+    def _take(self, camera: str, located: Located) -> None:
+        self.state = State(self.state.cameras | {camera: located.camera}, self.state.robots)
+        for index, readings in located.readings.items():
+            entry = self.data.entries[index]
+            entry.observation = entry.observation.read_as(readings).judged(Verdict.ACCEPTED)
+            entry.map_from_base = located.map_from_base.get(index, entry.map_from_base)
+
+    def _drop_misplaced(self) -> bool:
+        """A camera most of whose observations contradict its place loses it, and starts anew;
+        whether there was one."""
+        for camera in list(self.state.cameras):
+            if camera in self.data.known.poses:
+                continue
+            entries = self.data.of_camera(camera)
+            accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
+            if accepted * 2 >= len(entries):
+                continue
+            cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
+            self.state = State(cameras, self.state.robots)
+            for entry in entries:
+                entry.observation = entry.observation.judged(Verdict.PENDING)
+            self.undetermined[camera] = ("its pictures contradict each other",)
+            self.tries[camera] = len(entries)
+            return True
+        return False
+
+
+def align_to(
+    data: DataSet, known: Filter, observation: Observation, predicted: RobotEstimate | None
+) -> tuple[Observation, Pose] | None:
+    """A located camera's observation as it is read best, and where that puts the robot; None where
+    nothing fits or two readings fit alike."""
+    camera = known.state.cameras[observation.camera]
+    robot = observation.robot
+    prior, distance = None, 3.0
+    if predicted is not None:
+        prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
+        between = predicted.map_from_base.translation - camera.map_from_camera.translation
+        distance = float(np.linalg.norm(between))
+    alignment = align(
+        observation,
+        data.targets[robot],
+        camera.lens,
+        camera.map_from_camera,
+        tangent=data.tracks[robot].tangent,
+        prior=prior,
+        extra_sigma_px=known.camera_sigma_px(observation.camera, distance),
+    )
+    if alignment is None or alignment.margin < judge.DECISIVE:
+        return None
+    return observation.read_as(alignment.readings), alignment.map_from_base
+
+
+def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
+    """Whether a pose is more than five sigmas from where the robot stood."""
+    apart = map_from_base.difference(prior.map_from_base)
+    return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)
