@@ -12,7 +12,7 @@ from trigpoint.correction import CorrectionMark
 from trigpoint.health import Health
 from trigpoint.messages import Odometry, PoseEstimate
 
-from .firmware_clock import FirmwareClock
+from .firmware_clock import CONTRADICTION_NS, FirmwareClock
 from .odometry import OdometryStream
 from .protocol import (
     Acknowledged,
@@ -117,6 +117,10 @@ class Bridge:
         machine_ns = self._clock.machine_ns(reading.firmware_ns)
         if machine_ns is None:
             self._health.count("odometry_before_clock")
+            return None
+        if machine_ns > reading.received_ns + CONTRADICTION_NS:
+            # The firmware's clock was set: such a stamp would make all later readings out of order.
+            self._health.lose("odometry_ahead_of_clock")
             return None
         odometry = self._stream.add(reading, self.unix_ns(machine_ns))
         if odometry is None or self._stream.last is None:

@@ -42,9 +42,11 @@ class Mismatched:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One reading of the odometry: base in the firmware's own odometry frame."""
+    """One reading of the odometry: base in the firmware's own odometry frame. `received_ns`: this
+    machine's monotonic clock when it had come."""
 
     firmware_ns: int
+    received_ns: int
     pose: Pose
     linear: Array
     angular: Array

@@ -190,7 +190,7 @@ class TrigpointSerial:
     def _content(self, content: Content, now_ns: int) -> list[Event]:
         match content:
             case OdometryFrame():
-                return self._odometry(content)
+                return self._odometry(content, now_ns)
             case Pong():
                 return self._pong(content, now_ns)
             case Acknowledge():
@@ -201,10 +201,11 @@ class TrigpointSerial:
                 self._damaged += 1
                 return [Damaged(DamageKind.CONTENT)]  # only the bridge sends these
 
-    def _odometry(self, content: OdometryFrame) -> list[Event]:
+    def _odometry(self, content: OdometryFrame, now_ns: int) -> list[Event]:
         if self._is_of_another_boot(content.boot):
             return []
-        return [Reading(content.stamp_ns, content.pose, content.linear, content.angular)]
+        linear, angular = content.linear, content.angular
+        return [Reading(content.stamp_ns, now_ns, content.pose, linear, angular)]
 
     def _is_of_another_boot(self, boot: int) -> bool:
         """Whether the firmware was restarted and its hello was lost; asks for it again."""

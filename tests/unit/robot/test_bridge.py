@@ -50,7 +50,11 @@ class Robot:
             )
 
     def read(self, at_s: float, x: float = 1.0) -> Odometry | None:
-        reading = Reading(to_ns(at_s) + FIRMWARE_NS, Pose.planar(x, 0, 0), np.zeros(3), np.zeros(3))
+        return self.read_firmware(to_ns(at_s) + FIRMWARE_NS, at_s, x)
+
+    def read_firmware(self, firmware_ns: int, at_s: float, x: float = 1.0) -> Odometry | None:
+        pose = Pose.planar(x, 0, 0)
+        reading = Reading(firmware_ns, to_ns(at_s), pose, np.zeros(3), np.zeros(3))
         return self.bridge.on_event(reading)
 
     def stand(self, begin_s: float, end_s: float) -> None:
@@ -82,6 +86,25 @@ def test_odometry_before_the_clock_is_known_is_not_published() -> None:
     robot.bridge.on_event(Connected("r1", "test", 1))
     assert robot.read(3.0) is None
     assert robot.health.total("odometry_before_clock") == 1
+
+
+def test_clock_that_jumps_ahead_costs_the_readings_until_it_is_known(
+    robot: Robot,
+) -> None:
+    robot.stand(1.0, 2.0)
+    ahead_ns = to_ns(3600.0)
+    assert robot.read_firmware(to_ns(2.0) + FIRMWARE_NS + ahead_ns, 2.0) is None
+    assert robot.health.lost("odometry_ahead_of_clock") == 1
+    for k in range(8):
+        middle_ns, way_ns = to_ns(2.1 + 0.02 * k), to_ns(0.0001)
+        robot.bridge.on_event(
+            ClockExchange(
+                middle_ns - way_ns, middle_ns + FIRMWARE_NS + ahead_ns, middle_ns + way_ns
+            )
+        )
+    message = robot.read_firmware(to_ns(2.5) + FIRMWARE_NS + ahead_ns, 2.5)
+    assert message is not None
+    assert abs(message.stamp_ns - UNIX_NS - to_ns(2.5)) < 1000
 
 
 def test_correction_goes_on_with_the_firmwares_time_and_a_number(robot: Robot) -> None:

@@ -10,7 +10,7 @@ from trigpoint.robot.protocol import Reading
 
 
 def reading(x: float, heading: float = 0.0) -> Reading:
-    return Reading(0, Pose.planar(x, 0.0, heading), np.array([0.5, 0, 0]), np.zeros(3))
+    return Reading(0, 0, Pose.planar(x, 0.0, heading), np.array([0.5, 0, 0]), np.zeros(3))
 
 
 def taken(stream: OdometryStream, x: float, stamp_ns: int) -> Odometry:
