@@ -1,4 +1,4 @@
-"""Which face a picture shows, which way up, and where that puts the camera or the robot.
+"""Which face a picture shows, which way up, and where that puts the camera.
 
 Nothing is guessed: every reading of every view and both solutions of every plane are candidates
 until the evidence decides between them.
@@ -14,16 +14,9 @@ from trigpoint.geometry.pose import angle_between
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Target
 
-from .observations import (
-    Observation,
-    Points,
-    Reading,
-    View,
-    base_from_faces,
-    face_points,
-    points_of,
-)
-from .planar_pose import planar_poses, refined_pose
+from .body import Body, body_of, by_reading, can_be_seen, faces_of, outermost
+from .observations import Observation, Reading, View, base_from_faces, face_points
+from .planar_pose import planar_poses, refined_poses
 
 # A candidate whose reprojection is worse than this many pixels is no candidate. It is generous,
 # since the lens may still be a nominal one.
@@ -41,39 +34,58 @@ class Candidate:
     rms_px: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Reads:
+    """Ways to understand an observation before they are refined: `readings` (b, views), indices
+    into each view's; `camera_from_base` (b)."""
+
+    readings: np.ndarray
+    camera_from_base: Pose
+
+
 def candidates(observation: Observation, target: Target, lens: CameraModel) -> list[Candidate]:
     """Every way to understand one observation by itself, best first."""
-    found: list[Candidate] = []
-    base_from_face = base_from_faces(target)
-    for index, view in enumerate(observation.views):
-        for reading, camera_from_base in _of_view(view, target, base_from_face, lens):
-            readings = _read_others(
-                observation, target, lens, camera_from_base, fixed={index: reading}
-            )
-            refined = _refined(observation, target, lens, camera_from_base, readings)
-            if refined is not None and refined.rms_px < _WORST_PX:
-                found.append(refined)
-        if found and len(observation.views) > 1:
-            break  # the other views took part already
-    found.sort(key=lambda candidate: candidate.rms_px)
-    return _distinct(found)
+    for index in range(len(observation.views)):
+        reads = _by_view(observation, index, target, lens)
+        found = _refined(observation, target, lens, reads) if reads is not None else []
+        if found:  # the other views took part already
+            return _distinct(sorted(found, key=lambda candidate: candidate.rms_px))
+    return []
 
 
-def _of_view(
-    view: View, target: Target, base_from_face: Pose, lens: CameraModel
-) -> list[tuple[Reading, Pose]]:
-    """Every reading of one view with the camera_from_base that it gives."""
-    found = []
+def _by_view(
+    observation: Observation, index: int, target: Target, lens: CameraModel
+) -> _Reads | None:
+    """Every reading of one view, and of the others the one that fits then."""
+    poses, own = _of_view(observation.views[index], target, lens)
+    if not poses:
+        return None
+    camera_from_base = Pose.stack(poses)
+    readings = np.zeros((len(own), len(observation.views)), dtype=int)
+    is_possible = np.ones(len(own), dtype=bool)
+    for order, view in enumerate(observation.views):
+        rms = readings_rms_px(view, target, lens, camera_from_base)
+        readings[:, order] = own if order == index else np.argmin(rms, axis=1)
+        is_possible &= np.isfinite(rms[np.arange(len(own)), readings[:, order]])
+    return _Reads(readings[is_possible], camera_from_base[is_possible])
+
+
+def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[list[Pose], list[int]]:
+    """The camera_from_base of every reading of one view, and which reading that is."""
+    poses, own = [], []
     fits = {}
-    for reading in view.readings:
+    base_from_face = base_from_faces(target)
+    for number, reading in enumerate(view.readings):
         face = target.faces[reading.face]
-        if face.appearance not in fits:
+        pattern = (face.appearance, face.square, face.marker)
+        if pattern not in fits:
             points = face_points(face, view.corners, is_turned=False)
-            fits[face.appearance] = planar_poses(lens, points, view.pixels, view.sigma)
-        for fit in fits[face.appearance]:
+            fits[pattern] = planar_poses(lens, points, view.pixels, view.sigma)
+        for fit in fits[pattern]:
             camera_from_face = fit.pose @ _half_turn(face) if reading.is_turned else fit.pose
-            found.append((reading, camera_from_face @ base_from_face[reading.face].inverse()))
-    return found
+            poses.append(camera_from_face @ base_from_face[reading.face].inverse())
+            own.append(number)
+    return poses, own
 
 
 def _half_turn(face: Face) -> Pose:
@@ -81,69 +93,70 @@ def _half_turn(face: Face) -> Pose:
     return Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1])
 
 
-def _read_others(
-    observation: Observation,
-    target: Target,
-    lens: CameraModel,
-    camera_from_base: Pose,
-    *,
-    fixed: dict[int, Reading],
-) -> tuple[Reading, ...]:
-    """For each view the reading that fits a pose best, but for the fixed ones."""
-    return tuple(
-        fixed.get(index) or best_reading(view, target, lens, camera_from_base)[0]
-        for index, view in enumerate(observation.views)
-    )
-
-
 def best_reading(
     view: View, target: Target, lens: CameraModel, camera_from_base: Pose
 ) -> tuple[Reading, float, float]:
     """The reading of least RMS (pixels) for a pose, its RMS, and that of the next best."""
-    scored = sorted(
-        ((_rms_px(view, target, lens, camera_from_base, r), i) for i, r in enumerate(view.readings))
-    )
-    second = scored[1][0] if len(scored) > 1 else np.inf
-    return view.readings[scored[0][1]], scored[0][0], second
+    rms = readings_rms_px(view, target, lens, Pose.stack([camera_from_base]))[0]
+    order = np.argsort(rms, kind="stable")
+    second = float(rms[order[1]]) if len(order) > 1 else np.inf
+    return view.readings[order[0]], float(rms[order[0]]), second
 
 
-def _rms_px(
-    view: View, target: Target, lens: CameraModel, camera_from_base: Pose, reading: Reading
-) -> float:
-    """RMS of a coordinate, pixels; a face that is seen from behind fits nothing."""
-    face = target.faces[reading.face]
-    points = face_points(face, view.corners, is_turned=reading.is_turned)
-    camera_from_face = camera_from_base @ face.base_from_face
-    optical = camera_from_face @ points
-    # z of the face points into the board, so away from whoever sees its front.
-    if np.any(optical[:, 2] < 1e-3) or camera_from_face.rotation[:, 2] @ optical[0] < 0:
-        return np.inf
-    return float(np.sqrt(np.mean((lens.project(optical) - view.pixels) ** 2)))
+def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_base: Pose) -> Array:
+    """RMS of a coordinate for poses (b) and each of a view's readings, pixels, (b, r); infinite for
+    a face that would be seen from behind or through another."""
+    body = body_of(target)
+    points = by_reading(view, body)
+    optical = (camera_from_base @ points.reshape(-1, 3)).reshape(-1, *points.shape)
+    ahead = np.all(optical[..., 2] > 1e-3, axis=-1)
+    projected = lens.project(np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0]))
+    rms = np.sqrt(np.mean((projected - view.pixels) ** 2, axis=(-1, -2)))
+    few = points[:, outermost(view.pixels)]
+    eye = camera_from_base.inverse().translation
+    return np.where(ahead & can_be_seen(body, faces_of(view), few, eye), rms, np.inf)
+
+
+def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Array:
+    """All corners of an observation in the base frame by several readings (b, views), (b, n, 3)."""
+    parts = [
+        by_reading(view, body)[readings[:, order]] for order, view in enumerate(observation.views)
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+def pixels_of(observation: Observation) -> tuple[Array, Array]:
+    """All pixels (n, 2) of an observation and their sigmas (n,)."""
+    pixels = np.concatenate([view.pixels for view in observation.views])
+    sigma = np.concatenate([np.full(len(v.corners), v.sigma) for v in observation.views])
+    return pixels, sigma
 
 
 def _refined(
-    observation: Observation,
-    target: Target,
-    lens: CameraModel,
-    start: Pose,
-    readings: tuple[Reading, ...],
-) -> Candidate | None:
-    points = points_of(observation.read_as(readings), target)
-    weights = points.weights
-    fit = refined_pose(
-        lens, start, points.in_base(base_from_faces(target)), points.pixels, 1 / weights
-    )
-    if fit is None:
-        return None
-    return Candidate(readings, fit.pose, fit.rms / float(np.mean(weights)))
+    observation: Observation, target: Target, lens: CameraModel, reads: _Reads
+) -> list[Candidate]:
+    """Those that fit, at the pose of least error over all views."""
+    if not len(reads.readings):
+        return []
+    points = corners_of(observation, body_of(target), reads.readings)
+    pixels, sigma = pixels_of(observation)
+    fits = refined_poses(lens, reads.camera_from_base, points, pixels, sigma)
+    weight = float(np.mean(1 / sigma))
+    found = []
+    for chosen, fit in zip(reads.readings, fits, strict=True):
+        if fit is not None and fit.rms / weight < _WORST_PX:
+            views = zip(observation.views, chosen, strict=True)
+            readings = tuple(view.readings[number] for view, number in views)
+            found.append(Candidate(readings, fit.pose, fit.rms / weight))
+    return found
 
 
 def _distinct(found: list[Candidate]) -> list[Candidate]:
     kept: list[Candidate] = []
     for candidate in found:
         if not any(
-            is_same_pose(candidate.camera_from_base, other.camera_from_base)
-            and candidate.readings == other.readings
+            candidate.readings == other.readings
+            and is_same_pose(candidate.camera_from_base, other.camera_from_base)
             for other in kept
         ):
             kept.append(candidate)
@@ -154,179 +167,3 @@ def is_same_pose(first: Pose, second: Pose) -> bool:
     """Whether two poses are the same solution."""
     apart = np.linalg.norm(first.translation - second.translation)
     return bool(apart < _SAME_PLACE_M and angle_between(first, second) < _SAME_TURN_RAD)
-
-
-def mean_cost(
-    map_from_camera: Pose,
-    looks: "list[Look]",
-    lens: CameraModel,
-) -> Array:
-    """How badly camera poses (n) fit many observations: the mean over their views of the least
-    mean-square reprojection error, pixels², each capped, (n,)."""
-    total = np.zeros(len(map_from_camera))
-    views = 0
-    for look in looks:
-        camera_from_base = map_from_camera.inverse() @ look.map_from_base
-        for readings in look.readings:
-            views += 1
-            costs = [_capped(lens, camera_from_base, points, pixels) for points, pixels in readings]
-            total += np.min(costs, axis=0)
-    return total / max(views, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """An observation made ready for `mean_cost`: for each view and each of its readings a few
-    corners in the base frame (k, 3) and their pixels (k, 2)."""
-
-    map_from_base: Pose
-    readings: tuple[tuple[tuple[Array, Array], ...], ...]
-
-
-def look_of(observation: Observation, target: Target, map_from_base: Pose) -> Look:
-    """A look at an observation, at its outermost corners alone."""
-    views = []
-    for view in observation.views:
-        few = _outermost(view.pixels)
-        views.append(
-            tuple(
-                (_in_base(target.faces[r.face], view.corners[few], r), view.pixels[few])
-                for r in view.readings
-            )
-        )
-    return Look(map_from_base, tuple(views))
-
-
-def _in_base(face: Face, corners: np.ndarray, reading: Reading) -> Array:
-    return face.base_from_face @ face_points(face, corners, is_turned=reading.is_turned)
-
-
-def _outermost(pixels: Array) -> np.ndarray:
-    """Indices of the corners that reach furthest in four directions."""
-    u, v = pixels.T
-    return np.unique([np.argmin(u + v), np.argmax(u + v), np.argmin(u - v), np.argmax(u - v)])
-
-
-def _capped(lens: CameraModel, camera_from_base: Pose, points: Array, pixels: Array) -> Array:
-    optical = camera_from_base @ points
-    ahead = np.all(optical[..., 2] > 1e-2, axis=-1)
-    projected = lens.project(np.where(optical[..., 2:] > 1e-2, optical, [0.0, 0.0, 1.0]))
-    square = np.mean((projected - pixels) ** 2, axis=(-1, -2))
-    return np.where(ahead, np.minimum(square, _WORST_PX**2), _WORST_PX**2)
-
-
-@dataclass(frozen=True, slots=True)
-class Alignment:
-    """Where a robot stands before a located camera; `cost`: χ² with the prior's; `margin`: how much
-    worse the next reading is."""
-
-    map_from_base: Pose
-    readings: tuple[Reading, ...]
-    cost: float
-    margin: float
-
-
-@dataclass(frozen=True, slots=True)
-class PosePrior:
-    """What is known of map_from_base before a look: covariance (6, 6) of its disturbance."""
-
-    map_from_base: Pose
-    covariance: Array
-
-
-def align(
-    observation: Observation,
-    target: Target,
-    lens: CameraModel,
-    map_from_camera: Pose,
-    *,
-    tangent: list[int],
-    prior: PosePrior | None,
-    extra_sigma_px: float,
-) -> Alignment | None:
-    """The reading and robot pose that fit a located camera's observation and the prior best.
-
-    `extra_sigma_px`: what the camera's own uncertainty adds to the corners'.
-    """
-    starts = [
-        (candidate.readings, map_from_camera @ candidate.camera_from_base)
-        for candidate in candidates(observation, target, lens)
-    ]
-    if prior is not None:
-        camera_from_base = map_from_camera.inverse() @ prior.map_from_base
-        readings = _read_others(observation, target, lens, camera_from_base, fixed={})
-        starts.append((readings, prior.map_from_base))
-    scored: list[tuple[float, tuple[Reading, ...], Pose]] = []
-    for readings, start in starts:
-        points = points_of(observation.read_as(readings), target)
-        posed = _aligned(
-            points,
-            target,
-            lens,
-            map_from_camera,
-            _flattened(start, tangent),
-            tangent,
-            prior,
-            extra_sigma_px,
-        )
-        if posed is not None:
-            scored.append((posed[1], readings, posed[0]))
-    if not scored:
-        return None
-    scored.sort(key=lambda item: item[0])
-    cost, readings, pose = scored[0]
-    others = [other for other, r, _ in scored if r != readings]
-    return Alignment(pose, readings, cost, min(others, default=np.inf) - cost)
-
-
-def _flattened(pose: Pose, tangent: list[int]) -> Pose:
-    """The pose in the plane, where the robot moves in it."""
-    if len(tangent) == 6:
-        return pose
-    x, y, _ = pose.translation
-    return Pose.planar(x, y, pose.heading)
-
-
-def _aligned(
-    points: Points,
-    target: Target,
-    lens: CameraModel,
-    map_from_camera: Pose,
-    start: Pose,
-    tangent: list[int],
-    prior: PosePrior | None,
-    extra_sigma_px: float,
-) -> tuple[Pose, float] | None:
-    """Gauss-Newton over the robot's pose; the pose and its cost, None where it diverges."""
-    in_base = points.in_base(base_from_faces(target))
-    weights = 1 / np.sqrt(1 / points.weights**2 + extra_sigma_px**2)
-    rotation = map_from_camera.rotation
-    information = np.zeros((len(tangent), len(tangent)))
-    if prior is not None:
-        information = np.linalg.inv(prior.covariance[np.ix_(tangent, tangent)])
-    pose, cost = start, np.inf
-    for _ in range(12):
-        arm = in_base @ pose.rotation.T
-        optical = (arm + pose.translation - map_from_camera.translation) @ rotation
-        if np.any(optical[:, 2] < 1e-3):
-            return None
-        pixels, by_point, _ = lens.project_jacobians(optical)
-        residual = ((pixels - points.pixels) * weights[:, None]).reshape(-1)
-        if not np.all(np.isfinite(residual)):
-            return None
-        by_map = by_point @ rotation.T
-        jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)[..., tangent]
-        jacobian = (jacobian * weights[:, None, None]).reshape(-1, len(tangent))
-        hessian = jacobian.T @ jacobian + information
-        gradient = jacobian.T @ residual
-        cost = float(residual @ residual)
-        if prior is not None:
-            apart = pose.difference(prior.map_from_base)[tangent]
-            gradient = gradient + information @ apart
-            cost += float(apart @ information @ apart)
-        disturbance = np.zeros(6)
-        disturbance[tangent] = -np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0]
-        if np.abs(disturbance).max() < 1e-6:
-            break
-        pose = pose.disturbed(disturbance)
-    return (pose, cost) if np.isfinite(cost) else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
-from . import faces
+from . import faces, looks
 from .assembly import assemble
 from .dataset import DataSet, Entry
 from .models import batch_jacobian
@@ -119,15 +119,15 @@ def _best_starts(data: DataSet, camera: str, indices: list[int]) -> list[Pose]:
         ]
     if not poses:
         return []
-    looks = [
-        faces.look_of(
+    seen = [
+        looks.look_of(
             data.entries[i].observation,
             data.targets[data.entries[i].observation.robot],
             _placed(data.entries[i]),
         )
         for i in indices
     ]
-    costs = faces.mean_cost(Pose.stack(poses), looks, lens)
+    costs = looks.mean_cost(Pose.stack(poses), seen, lens)
     chosen: list[Pose] = []
     for index in np.argsort(costs, kind="stable"):
         if not any(faces.is_same_pose(poses[index], other) for other in chosen):

@@ -14,6 +14,9 @@ from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
 _MINIMUM_CORNERS = 4
+_MOST_STEPS = 10
+_SMALLEST_STEP = 1e-7
+_FARTHEST_M = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,26 +68,46 @@ def refined_pose(
 ) -> PoseFit | None:
     """The pose of least reprojection error near `start`, by Gauss-Newton; None where it diverges.
 
-    `sigma`: of a coordinate, a number or (n,).
+    `points`: (n, 3); `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
     """
-    pose, residual = start, np.zeros(0)
-    weights = np.broadcast_to(1 / np.asarray(sigma), (len(points),))[:, None]
-    for _ in range(10):
-        arm = points @ pose.rotation.T
-        optical = arm + pose.translation
-        if np.any(optical[:, 2] < 1e-3):
-            return None
+    return refined_poses(lens, Pose.stack([start]), points[None], pixels, sigma)[0]
+
+
+def refined_poses(
+    lens: CameraModel, starts: Pose, points: Array, pixels: Array, sigma: float | Array
+) -> list[PoseFit | None]:
+    """`refined_pose` of many starts (b) at once, each with its own `points` (b, n, 3)."""
+    weights = np.broadcast_to(1 / np.asarray(sigma), (points.shape[1],))[:, None]
+    pose, rms = starts, np.full(len(points), np.nan)
+    is_sound = np.ones(len(points), dtype=bool)
+    for _ in range(_MOST_STEPS):
+        arm = points @ np.swapaxes(pose.rotation, 1, 2)
+        optical = arm + pose.translation[:, None]
+        is_sound &= np.all(optical[..., 2] > 1e-3, axis=1)
+        optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
         projected, by_point, _ = lens.project_jacobians(optical)
-        residual = ((projected - pixels) * weights).reshape(-1)
-        if not np.all(np.isfinite(residual)):
-            return None
+        residual = ((projected - pixels) * weights).reshape(len(points), -1)
+        is_sound &= np.all(np.isfinite(residual), axis=1)
         jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1)
-        jacobian = (jacobian * weights[..., None]).reshape(-1, 6)
-        hessian = jacobian.T @ jacobian
-        step = -np.linalg.lstsq(hessian, jacobian.T @ residual, rcond=1e-12)[0]
+        jacobian = (jacobian * weights[..., None]).reshape(*residual.shape, 6)
+        step = least_squares_steps(jacobian, residual, is_sound)
+        rms = np.sqrt(np.mean(residual**2, axis=1))
         pose = pose.disturbed(step)
-        if np.abs(step).max() < 1e-7:
+        if np.abs(step).max() < _SMALLEST_STEP:
             break
-    if not np.all(np.isfinite(pose.translation)) or np.linalg.norm(pose.translation) > 1e3:
-        return None
-    return PoseFit(pose, float(np.sqrt(np.mean(residual**2))))
+    is_sound &= np.linalg.norm(pose.translation, axis=-1) < _FARTHEST_M
+    return [PoseFit(pose[i], float(rms[i])) if is_sound[i] else None for i in range(len(is_sound))]
+
+
+def least_squares_steps(jacobian: Array, residual: Array, is_wanted: np.ndarray) -> Array:
+    """The steps (b, k) that least squares (b, m, k), (b, m) asks for; 0 where it is not wanted.
+
+    Directions that nothing determines stay where they are.
+    """
+    steps = np.zeros((len(residual), jacobian.shape[-1]))
+    if np.any(is_wanted):
+        transposed = np.swapaxes(jacobian[is_wanted], 1, 2)
+        inverse = np.linalg.pinv(transposed @ jacobian[is_wanted], rcond=1e-12, hermitian=True)
+        gradient = transposed @ residual[is_wanted][..., None]
+        steps[is_wanted] = -(inverse @ gradient)[..., 0]
+    return steps

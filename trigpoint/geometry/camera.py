@@ -79,7 +79,13 @@ class CameraModel:
 
     def project(self, points: ArrayLike) -> Array:
         """Pixels (…, 2) of points (…, 3) in the optical frame; points behind it give nonsense."""
-        return self._project(np.asarray(points, dtype=float))[0]
+        p = np.asarray(points, dtype=float)
+        normalised = p[..., :2] / p[..., 2:]
+        if self.model is LensModel.EQUIDISTANT:
+            distorted = _distort_equidistant(normalised, self.distortion)[0]
+        else:
+            distorted = _bent_polynomial(normalised, self.distortion)
+        return distorted * [self.fx, self.fy] + [self.cx, self.cy]
 
     def project_jacobians(self, points: ArrayLike) -> tuple[Array, Array, Array]:
         """Pixels (…, 2), their derivatives by the point (…, 2, 3) and by `parameters` (…, 2, p)."""
@@ -171,6 +177,21 @@ def _fold_radius(camera: CameraModel) -> float:
     line = np.stack([radii, np.zeros_like(radii)], axis=-1)
     folded = np.flatnonzero(np.linalg.det(camera._distort(line)[1]) <= 0)
     return float(radii[folded[0]]) if len(folded) else np.inf
+
+
+def _bent_polynomial(n: Array, coefficients: tuple[float, ...]) -> Array:
+    """`_distort_polynomial` without its derivatives."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
+    x, y = n[..., 0], n[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    if len(coefficients) > 5:
+        radial = radial / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    twice = 2 * (p1 * y + p2 * x)
+    bent = np.empty(n.shape)
+    bent[..., 0] = x * (radial + twice) + p2 * r2
+    bent[..., 1] = y * (radial + twice) + p1 * r2
+    return bent
 
 
 def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:

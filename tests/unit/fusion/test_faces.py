@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drives import lens, looking_at
 
-from trigpoint.fusion import faces
+from trigpoint.fusion import alignment, faces, looks
 from trigpoint.fusion.observations import Observation, Reading, View, observation_of, view_of
 from trigpoint.fusion.odometry_track import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
@@ -130,16 +130,16 @@ def test_face_that_turns_its_back_is_no_reading() -> None:
 def aligned(
     observation: Observation,
     target: Target,
-    prior: faces.PosePrior | None,
+    prior: alignment.PosePrior | None,
     tangent: list[int] = PLANAR,
-) -> faces.Alignment | None:
-    return faces.align(
+) -> alignment.Alignment | None:
+    return alignment.align(
         observation, target, LENS, EYE, tangent=tangent, prior=prior, extra_sigma_px=0.0
     )
 
 
-def sure(map_from_base: Pose, metres: float, radians: float) -> faces.PosePrior:
-    return faces.PosePrior(map_from_base, np.diag(np.repeat([metres**2, radians**2], 3)))
+def sure(map_from_base: Pose, metres: float, radians: float) -> alignment.PosePrior:
+    return alignment.PosePrior(map_from_base, np.diag(np.repeat([metres**2, radians**2], 3)))
 
 
 @pytest.mark.parametrize("tangent", [PLANAR, SPATIAL])
@@ -178,13 +178,13 @@ def test_alignment_of_what_shows_nothing_is_none() -> None:
 
 def test_mean_cost_is_least_at_the_cameras_place() -> None:
     target = target_of("checkerboard")
-    looks = []
+    seen = []
     for heading in (0.0, 0.4, 0.9):
         pose = Pose.planar(0.1 * heading, 0.0, heading)
-        looks.append(faces.look_of(picture(target, pose)[0], target, pose))
+        seen.append(looks.look_of(picture(target, pose)[0], target, pose))
     places = Pose.stack(
         [EYE, EYE.disturbed([0.05, 0, 0, 0, 0, 0]), EYE.disturbed([0, 0, 0, 0, 3, 0])]
     )
-    costs: Array = faces.mean_cost(places, looks, LENS)
+    costs: Array = looks.mean_cost(places, seen, LENS)
     assert costs[0] < 1e-6 < costs[1] < costs[2]
     assert costs[2] == pytest.approx(400.0)  # the cap: it looks the other way
