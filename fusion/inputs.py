@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from trigpoint.camera_info import read_camera_info
 from trigpoint.config import Site
 from trigpoint.errors import ConfigError, InputError
 from trigpoint.geometry import CameraModel
-from trigpoint.network import load_network
+from trigpoint.network import load_covariance, load_network
 from trigpoint.target import Target, load_target
 
 from .dataset import KnownCameras, known_cameras
@@ -60,17 +58,7 @@ def load_lenses(site: Site) -> dict[str, CameraModel]:
 def load_known(path: Path, site: Site) -> KnownCameras:
     """The cameras of an earlier network that this site has too; raise InputError for none."""
     network = load_network(path)
-    folder = path if path.is_dir() else path.parent
-    file = folder / "covariance.npz"
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            joint, names = archive["covariance"], [str(name) for name in archive["cameras"]]
-    except (OSError, ValueError, KeyError):
-        raise InputError(
-            f"{file}: no joint covariance; keep covariance.npz beside network.json"
-        ) from None
-    if names != network.located or joint.shape != (6 * len(names), 6 * len(names)):
-        raise InputError(f"{file}: belongs to another network than {path}; calibrate again")
+    joint = load_covariance(path, network)
     known = known_cameras(network, joint, site.cameras)
     if not known.poses:
         raise InputError(f"{path}: locates none of this site's cameras; check the names")

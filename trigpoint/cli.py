@@ -62,6 +62,9 @@ COMMANDS: dict[str, Command] = {
     "calibrate": Command(
         "trigpoint.tools.calibrate:main", "The estimator over a session.", "fusion,recorder"
     ),
+    "distances": Command(
+        "trigpoint.tools.distances:main", "Distances between cameras, beside a tape measure's."
+    ),
     "detect": Command("trigpoint.tools.detect:main", "The sightings in pictures.", "edge"),
     "target draw": Command(
         "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge,tools"

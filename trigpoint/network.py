@@ -180,6 +180,22 @@ def load_network(path: Path) -> Network:
     return decode_network(read_text(file, "network file", InputError).encode(), source=str(file))
 
 
+def load_covariance(path: Path, network: Network) -> Array:
+    """The joint covariance (6n, 6n) beside a network file, or in its folder, in the order of the
+    located cameras; raise InputError where it is not there or belongs to another network."""
+    file = (path if path.is_dir() else path.parent) / "covariance.npz"
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            joint, names = archive["covariance"], [str(name) for name in archive["cameras"]]
+    except (OSError, ValueError, KeyError):
+        raise InputError(
+            f"{file}: no joint covariance; keep covariance.npz beside network.json"
+        ) from None
+    if names != network.located or joint.shape != (6 * len(names), 6 * len(names)):
+        raise InputError(f"{file}: belongs to another network than {path}; calibrate again")
+    return joint
+
+
 def save_network(
     directory: Path,
     network: Network,
