@@ -61,7 +61,7 @@ def assemble(
     )
     priors = _priors(data, cameras, list(chains), anchored=anchored)
     layout = layout_of(cameras, chains, priors, start)
-    batches = _batches(data, start, entries, node_of)
+    batches = _batches(data, chains, entries, node_of)
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
@@ -71,9 +71,11 @@ def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bo
     return [name for name in data.site.cameras if name in state.cameras and name in seen | known]
 
 
-def true_time_ns(observation: Observation, state: State) -> int:
+def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
     """When the robot stood as it was seen: stamp minus the camera's time offset."""
-    return observation.stamp_ns - to_ns(state.cameras[observation.camera].time_offset_s)
+    since_epoch_s = data.since_epoch_s(observation.stamp_ns)
+    offset_s = state.cameras[observation.camera].offset_s(np.array(since_epoch_s))
+    return observation.stamp_ns - to_ns(float(offset_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ def _chain(
     track, scales = data.tracks[robot], state.robots[robot].scales
     is_first = anchored and robot == data.anchored_robot
     times = np.array(
-        [true_time_ns(data.entries[i].observation, state) for i in entries], dtype=np.int64
+        [true_time_ns(data, data.entries[i].observation, state) for i in entries], dtype=np.int64
     )
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
@@ -111,7 +113,7 @@ def _chain(
         robot=robot,
         stamps_ns=stamps,
         motion=motion if len(stamps) > 1 else None,
-        velocity=track.velocity(stamps, scales),
+        track=track,
         scales=scales,
         planar=track.planar,
         is_anchored=is_first or not anchored,
@@ -155,22 +157,22 @@ def _start_poses(count: int, motion: Motion | None, guesses: dict[int, Pose | No
 
 
 def _batches(
-    data: DataSet, state: State, entries: list[int], node_of: dict[int, int]
+    data: DataSet, chains: dict[str, Chain], entries: list[int], node_of: dict[int, int]
 ) -> tuple[Batch, ...]:
     pairs: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index in entries:
         observation = data.entries[index].observation
         pairs[observation.camera, observation.robot].append(index)
     return tuple(
-        _batch(data.entries[indices[0]].observation, data, state, indices, node_of)
-        for indices in pairs.values()
+        _batch(data, chains[robot], camera, indices, node_of)
+        for (camera, robot), indices in pairs.items()
     )
 
 
 def _batch(
-    first: Observation, data: DataSet, state: State, indices: list[int], node_of: dict[int, int]
+    data: DataSet, chain: Chain, camera: str, indices: list[int], node_of: dict[int, int]
 ) -> Batch:
-    target: Target = data.targets[first.robot]
+    target: Target = data.targets[chain.robot]
     points = [points_of(data.entries[index].observation, target) for index in indices]
     shares = np.array([data.entries[index].share for index in indices])
     n, widest = len(points), max(len(p.weights) for p in points)
@@ -180,17 +182,20 @@ def _batch(
         count = len(p.weights)
         face_points[row, :count], pixels[row, :count] = p.face_points, p.pixels
         faces[row, :count], weights[row, :count] = p.faces, p.weights
+    nodes = np.array([node_of[index] for index in indices])
+    stamps_ns = np.array([data.entries[index].observation.stamp_ns for index in indices])
     return Batch(
-        camera=first.camera,
-        robot=first.robot,
-        nodes=np.array([node_of[index] for index in indices]),
+        camera=camera,
+        robot=chain.robot,
+        nodes=nodes,
         face_points=face_points,
         faces=faces,
         pixels=pixels,
         weights=weights * np.sqrt(shares)[:, None],
         shares=shares,
         sources=np.array(indices),
-        time_offset_s=state.cameras[first.camera].time_offset_s,
+        after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
+        since_epoch_s=data.since_epoch_s(stamps_ns),
     )
 
 
@@ -211,9 +216,9 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
             if site.cameras[name].estimates_intrinsics
         },
         time_offset={
-            name: site.cameras[name].time_offset_sigma
+            name: np.array([camera.time_offset_sigma, camera.time_drift_sigma])
             for name in cameras
-            if site.cameras[name].time_offset_sigma > 0
+            if (camera := site.cameras[name]).time_offset_sigma > 0
         },
         scales=scales,
         faces={

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trigpoint.clock import NANOSECONDS
 from trigpoint.config import Site
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -63,6 +64,16 @@ class DataSet:
     def anchored_robot(self) -> str | None:
         """The robot whose first odometry pose fixes the map; none where known cameras do."""
         return None if self.known.poses else self.site.first_robot
+
+    @property
+    def epoch_ns(self) -> int:
+        """The moment from which clocks drift: the first robot's first odometry message."""
+        tracks = [self.tracks[self.site.first_robot], *self.tracks.values()]
+        return next((track.first_ns for track in tracks if len(track)), 0)
+
+    def since_epoch_s(self, stamps_ns: np.ndarray | int) -> Array:
+        """Stamps in seconds since the epoch, of the same shape."""
+        return np.asarray(stamps_ns - self.epoch_ns) / NANOSECONDS
 
     def of_camera(self, camera: str) -> list[Entry]:
         return [entry for entry in self.entries if entry.observation.camera == camera]

@@ -158,8 +158,9 @@ def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> N
         columns = layout.lens[name]
         _add_diagonal(equations, columns, state.cameras[name].lens.parameters - expected, sigma)
     for name, sigma in priors.time_offset.items():
-        offset = np.array([state.cameras[name].time_offset_s])
-        _add_diagonal(equations, layout.time_offset[name], offset, np.array([sigma]))
+        camera = state.cameras[name]
+        offset = np.array([camera.time_offset_s, camera.time_drift])
+        _add_diagonal(equations, layout.time_offset[name], offset, sigma)
     for name, sigma in priors.scales.items():
         _add_diagonal(equations, layout.scales[name], state.robots[name].scales, sigma)
     for name, (expected, translation, rotation) in priors.faces.items():

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from trigpoint.clock import NANOSECONDS
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, hat
 
@@ -148,7 +149,7 @@ class Filter:
             motion=data.tracks[robot].motion(
                 np.array([self.stamps_ns[robot], stamp_ns]), self.scales(robot)
             ),
-            velocity=np.zeros((2, 6)),
+            track=data.tracks[robot],
             scales=self.scales(robot),
             planar=data.tracks[robot].planar,
             is_anchored=False,
@@ -182,12 +183,9 @@ class Filter:
     ) -> tuple["Filter", float]:
         """With an observation of the robot at its last node; also its surprise, χ² over twice the
         corners (the normalised innovation squared). `share`: how much the observation counts."""
-        batch = _batch(data, self.state, observation, share)
         chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
-        velocity = data.tracks[observation.robot].velocity(
-            chain.stamps_ns, self.scales(observation.robot)
-        )
-        chain = replace(chain, velocity=velocity)
+        chain = replace(chain, scales=self.scales(observation.robot))
+        batch = _batch(data, chain, observation, share)
         layout = self.reduced.layout
         problem = Problem({observation.robot: chain}, (batch,), _no_priors(), layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
@@ -239,14 +237,14 @@ def _single(data: DataSet, robot: str, stamp_ns: int) -> Chain:
         robot=robot,
         stamps_ns=np.array([stamp_ns]),
         motion=None,
-        velocity=np.zeros((1, 6)),
+        track=data.tracks[robot],
         scales=np.zeros(2),
         planar=data.tracks[robot].planar,
         is_anchored=False,
     )
 
 
-def _batch(data: DataSet, state: State, observation: Observation, share: float) -> Batch:
+def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) -> Batch:
     points = points_of(observation, data.targets[observation.robot])
     return Batch(
         camera=observation.camera,
@@ -258,7 +256,8 @@ def _batch(data: DataSet, state: State, observation: Observation, share: float) 
         weights=points.weights[None] * np.sqrt(share),
         shares=np.array([share]),
         sources=np.zeros(1, dtype=int),
-        time_offset_s=state.cameras[observation.camera].time_offset_s,
+        after_node_s=(np.array([observation.stamp_ns]) - chain.stamps_ns) / NANOSECONDS,
+        since_epoch_s=data.since_epoch_s(np.array([observation.stamp_ns])),
     )
 
 

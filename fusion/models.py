@@ -29,11 +29,14 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
     in_base = in_face_axes + base_from_face.translation
     node = robot.map_from_base[batch.nodes]
-    # True time = stamp - offset: a larger offset looks at the robot earlier on its way.
-    twist = chain.velocity[batch.nodes].reshape(-1, 2, 3)
-    by_offset = -(twist @ np.swapaxes(node.rotation, 1, 2)).reshape(-1, 6)
-    node = node.disturbed(by_offset * (camera.time_offset_s - batch.time_offset_s))
-    arm = in_base @ np.swapaxes(node.rotation, 1, 2)
+    seen, twist = node, None
+    if batch.camera in layout.time_offset:
+        # True time = stamp - offset: the sighting is of the robot that much further on its way.
+        after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
+        moved, twist = chain.track.carried(chain.stamps_ns[batch.nodes], after_s, chain.scales)
+        seen = node @ moved
+    in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
+    arm = in_seen_axes + (seen.translation - node.translation)[:, None]
     from_camera = arm + node.translation[:, None] - camera.map_from_camera.translation
     camera_rotation = camera.map_from_camera.rotation
     optical = from_camera @ camera_rotation
@@ -53,11 +56,14 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     if batch.camera in layout.lens:
         parts.append(by_lens * weights[..., None])
         columns.append(layout.lens[batch.camera])
-    if batch.camera in layout.time_offset:
-        parts.append(by_node @ by_offset[:, None, :, None])
+    if twist is not None:
+        speed = (twist.reshape(-1, 2, 3) @ np.swapaxes(seen.rotation, 1, 2))[:, :, None]
+        by_time = speed[:, 0] + np.cross(speed[:, 1], in_seen_axes)
+        by_offset = -by_map @ by_time[..., None]
+        parts.append(by_offset * _offset_and_drift(batch.since_epoch_s))
         columns.append(layout.time_offset[batch.camera])
     if batch.robot in layout.faces:
-        by_base = by_map @ node.rotation[:, None]
+        by_base = by_map @ seen.rotation[:, None]
         by_face = np.concatenate([by_base, -by_base @ so3.hat(in_face_axes)], axis=-1)
         count = len(robot.base_from_face)
         mine = batch.faces[..., None] == np.arange(count)
@@ -71,6 +77,11 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
         residual,
         np.concatenate([every[column] for column in columns]),
     )
+
+
+def _offset_and_drift(since_epoch_s: Array) -> Array:
+    """(n, 1, 1, 2): how a camera's time offset and drift change its offset at each stamp."""
+    return np.stack([np.ones_like(since_epoch_s), since_epoch_s], axis=-1)[:, None, None]
 
 
 @dataclass(frozen=True, slots=True)

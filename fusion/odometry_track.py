@@ -93,6 +93,7 @@ class OdometryTrack:
         self._translations = np.zeros((1024, 3))
         self._twists = np.zeros((1024, 6))  # of the increment that ends at the row
         self._jumps = np.zeros(1024, dtype=bool)
+        self._jump_rows: list[int] = []
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
 
     def __len__(self) -> int:
@@ -155,15 +156,18 @@ class OdometryTrack:
                 reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
                 self._gaps[row] = max(reach, float(np.linalg.norm(step.translation)), _ALLOWANCE)
                 if np.linalg.norm(step.translation) < _GAP_SHARE * reach - _ALLOWANCE:
-                    self._jumps[row] = True
-                    return Added.JUMP
+                    return self._jumped(row)
         far = np.linalg.norm(step.translation) > MAXIMUM_SPEED * seconds + _ALLOWANCE
         if far or np.linalg.norm(turn) > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
-            self._jumps[row] = True
-            return Added.JUMP
+            return self._jumped(row)
         self._twists[row, :3] = np.linalg.solve(so3.left_jacobian(turn), step.translation)
         self._twists[row, 3:] = turn
         return Added.TAKEN
+
+    def _jumped(self, row: int) -> Added:
+        self._jumps[row] = True
+        self._jump_rows.append(row)
+        return Added.JUMP
 
     def _grow(self) -> None:
         if self._count < len(self._stamps):
@@ -172,11 +176,39 @@ class OdometryTrack:
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 
-    def velocity(self, stamps_ns: np.ndarray, scales: Array) -> Array:
-        """Twist in the base frame at moments, (n, 6): m/s and rad/s."""
-        rows = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
-        seconds = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
-        return self._twists[rows] * _both(1 + scales) / seconds[:, None]
+    def carried(self, stamps_ns: np.ndarray, seconds: Array, scales: Array) -> tuple[Pose, Array]:
+        """How the robot moves on from moments (n,) during seconds (n,), backwards where negative.
+
+        Returns start_from_end (n) and the twist at the end (n, 6), in its base frame. Beyond the
+        odometry's ends, and across a jump, the robot goes on as it did.
+        """
+        if self._count < 2:
+            return Pose(np.tile(np.eye(3), (len(seconds), 1, 1)), np.zeros((len(seconds), 3))), (
+                np.zeros((len(seconds), 6))
+            )
+        ends_ns = stamps_ns + np.round(seconds * NANOSECONDS).astype(np.int64)
+        start = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
+        end = np.clip(np.searchsorted(self.stamps_ns, ends_ns), 1, self._count - 1)
+        # Between them lies a jump where another number of jumps comes before.
+        jumps = np.searchsorted(self._jump_rows, [start, end], "right")
+        end = np.where(jumps[0] == jumps[1], end, start)
+        period_s = (self._stamps[end] - self._stamps[end - 1]) / NANOSECONDS
+        since_s = (stamps_ns - self._stamps[end - 1]) / NANOSECONDS + seconds
+        before = self._within(start, (stamps_ns - self._stamps[start - 1]) / NANOSECONDS)
+        between = before.inverse() @ self._within(end, since_s)
+        turn = so3.log(between.rotation)
+        shift = np.linalg.solve(so3.left_jacobian(turn), between.translation[..., None])[..., 0]
+        # A stretch this short may be scaled as a whole.
+        moved = _moved(np.concatenate([shift, turn], axis=1) * _both(1 + scales))
+        return moved, self._twists[end] * _both(1 + scales) / period_s[:, None]
+
+    def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
+        """odom_from_base at a time after the message before each row, with the row's twist."""
+        period_s = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
+        # A row's own pose, not the one before it: a jump lies between those.
+        left = (since_s - period_s) / period_s
+        end = Pose(self._rotations[rows], self._translations[rows])
+        return end @ _moved(self._twists[rows] * left[:, None])
 
     def is_in_gap(self, stamp_ns: int) -> bool:
         """Whether a moment lies where odometry was away, so that the way there is not known."""
@@ -239,6 +271,13 @@ class OdometryTrack:
         return covariance
 
 
+def _moved(twists: Array) -> Pose:
+    """The motion of constant twists (n, 6) over a unit of time."""
+    turns = twists[:, 3:]
+    shifts = (so3.left_jacobian(turns) @ twists[:, :3, None])[..., 0]
+    return Pose(so3.exp(turns), shifts)
+
+
 def _both(scale: Array) -> Array:
     return np.repeat(scale, 3)
 
@@ -249,10 +288,7 @@ def _compose(
     """Compose steps into one motion a segment; `ends`: the step after each segment's last."""
     starts = np.concatenate([[0], ends[:-1]])
     scaled = twists * _both(1 + scales)
-    steps = Pose(
-        so3.exp(scaled[:, 3:]),
-        (so3.left_jacobian(scaled[:, 3:]) @ scaled[:, :3, None])[..., 0],
-    )
+    steps = _moved(scaled)
     path = composed(steps)
     begin, end = path[starts], path[ends]
     whole = begin.inverse() @ end

@@ -20,16 +20,22 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-from .odometry_track import PLANAR, SPATIAL, Motion
+from .odometry_track import PLANAR, SPATIAL, Motion, OdometryTrack
 
 
 @dataclass(frozen=True, slots=True)
 class CameraState:
-    """What is believed of one camera."""
+    """What is believed of one camera; its clock's offset at the data set's epoch, and its drift
+    (s/s) from there."""
 
     map_from_camera: Pose
     lens: CameraModel
     time_offset_s: float = 0.0
+    time_drift: float = 0.0
+
+    def offset_s(self, since_epoch_s: Array) -> Array:
+        """The time offset at stamps, seconds."""
+        return self.time_offset_s + self.time_drift * since_epoch_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +59,14 @@ class State:
 class Chain:
     """One robot's nodes and the motion between them.
 
-    `is_anchored`: node 0 is known exactly (the map's origin). `velocity`: (n, 6), base frame.
-    `scales`: those at which `motion` was worked out.
+    `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
+    worked out; `track`: the odometry behind it.
     """
 
     robot: str
     stamps_ns: np.ndarray
     motion: Motion | None
-    velocity: Array
+    track: OdometryTrack
     scales: Array
     planar: bool
     is_anchored: bool
@@ -80,8 +86,8 @@ class Batch:
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
     1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): how much each
-    observation counts; `sources` (n,): index into the data set;
-    `time_offset_s`: the one that gave the nodes their times.
+    observation counts; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
+    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps.
     """
 
     camera: str
@@ -93,20 +99,22 @@ class Batch:
     weights: Array
     shares: Array
     sources: np.ndarray
-    time_offset_s: float
+    after_node_s: Array
+    since_epoch_s: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Priors:
     """Gaussian knowledge from before, as (column, expected disturbance)-free standard forms.
 
-    `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> sigma; `scales`: robot -> (2,)
-    sigmas; `faces`: robot -> (base_from_face, translation sigma, rotation sigma); `cameras`: known
-    poses by name with their joint information (6n, 6n), in the order of the dict.
+    `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
+    drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,
+    rotation sigma); `cameras`: known poses by name with their joint information (6n, 6n), in the
+    order of the dict.
     """
 
     lens: dict[str, tuple[Array, Array]]
-    time_offset: dict[str, float]
+    time_offset: dict[str, Array]
     scales: dict[str, Array]
     faces: dict[str, tuple[Pose, float, float]]
     cameras: dict[str, Pose]
@@ -151,7 +159,7 @@ def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, stat
         for name in cameras
         if name in priors.lens
     }
-    time_offset = {name: take(1) for name in cameras if name in priors.time_offset}
+    time_offset = {name: take(2) for name in cameras if name in priors.time_offset}
     scales = {name: take(2) for name in chains if name in priors.scales}
     faces = {name: take(6 * len(priors.faces[name][0])) for name in chains if name in priors.faces}
     last = {name: take(len(chain.tangent)) for name, chain in chains.items()}

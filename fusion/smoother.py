@@ -19,8 +19,10 @@ from .batch import BatchSolution, align_to
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate, carried_on
+from .guidance_world import GuidanceWorld
 from .observations import Observation, Verdict
 from .odometry_track import Added
+from .residuals import CameraResiduals, camera_residuals
 from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
@@ -122,7 +124,7 @@ class Smoother:
             return Update()
         if not self._filter.has_robot(observation.robot):
             return self._tie(index)
-        time_ns = true_time_ns(observation, self._batch.state)
+        time_ns = true_time_ns(self.data, observation, self._batch.state)
         later = self._rewind(observation.robot, time_ns)
         correction = self._apply(index, time_ns)
         for step in later:
@@ -285,6 +287,17 @@ class Smoother:
 
     def base_from_faces(self, robot: str) -> Pose:
         return self._batch.state.robots[robot].base_from_face
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        assembled = self._batch.assembled
+        if self._filter is None or assembled is None:
+            return None
+        return GuidanceWorld.of(self.data, self._filter, assembled.problem, self._batch.state)
+
+    def residuals(self, camera: str) -> CameraResiduals:
+        assembled = self._batch.assembled
+        problem = assembled.problem if assembled is not None else None
+        return camera_residuals(self.data, problem, self._batch.state, camera)
 
     @property
     def chi2_per_dof(self) -> float | None:

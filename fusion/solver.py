@@ -173,14 +173,15 @@ def moved_state(
 
 def _moved_camera(camera: CameraState, layout: Layout, name: str, step: Array) -> CameraState:
     pose = camera.map_from_camera.moved(step[layout.pose[name]])
-    lens, offset = camera.lens, camera.time_offset_s
+    lens, offset, drift = camera.lens, camera.time_offset_s, camera.time_drift
     if name in layout.lens:
         parameters = lens.parameters + step[layout.lens[name]]
         parameters[:2] = np.maximum(parameters[:2], 1.0)  # a focal length stays positive
         lens = lens.with_parameters(parameters)
     if name in layout.time_offset:
-        offset += float(step[layout.time_offset[name]][0])
-    return CameraState(pose, lens, offset)
+        change = step[layout.time_offset[name]]
+        offset, drift = offset + float(change[0]), drift + float(change[1])
+    return CameraState(pose, lens, offset, drift)
 
 
 def _moved_robot(

@@ -58,6 +58,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     centre_sigma: Positive = 0.05
     distortion_sigma: Positive = 0.5
     time_offset_sigma: NotNegative = 0.0
+    time_drift_sigma: NotNegative = 20e-6
     picture_rate: Positive = 2.0
     picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80
 

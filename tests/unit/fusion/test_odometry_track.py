@@ -284,12 +284,40 @@ def test_planar_track_takes_the_plane_of_a_tilted_report() -> None:
     assert_same(track.odom_from_base[0], Pose.planar(1.0, 2.0, tilted.heading))
 
 
-def test_velocity_is_the_twist_of_the_increment_it_lies_in() -> None:
-    track = track_of(Pose.planar([0.0, 0.02, 0.02], 0.0, [0.0, 0.0, 0.01]), planar=True)
-    velocity = track.velocity(moments(0, 0.5, 1.5, 2), np.array([0.1, -0.5]))
-    np.testing.assert_allclose(velocity[:2, 0], 1.1 * 0.02 / 0.05)
-    np.testing.assert_allclose(velocity[2:, 5], 0.5 * 0.01 / 0.05)
-    assert np.count_nonzero(velocity) == 4
+def test_robot_is_carried_along_its_way_and_its_twist_is_that_of_the_increment() -> None:
+    track = track_of(way(30, planar=False), planar=False)
+    scales = np.array([0.1, -0.05])
+    start_ns = np.array([3.2, 7.0, 12.5, 20.0]) * PERIOD_NS
+    start_ns = start_ns.astype(np.int64)
+    seconds = np.array([1.9, -2.4, 0.0, 0.3]) * PERIOD_NS / 1e9
+    moved, twist = track.carried(start_ns, seconds, np.zeros(2))
+    later, _ = track.carried(start_ns, seconds + 1e-6, np.zeros(2))
+    speed = (moved.inverse() @ later).difference(Pose.identity()) / 1e-6
+    np.testing.assert_allclose(twist, speed, atol=1e-4)
+    for index, (start, lead) in enumerate(zip(start_ns, seconds, strict=True)):
+        ends = np.array(sorted([start, start + round(lead * 1e9)]))
+        if ends[0] == ends[1]:
+            continue
+        between = track.motion(ends, np.zeros(2)).earlier_from_later[0]
+        expected = between if lead > 0 else between.inverse()
+        assert np.abs(moved[index].difference(expected)).max() < 1e-9
+    scaled, _ = track.carried(start_ns[:1], seconds[:1], scales)
+    ends = start_ns[0] + np.array([0, round(seconds[0] * 1e9)])
+    expected = track.motion(ends, scales).earlier_from_later[0]
+    # A way scaled as a whole bends a little differently.
+    assert np.abs(scaled[0].difference(expected)).max() < 1e-4
+
+
+def test_robot_goes_on_as_it_did_beyond_the_odometrys_ends_and_across_a_jump() -> None:
+    x = np.array([0.0, 0.02, 0.04, 7.04, 7.07])
+    track, poses = OdometryTrack(NOISE, planar=True), Pose.planar(x, 0.0, 0.0)
+    added = [track.add(index * PERIOD_NS, poses[index]) for index in range(len(poses))]
+    assert added.count(Added.JUMP) == 1
+    last = track.last_ns
+    stamps_ns = np.array([0, last, PERIOD_NS * 3 // 2])
+    seconds = np.array([-1.0, 1.0, 1.0]) * PERIOD_NS / 1e9
+    moved, _ = track.carried(stamps_ns, seconds, np.zeros(2))
+    np.testing.assert_allclose(moved.translation[:, 0], [-0.02, 0.03, 0.02], atol=1e-12)
 
 
 def test_track_covers_its_first_to_its_last_message() -> None:

@@ -80,7 +80,8 @@ def residuals(problem: Problem, state: State) -> Array:
     for name, (expected, sigma) in priors.lens.items():
         found.append((state.cameras[name].lens.parameters - expected) / sigma)
     for name, sigma in priors.time_offset.items():
-        found.append(np.array([state.cameras[name].time_offset_s / sigma]))
+        camera = state.cameras[name]
+        found.append(np.array([camera.time_offset_s, camera.time_drift]) / sigma)
     for name, sigma in priors.scales.items():
         found.append(state.robots[name].scales / sigma)
     for name, (expected, translation, rotation) in priors.faces.items():
