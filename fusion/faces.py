@@ -10,7 +10,6 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
-from trigpoint.geometry.pose import angle_between
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Target
 
@@ -165,5 +164,11 @@ def _distinct(found: list[Candidate]) -> list[Candidate]:
 
 def is_same_pose(first: Pose, second: Pose) -> bool:
     """Whether two poses are the same solution."""
-    apart = np.linalg.norm(first.translation - second.translation)
-    return bool(apart < _SAME_PLACE_M and angle_between(first, second) < _SAME_TURN_RAD)
+    return bool(are_same_pose(Pose.stack([first]), second)[0])
+
+
+def are_same_pose(poses: Pose, other: Pose) -> np.ndarray:
+    """Which of poses (n) are the same solution as another one, (n,) bool."""
+    apart = np.linalg.norm(poses.translation - other.translation, axis=-1)
+    cosine = np.einsum("nij,ij->n", poses.rotation, other.rotation)  # 1 + 2 cos(angle)
+    return (apart < _SAME_PLACE_M) & (cosine > 1 + 2 * np.cos(_SAME_TURN_RAD))

@@ -81,7 +81,10 @@ def test_one_frontal_picture_of_one_of_six_look_alikes_is_undetermined_in_words(
     found = locate(data, data.first_state(), "c1")
     assert isinstance(found, Undetermined)
     assert "fit alike" in found.reasons[0]
-    assert found.reasons[0].count("(") == 2
+    assert found.reasons[0].count("(") == len(found.rivals) >= 2
+    # One of those that fit alike is where it truly is.
+    near = [np.abs(h.located.map_from_camera.difference(EYE)).max() for h in found.rivals]
+    assert min(near) < 0.1
 
 
 def test_one_picture_of_two_marked_faces_is_enough() -> None:

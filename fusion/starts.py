@@ -1,0 +1,75 @@
+"""Where the search for an unlocated camera starts: poses that single pictures allow, drawn to where
+they fit the other pictures too."""
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from . import faces, looks
+from .dataset import DataSet
+from .hypotheses import placed
+
+_MOST_SEEDS = 10
+_FEW_LOOKS = 6
+_MOST_LOOKS = 16
+_MOST_KEPT = 40
+# A start whose mean-square error, pixels², is this much above the best one's cannot be what it is:
+# odometry between two pictures gives way by centimetres, which are up to ten pixels.
+_HOPELESS_PX2 = 100.0
+
+
+def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> list[Pose]:
+    """The distinct camera poses that fit these observations best, at most `most`, best first.
+
+    The robot's pose must be known at each.
+    """
+    poses = _of_single_pictures(data, camera, spread(indices, _MOST_SEEDS))
+    if poses is None:
+        return []
+    lens = data.lenses[camera]
+    seen = [_look(data, index) for index in spread(indices, _MOST_LOOKS)]
+    few = [seen[i] for i in spread(list(range(len(seen))), _FEW_LOOKS)]
+    costs = looks.mean_cost(poses, few, lens)
+    kept = _distinct(poses[np.argsort(costs, kind="stable")], _MOST_KEPT)
+    drawn = looks.drawn(kept, seen, lens)
+    costs = looks.mean_cost(drawn, seen, lens)
+    order = np.argsort(costs, kind="stable")
+    order = order[costs[order] < costs[order[0]] + _HOPELESS_PX2]
+    chosen = _distinct(drawn[order], most)
+    return [chosen[i] for i in range(len(chosen))]
+
+
+def spread(indices: list[int], most: int) -> list[int]:
+    """At most `most` of them, evenly spread."""
+    if len(indices) <= most:
+        return indices
+    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def _of_single_pictures(data: DataSet, camera: str, indices: list[int]) -> Pose | None:
+    poses = []
+    for index in indices:
+        entry = data.entries[index]
+        target = data.targets[entry.observation.robot]
+        poses += [
+            placed(entry) @ candidate.camera_from_base.inverse()
+            for candidate in faces.candidates(entry.observation, target, data.lenses[camera])
+        ]
+    return Pose.stack(poses) if poses else None
+
+
+def _look(data: DataSet, index: int) -> looks.Look:
+    entry = data.entries[index]
+    target = data.targets[entry.observation.robot]
+    return looks.look_of(entry.observation, target, placed(entry))
+
+
+def _distinct(poses: Pose, most: int) -> Pose:
+    """The first of every group of like poses, at most `most` of them."""
+    chosen: list[int] = []
+    is_open: Array = np.ones(len(poses), dtype=bool)
+    while np.any(is_open) and len(chosen) < most:
+        chosen.append(int(np.argmax(is_open)))
+        is_open &= ~faces.are_same_pose(poses, poses[chosen[-1]])
+    return poses[np.array(chosen)]
