@@ -1,6 +1,7 @@
 """From messages to observations in order of time: what fits, what is late, what came twice.
 
-Pure: no bus, no clock. A sighting waits here until the odometry of its robot reaches its moment.
+Pure: no bus, no clock. A sighting waits here until the odometry of its robot reaches its moment,
+which is only known as well as its camera's time offset.
 """
 
 import heapq
@@ -18,11 +19,15 @@ from .observations import Observation, View, observation_of, view_of
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
 _CLOCK_TOLERANCE_NS = to_ns(5.0)
+# How many sigmas of its time offset a sighting is given to have been later than its stamp.
+_SIGMAS = 3.0
 
 
 @dataclass(order=True, slots=True)
 class _Waiting:
-    stamp_ns: int
+    """`latest_ns`: the robot was seen at this moment, true time, at the latest."""
+
+    latest_ns: int
     order: int
     observation: Observation = field(compare=False)
 
@@ -40,6 +45,14 @@ class Intake:
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
         self._order = 0
+        # By how much true time may be ahead of a camera's stamp.
+        self._ahead_ns = {
+            name: to_ns(_SIGMAS * camera.time_offset_sigma) for name, camera in site.cameras.items()
+        }
+
+    def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:
+        """What is known of a camera's time offset by now."""
+        self._ahead_ns[camera] = to_ns(_SIGMAS * sigma_s - offset_s)
 
     @property
     def depth(self) -> int:
@@ -103,7 +116,8 @@ class Intake:
             heapq.heappop(queue)
             self._leave_out("without_odometry", f"no odometry of {robot}; check its bridge")
         self._order += 1
-        heapq.heappush(queue, _Waiting(observation.stamp_ns, self._order, observation))
+        latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
+        heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
 
     def _leave_out(self, reason: str, text: str) -> None:
         self.counts[reason] += 1
@@ -115,26 +129,37 @@ class Intake:
         Those from before its odometry began are left out.
         """
         queue, found = self._waiting[robot], []
-        while queue and queue[0].stamp_ns <= last_ns:
-            observation = heapq.heappop(queue).observation
-            if observation.stamp_ns < first_ns:
+        while queue and queue[0].latest_ns <= last_ns:
+            waiting = heapq.heappop(queue)
+            if waiting.latest_ns < first_ns:
                 self.counts["before_odometry"] += 1
             else:
-                found.append(observation)
+                found.append(waiting.observation)
         self._drop_far_ahead(robot, last_ns)
         return found
+
+    def rest(self, robot: str, last_ns: int) -> list[Observation]:
+        """At the end of the odometry: those of its last moments, which may be within it."""
+        queue = self._waiting[robot]
+        kept, found = [], []
+        for waiting in sorted(queue):
+            is_within = waiting.observation.stamp_ns <= last_ns
+            (found if is_within else kept).append(waiting)
+        self._waiting[robot] = kept
+        return [waiting.observation for waiting in found]
 
     def _drop_far_ahead(self, robot: str, last_ns: int) -> None:
         """A camera whose clock is far ahead would wait for ever."""
         queue = self._waiting[robot]
-        ahead = [w for w in queue if w.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
+        ahead = [w for w in queue if w.observation.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
         if len(ahead) > 64:
             camera = ahead[0].observation.camera
             self.counts["far_ahead"] += len(ahead)
             self.last_problem = (
-                f"camera {camera} is {(ahead[0].stamp_ns - last_ns) / 1e9:.0f} s ahead of the "
+                f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
                 f"odometry of {robot}; synchronise its clock, or check that odometry comes"
             )
-            kept = [w for w in queue if w.stamp_ns <= last_ns + _CLOCK_TOLERANCE_NS]
+            gone = {waiting.order for waiting in ahead}
+            kept = [waiting for waiting in queue if waiting.order not in gone]
             heapq.heapify(kept)
             self._waiting[robot] = kept

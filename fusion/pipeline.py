@@ -254,6 +254,8 @@ class Pipeline:
         cameras = self._estimator.cameras()
         if not cameras:
             return
+        for name, camera in cameras.items():
+            self._intake.learn(name, camera.time_offset_s, camera.time_offset_sigma_s)
         transforms = []
         for name, camera in cameras.items():
             pose = camera.map_from_camera
@@ -287,6 +289,10 @@ class Pipeline:
     def finish(self) -> list[Output]:
         """Work everything out to the end from all that came in; what is to be sent last."""
         self.advance()
+        for robot, track in self._data.tracks.items():
+            if len(track):
+                for observation in self._intake.rest(robot, track.last_ns):
+                    self._use(observation, None)
         self._estimator.finish()
         last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
         self._say_cameras(last_ns, is_urgent=True)

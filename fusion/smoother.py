@@ -19,10 +19,8 @@ from .batch import BatchSolution, align_to
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate, carried_on
-from .guidance_world import GuidanceWorld
 from .observations import Observation, Verdict
 from .odometry_track import Added
-from .residuals import CameraResiduals, camera_residuals
 from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
@@ -238,7 +236,10 @@ class Smoother:
     def cameras(self) -> dict[str, CameraEstimate]:
         if self._filter is None:
             return {}
-        return camera_estimates(self._filter, list(self.data.site.cameras))
+        last_ns = max(self._filter.stamps_ns.values(), default=self.data.epoch_ns)
+        since_epoch_s = float(self.data.since_epoch_s(last_ns))
+        names = list(self.data.site.cameras)
+        return camera_estimates(self._filter, names, since_epoch_s=since_epoch_s)
 
     @property
     def located_count(self) -> int:
@@ -287,17 +288,6 @@ class Smoother:
 
     def base_from_faces(self, robot: str) -> Pose:
         return self._batch.state.robots[robot].base_from_face
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        assembled = self._batch.assembled
-        if self._filter is None or assembled is None:
-            return None
-        return GuidanceWorld.of(self.data, self._filter, assembled.problem, self._batch.state)
-
-    def residuals(self, camera: str) -> CameraResiduals:
-        assembled = self._batch.assembled
-        problem = assembled.problem if assembled is not None else None
-        return camera_residuals(self.data, problem, self._batch.state, camera)
 
     @property
     def chi2_per_dof(self) -> float | None:

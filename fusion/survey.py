@@ -20,12 +20,15 @@ def is_placed(covariance: Array) -> bool:
     )
 
 
-def camera_estimates(known: Filter, names: list[str]) -> dict[str, CameraEstimate]:
-    """Those of the named cameras that are located, in this order."""
+def camera_estimates(
+    known: Filter, names: list[str], *, since_epoch_s: float = 0.0
+) -> dict[str, CameraEstimate]:
+    """Those of the named cameras that are located, in this order; with their time offsets at that
+    time after the data set's epoch."""
     layout = known.reduced.layout
     covariance, step = known.reduced.covariance(), known.mean_step()
     located = _placed(layout, covariance, names)
-    return {name: _estimate(known, name, covariance, step) for name in located}
+    return {name: _estimate(known, name, covariance, step, since_epoch_s) for name in located}
 
 
 def _placed(layout: Layout, covariance: Array, names: list[str]) -> list[str]:
@@ -36,17 +39,20 @@ def _placed(layout: Layout, covariance: Array, names: list[str]) -> list[str]:
     ]
 
 
-def _estimate(known: Filter, name: str, covariance: Array, step: Array) -> CameraEstimate:
+def _estimate(
+    known: Filter, name: str, covariance: Array, step: Array, since_epoch_s: float
+) -> CameraEstimate:
     layout, camera = known.reduced.layout, known.state.cameras[name]
     pose, sigmas = layout.pose[name], np.sqrt(np.diagonal(covariance))
     lens, lens_sigma = camera.lens, np.zeros(len(camera.lens.parameters))
     if name in layout.lens:
         lens_sigma = sigmas[layout.lens[name]]
         lens = lens.with_parameters(lens.parameters + step[layout.lens[name]])
-    offset, offset_sigma = camera.time_offset_s, 0.0
+    offset, offset_sigma = float(camera.offset_s(np.array(since_epoch_s))), 0.0
     if name in layout.time_offset:
-        offset += float(step[layout.time_offset[name]][0])
-        offset_sigma = float(sigmas[layout.time_offset[name]][0])
+        columns, by_drift = layout.time_offset[name], np.array([1.0, since_epoch_s])
+        offset += float(by_drift @ step[columns])
+        offset_sigma = float(np.sqrt(by_drift @ covariance[columns, columns] @ by_drift))
     return CameraEstimate(
         camera.map_from_camera.disturbed(step[pose]),
         covariance[pose, pose],
