@@ -8,7 +8,7 @@ from trigpoint.checks import Check
 def checks() -> list[Check]:
     """Whether the estimator's libraries are there."""
     found = []
-    for package in ("numpy", "scipy", "opencv-python-headless"):
+    for package in ("numpy", "scipy", "opencv-python-headless", "filterpy"):
         try:
             found.append(Check(package, "ok", version(package), ""))
         except PackageNotFoundError:

@@ -4,12 +4,13 @@ from pathlib import Path
 
 from trigpoint.camera_info import read_camera_info
 from trigpoint.config import Site
-from trigpoint.errors import ConfigError, InputError
+from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel
 from trigpoint.network import load_covariance, load_network
 from trigpoint.target import Target, load_target
 
 from .dataset import KnownCameras, known_cameras
+from .estimators import check_estimator
 from .pipeline import Inputs
 
 
@@ -27,11 +28,7 @@ def make_inputs(
     network: Path | None = None,
 ) -> Inputs:
     """Inputs from targets and lenses that are loaded already."""
-    if site.fusion.estimator != "smoother":
-        raise ConfigError(
-            f"fusion.estimator «{site.fusion.estimator}» is not in this version; "
-            'write estimator = "smoother"'
-        )
+    check_estimator(site)
     known = KnownCameras.none() if network is None else load_known(network, site)
     for name in known.poses:
         lenses.setdefault(name, _lens_in(network, name))

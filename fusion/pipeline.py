@@ -29,13 +29,13 @@ from trigpoint.topics import Topic
 
 from .coverage import coverage
 from .dataset import DataSet, KnownCameras
-from .estimator import CameraEstimate, Estimator
+from .estimator import CameraEstimate
+from .estimators import make_estimator
 from .filter import RobotEstimate
 from .intake import Intake
 from .observations import Observation
 from .odometry_track import Added
 from .results import Results, results_of
-from .smoother import Smoother
 
 _TF_PERIOD_NS = to_ns(0.1)
 _CAMERA_PERIOD_NS = to_ns(1.0)
@@ -74,7 +74,7 @@ class Pipeline:
         self.site, self._inputs = inputs.site, inputs
         data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
         self._data = data
-        self._estimator: Estimator = Smoother(data)
+        self._estimator = make_estimator(data)
         self._intake = Intake(inputs.site, inputs.targets)
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []

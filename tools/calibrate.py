@@ -9,6 +9,7 @@ import typer
 
 from trigpoint import cdr, topics
 from trigpoint.errors import InputError, MessageError
+from trigpoint.fusion.estimators import check_estimator
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
@@ -47,9 +48,8 @@ def main(
     inputs = session_inputs(recording, site=site, network=network)
     if estimator is not None:
         fusion = msgspec.structs.replace(inputs.site.fusion, estimator=estimator)
-        if estimator != "smoother":
-            raise InputError(f"the estimator «{estimator}» is not in this version; use smoother")
         chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
+        check_estimator(chosen)
         inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
     results = calibrated(recording, inputs)
     folder = out if out is not None else recording.path.parent / "calibration"

@@ -1,0 +1,48 @@
+"""The estimators that `[fusion] estimator` in the site file chooses from, imported when chosen."""
+
+import importlib
+
+from trigpoint.config import Site
+from trigpoint.errors import ConfigError
+
+from .dataset import DataSet
+from .estimator import Estimator
+
+ESTIMATORS = {
+    "smoother": "trigpoint.fusion.smoother:Smoother",
+    "ekf": "trigpoint.fusion.extended_kalman_filter:extended_kalman_filter",
+}
+
+
+def make_estimator(data: DataSet) -> Estimator:
+    """The estimator that the site file names."""
+    module, name = ESTIMATORS[data.site.fusion.estimator].split(":")
+    return getattr(importlib.import_module(module), name)(data)
+
+
+def check_estimator(site: Site) -> None:
+    """Raise ConfigError where the site asks its estimator for what that does not work out."""
+    chosen = site.fusion.estimator
+    if chosen not in ESTIMATORS:
+        raise ConfigError(f"the estimator «{chosen}» is not in this version; use smoother or ekf")
+    if chosen == "smoother":
+        return
+    asked = []
+    if site.fusion.target_translation > 0 or site.fusion.target_rotation > 0:
+        asked.append("the faces' places on the robot (fusion.target_translation, target_rotation)")
+    if chosen == "particle":
+        asked += [
+            f"the intrinsics of camera {name}"
+            for name, camera in site.cameras.items()
+            if camera.estimates_intrinsics
+        ]
+        asked += [
+            f"the time offset of camera {name} (time_offset_sigma)"
+            for name, camera in site.cameras.items()
+            if camera.time_offset_sigma > 0
+        ]
+    if asked:
+        raise ConfigError(
+            f"the estimator «{chosen}» does not work out {asked[0]}; "
+            'write estimator = "smoother", or leave that out'
+        )
