@@ -1,7 +1,7 @@
 """What every estimator offers to the pipeline."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -9,8 +9,10 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .filter import RobotEstimate
+from .guidance_world import GuidanceWorld
 from .observations import Observation
 from .odometry_track import Added
+from .residuals import CameraResiduals
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,3 +107,16 @@ class Estimator(Protocol):
 
     @property
     def iterations(self) -> int: ...
+
+
+@runtime_checkable
+class Inspectable(Protocol):
+    """What an estimator shows that solves for every robot pose at once."""
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        """A copy of what is known for guidance to work on; None before the first solution."""
+        ...
+
+    def residuals(self, camera: str) -> CameraResiduals:
+        """What the last solution leaves over of a camera's corners."""
+        ...

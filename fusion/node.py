@@ -14,6 +14,8 @@ from trigpoint.node import Node
 from trigpoint.topics import Topic, command_key
 
 from .checkpoint import Checkpoint, read_checkpoint
+from .guidance_world import GuidanceWorld
+from .guide import Guide
 from .pipeline import Inputs, Output, Pipeline
 
 KIND = "fusion"
@@ -64,6 +66,7 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.thread("estimate", self._run)
+        self._node.thread("guide", Guide(self._bus, self._node, name, self._guidance_world).run)
 
     def finish(self) -> None:
         """Write what is known, worked out to the end where that is quick enough for a stop.
@@ -129,6 +132,10 @@ class FusionNode:
             self._publishers[key] = self._bus.publisher(output.topic, key)
         self._publishers[key].put(cdr.encode(output.message), attachment=output.attachment)
         self._node.health.count(f"sent {key}")
+
+    def _guidance_world(self) -> GuidanceWorld | None:
+        with self._lock:
+            return self._pipeline.guidance_world()
 
     def _report(self) -> None:
         """Bring what the pipeline left out into the diagnostics."""

@@ -32,9 +32,11 @@ from .dataset import DataSet, KnownCameras
 from .estimator import CameraEstimate
 from .estimators import make_estimator
 from .filter import RobotEstimate
+from .guidance_world import GuidanceWorld
 from .intake import Intake
 from .observations import Observation
 from .odometry_track import Added
+from .residuals import CameraResiduals
 from .results import Results, results_of
 
 _TF_PERIOD_NS = to_ns(0.1)
@@ -313,3 +315,16 @@ class Pipeline:
     def robot(self, robot: str) -> RobotEstimate | None:
         """The robot at its last odometry message."""
         return self._estimator.robot(robot)
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        """A copy of what is known for guidance to work on; None where there is too little yet, or
+        where the estimator has none."""
+        estimator = self._estimator
+        return estimator.guidance_world() if isinstance(estimator, Inspectable) else None
+
+    def residuals(self) -> dict[str, CameraResiduals]:
+        """What is left over of each camera's corners; empty where the estimator does not say."""
+        estimator = self._estimator
+        if not isinstance(estimator, Inspectable):
+            return {}
+        return {name: estimator.residuals(name) for name in self.site.cameras}

@@ -1,0 +1,74 @@
+"""What a solution leaves over of the corners that a camera saw."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+from .dataset import DataSet
+from .models import batch_jacobian
+from .observations import Observation, Verdict
+from .problem import Batch, Problem, State
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResiduals:
+    """One camera's corners in its used observations.
+
+    `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
+    (n,): of a coordinate, as the detector said it; `used` (n,) bool: False for the wild ones that
+    were left out. `sightings`: observations used; `rejected`: those that contradict the rest;
+    `pending`: those that could not be read or whose camera is not located.
+    """
+
+    pixels: Array
+    residual_px: Array
+    sigma_px: Array
+    used: np.ndarray
+    sightings: int
+    rejected: int
+    pending: int
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(m, 2) of the used corners."""
+        return (self.residual_px / self.sigma_px[:, None])[self.used]
+
+
+def camera_residuals(
+    data: DataSet, problem: Problem | None, state: State, camera: str
+) -> CameraResiduals:
+    """The residuals at a solution; `problem` None: nothing was solved yet."""
+    batches = [b for b in problem.batches if b.camera == camera] if problem is not None else []
+    parts = [_corners(data, problem, batch, state) for batch in batches if problem is not None]
+    verdicts = [entry.observation.verdict for entry in data.of_camera(camera)]
+    joined = [np.concatenate(part) for part in zip(*parts, strict=True)] if parts else _none()
+    return CameraResiduals(
+        *joined,
+        sightings=verdicts.count(Verdict.ACCEPTED),
+        rejected=verdicts.count(Verdict.REJECTED),
+        pending=verdicts.count(Verdict.PENDING),
+    )
+
+
+def _corners(
+    data: DataSet, problem: Problem, batch: Batch, state: State
+) -> tuple[Array, Array, Array, np.ndarray]:
+    """Pixels, residuals, sigmas and use of all corners in a batch, in one row."""
+    sigmas = np.ones(batch.weights.shape)
+    real = np.zeros(batch.weights.shape, dtype=bool)
+    for row, source in enumerate(batch.sources.tolist()):
+        mine = _sigmas(data.entries[source].observation)
+        sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
+    # With every weight at 1 wild corners have a residual too, and all are in pixels.
+    _, residual, _ = batch_jacobian(problem, replace(batch, weights=real.astype(float)), state)
+    return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
+
+
+def _sigmas(observation: Observation) -> Array:
+    return np.concatenate([np.full(len(view.corners), view.sigma) for view in observation.views])
+
+
+def _none() -> list[np.ndarray]:
+    return [np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool)]
