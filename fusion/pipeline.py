@@ -29,7 +29,7 @@ from trigpoint.topics import Topic
 
 from .coverage import coverage
 from .dataset import DataSet, KnownCameras
-from .estimator import CameraEstimate
+from .estimator import CameraEstimate, Inspectable
 from .estimators import make_estimator
 from .filter import RobotEstimate
 from .guidance_world import GuidanceWorld
