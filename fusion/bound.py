@@ -1,11 +1,13 @@
 """The Cramér-Rao bound of a session: the least covariance that any unbiased estimator can reach.
 
 It is the inverse of the Fisher information at the truth, with everything known that an oracle would
-know: which sightings are good and which face each shows. For Gaussian noise the information is the
-normal equations' matrix at the true state (Kay, «Estimation Theory», 1993, section 3.9).
+know: which sightings are good, which face each shows, when a camera was moved or a robot lifted.
+For Gaussian noise the information is the normal equations' matrix at the true state (Kay,
+«Estimation Theory», 1993, section 3.9); what has a prior adds the prior's information.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +23,9 @@ from .odometry_track import OdometryTrack
 from .problem import CameraState, State
 from .solver import reduce
 
+# Farther than any robot comes in a step: the motion before it is taken as unknown.
+_AWAY = Pose.planar(1e6, 0.0, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Bound:
@@ -29,6 +34,12 @@ class Bound:
     cameras: list[str]
     covariance: Array
     places: Array
+
+    def of(self, names: list[str]) -> "Bound":
+        """The same of some cameras, in this order."""
+        chosen = [self.cameras.index(name) for name in names]
+        rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in chosen])
+        return Bound(names, self.covariance[np.ix_(rows, rows)], self.places[chosen])
 
     @property
     def mean_distance_error(self) -> float:
@@ -47,40 +58,56 @@ class Bound:
         return float(np.mean(sigmas) * np.sqrt(2 / np.pi)) if sigmas else 0.0
 
 
-def cramer_rao(
-    data: DataSet, cameras: dict[str, Pose], places: list[tuple[Observation, Pose]]
-) -> Bound:
-    """The bound over true camera poses and observations with the robot's true pose at each.
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """The truth. `cameras`: where each is, with its lens and time offset; `places`: observations
+    with the robot's true pose at each. One that has no `chosen` readings is read as it fits best.
+    What a mapping leaves out is as the site says: no scale errors (2,), faces where the target file
+    has them, no robot lifted at any stamp."""
 
-    `data` gives site, targets, lenses and odometry; the odometry's noise is taken as the contract
-    states it, with nothing added.
+    cameras: Mapping[str, CameraState]
+    places: list[tuple[Observation, Pose]]
+    scale_errors: Mapping[str, Array] = field(default_factory=dict)
+    base_from_face: Mapping[str, Pose] = field(default_factory=dict)
+    lifted_ns: Mapping[str, list[int]] = field(default_factory=dict)
+
+
+def cramer_rao(data: DataSet, oracle: Oracle) -> Bound:
+    """The bound of the cameras' poses.
+
+    `data` gives site, priors, targets, lenses that are told, and odometry; the odometry's noise is
+    taken as the contract states it, with nothing added.
     """
-    true_cameras = {
-        n: CameraState(p, data.lenses[n]) for n, p in cameras.items() if n in data.lenses
-    }
-    first = data.first_state()
+    true_cameras = {n: c for n, c in oracle.cameras.items() if n in data.lenses}
     entries = []
-    for observation, map_from_base in places:
+    for observation, map_from_base in oracle.places:
         if observation.camera in true_cameras:
             read = _read(data, observation, true_cameras[observation.camera], map_from_base)
             entries.append(Entry(read.judged(Verdict.ACCEPTED), map_from_base))
-    oracle = DataSet(data.site, data.targets, data.lenses, data.known, dict(data.tracks), entries)
-    for name, track in data.tracks.items():
-        oracle.tracks[name] = _stated(track)
-    state = State(true_cameras, first.robots)
-    assembled = assemble(oracle, state, list(range(len(entries))))
+    tracks = {n: _stated(t, oracle.lifted_ns.get(n, [])) for n, t in data.tracks.items()}
+    told = DataSet(data.site, data.targets, data.lenses, data.known, tracks, entries)
+    state = State(true_cameras, told.first_state().robots)
+    for name, robot in state.robots.items():
+        state.robots[name] = replace(
+            robot,
+            scales=np.asarray(oracle.scale_errors.get(name, robot.scales)),
+            base_from_face=oracle.base_from_face.get(name, robot.base_from_face),
+        )
+    assembled = assemble(told, state, list(range(len(entries))))
     reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
     names = list(reduced.layout.pose)
-    columns = np.concatenate(
-        [np.arange(reduced.layout.size)[reduced.layout.pose[n]] for n in names]
-    )
+    every = np.arange(reduced.layout.size)
+    columns = np.concatenate([every[reduced.layout.pose[name]] for name in names])
     covariance = reduced.covariance()[np.ix_(columns, columns)]
-    return Bound(names, covariance, np.array([cameras[name].translation for name in names]))
+    places = np.array([true_cameras[name].map_from_camera.translation for name in names])
+    return Bound(names, covariance, places)
 
 
 def _read(
     data: DataSet, observation: Observation, camera: CameraState, map_from_base: Pose
 ) -> Observation:
+    if observation.chosen is not None:
+        return observation
     target = data.targets[observation.robot]
     camera_from_base = camera.map_from_camera.inverse() @ map_from_base
     return observation.read_as(
@@ -88,9 +115,14 @@ def _read(
     )
 
 
-def _stated(track: OdometryTrack) -> OdometryTrack:
+def _stated(track: OdometryTrack, lifted_ns: list[int]) -> OdometryTrack:
+    """The same odometry with the contract's noise alone, and nothing known of a lift's motion."""
     stated = OdometryTrack(track.noise, planar=track.planar, slip=0.0)
     poses = track.odom_from_base
-    for index, stamp_ns in enumerate(track.stamps_ns):
-        stated.add(int(stamp_ns), poses[index])
+    for index, stamp_ns in enumerate(track.stamps_ns.tolist()):
+        pose = poses[index]
+        for lift_ns in lifted_ns:
+            if stamp_ns > lift_ns:
+                pose = _AWAY @ pose
+        stated.add(stamp_ns, pose)
     return stated

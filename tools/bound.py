@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from trigpoint.errors import InputError
-from trigpoint.fusion.bound import Bound, cramer_rao
+from trigpoint.fusion.bound import Bound, Oracle, cramer_rao
 from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.intake import Intake
 from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.messages import CameraInfo, Odometry, Sightings
 from trigpoint.network import decode_tum
@@ -49,7 +50,12 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
         places += [(observation, where[i]) for i, observation in enumerate(observations)]
     if not places:
         raise InputError(f"{recording.path}: no sighting whose truth is known")
-    return cramer_rao(data, {name: record.pose for name, record in truth.cameras.items()}, places)
+    cameras = {
+        name: CameraState(record.pose, data.lenses[name])
+        for name, record in truth.cameras.items()
+        if name in data.lenses
+    }
+    return cramer_rao(data, Oracle(cameras, places))
 
 
 def poses_at(stamps_ns: np.ndarray, poses: Pose, moments_ns: np.ndarray) -> Pose:

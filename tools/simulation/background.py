@@ -11,9 +11,9 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .actors import SimulatedCamera
 from .lens_grid import SUBPIXELS, directions_on_grid
 from .visibility import Wall
-from .world import SimulatedCamera
 
 _FAR = 1e6
 

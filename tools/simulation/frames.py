@@ -11,8 +11,9 @@ from trigpoint.edge.frames import Frame
 from trigpoint.errors import FrameError, InputError
 from trigpoint.geometry import CameraModel
 
+from .actors import SimulatedCamera
 from .rendering import CameraRenderer
-from .world import SimulatedCamera, load_world
+from .world import load_world
 
 _KEYS = ("world", "seed", "epoch_ns", "target")
 

@@ -1,6 +1,6 @@
 """The odometry that a simulated robot reports of its true way."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,15 +11,22 @@ from trigpoint.geometry.rotation import Array, wrap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryLog:
-    """Every message: `stamps_s` (n,) world time, `poses` (n) odom_from_base."""
+    """Every message: `stamps_s` (n,) world time, `poses` (n) odom_from_base; and the true scale
+    errors (2,) of distance and heading that are in them."""
 
     stamps_s: Array
     poses: Pose
+    scale_errors: Array = field(default_factory=lambda: np.zeros(2))
 
 
 def increments(poses: Pose) -> Array:
     """Motion from pose to pose in the frame of the earlier one; (n - 1, 3) x, y, heading."""
-    steps = poses[:-1].inverse() @ poses[1:]
+    return relative(poses[:-1], poses[1:])
+
+
+def relative(earlier: Pose, later: Pose) -> Array:
+    """Motion between poses (n) in the frame of the earlier one; (n, 3) x, y, heading."""
+    steps = earlier.inverse() @ later
     return np.column_stack([steps.translation[:, :2], steps.heading])
 
 
@@ -34,7 +41,14 @@ def chained(start: Pose, steps: Array) -> Pose:
     return Pose.planar(positions[:, 0], positions[:, 1], wrap(headings))
 
 
-def reported(truth: Array, noise: OdometryNoise, random: np.random.Generator) -> Array:
+def drawn_scales(noise: OdometryNoise, random: np.random.Generator) -> Array:
+    """Scale errors (2,) of distance and heading, drawn from their prior."""
+    return random.standard_normal(2) * [noise.distance_scale, noise.heading_scale]
+
+
+def reported(
+    truth: Array, noise: OdometryNoise, scale_errors: Array, random: np.random.Generator
+) -> Array:
     """The increments (n, 3) that a robot reports of its true ones, by the contract's noise model.
 
     The model speaks of the truth given the report: truth = (1 + scale error) × report + noise, with
@@ -44,7 +58,7 @@ def reported(truth: Array, noise: OdometryNoise, random: np.random.Generator) ->
     mean (k²/2 a step), which the model does not have. So the variances agree but for the square of
     one step's relative noise, a percent or so.
     """
-    scale = 1 + random.standard_normal(2) * [noise.distance_scale, noise.heading_scale]
+    scale = 1 + scale_errors
     clean = truth / [scale[0], scale[0], scale[1]]
     root_length, draw = (
         np.sqrt(np.hypot(clean[:, 0], clean[:, 1])),

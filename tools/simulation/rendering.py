@@ -10,10 +10,11 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
+from .actors import SimulatedRobot
 from .background import draw_background, vignette
 from .lens_grid import subpixel_rays
 from .robot_drawing import Canvas, Region, draw_robot, region_of
-from .world import SimulatedRobot, World
+from .world import World
 
 EXPOSURES = 4  # instants over the exposure time that are averaged where a robot moves
 _NOISE_SIDE = 2048

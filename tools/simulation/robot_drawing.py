@@ -15,10 +15,10 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, wrap
 from trigpoint.target import Face, Target
 
+from .actors import SimulatedRobot
 from .lens_grid import SUBPIXELS
 from .targets import HALF_THICKNESS, panel
 from .textures import level_for, texture
-from .world import SimulatedRobot
 
 _BODY_RADIUS, _BODY_HEIGHT, _MAST_RADIUS = 0.19, 0.22, 0.022
 _SHIFT = 4  # fractional bits of outlines

@@ -1,7 +1,7 @@
 """Which corners of a target a camera sees: front side, in the picture, nothing in between."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from trigpoint.target import Face, Target
 from .targets import panel
 
 PICTURE_MARGIN_PX = 5.0
+# The camera hangs on its own wall: what lies within a centimetre before the eye hides nothing.
+NEAR_M = 0.01
 STEEPEST_COSINE = 0.26  # of the angle between a face's normal and the line of sight: 75°
 
 
@@ -49,7 +51,7 @@ def seen_faces(
     """
     eye = map_from_camera.translation
     camera_from_map = map_from_camera.inverse()
-    if not _may_be_inside(model, camera_from_map @ map_from_base, target):
+    if not may_be_seen(target, map_from_base, map_from_camera, model):
         return []
     faces = []
     for face in target.faces:
@@ -58,7 +60,7 @@ def seen_faces(
         if not _shows_front(map_from_face, corners, eye):
             continue
         points = camera_from_map @ corners
-        seen = _well_inside(model, points) & ~_hidden_by_walls(eye, corners, walls)
+        seen = _well_inside(model, points) & ~hidden_by_walls(eye, corners, walls)
         seen &= ~_hidden_by_faces(eye, corners, target, map_from_base, own=face)
         for other, map_from_other in others:
             seen &= ~_hidden_by_faces(eye, corners, other, map_from_other)
@@ -69,15 +71,18 @@ def seen_faces(
     return faces
 
 
-def _may_be_inside(model: CameraModel, camera_from_base: Pose, target: Target) -> bool:
-    """False where the whole target lies outside the cone around the picture; quick."""
+def may_be_seen(
+    target: Target, map_from_base: Pose, map_from_camera: Pose, model: CameraModel
+) -> np.ndarray:
+    """False where the whole target lies outside the cone around the picture; quick. (n,) bool for
+    many poses of the robot."""
     centre, radius = _ball(target)
-    x, y, z = camera_from_base @ centre
-    distance = float(np.sqrt(x * x + y * y + z * z))
-    if distance <= radius:
-        return True
-    off_axis = np.arccos(z / distance) - np.arcsin(radius / distance)
-    return bool(off_axis < _widest_angle(model))
+    from_camera = map_from_camera.inverse() @ map_from_base
+    offset = from_camera.rotation @ centre + from_camera.translation
+    distance = np.linalg.norm(offset, axis=-1)
+    safe = np.maximum(distance, radius)
+    off_axis = np.arccos(np.clip(offset[..., 2] / safe, -1, 1)) - np.arcsin(radius / safe)
+    return (distance <= radius) | (off_axis < _widest_angle(model))
 
 
 @cache
@@ -139,25 +144,27 @@ def _crosses_panel(eye: Array, points: Array, outline: Array) -> np.ndarray:
     return inside & (share > 1e-6) & (share < 1 - 1e-6)
 
 
-def _hidden_by_walls(eye: Array, points: Array, walls: tuple[Wall, ...]) -> np.ndarray:
-    hidden = np.zeros(len(points), dtype=bool)
-    for wall in walls:
-        hidden |= crosses_wall(eye, points, wall)
-    return hidden
-
-
-def crosses_wall(eye: Array, points: Array, wall: Wall) -> np.ndarray:
-    """Whether the lines from `eye` (3,) to `points` (n, 3) go through a wall; (n,) bool."""
+def hidden_by_walls(eye: Array, points: Array, walls: tuple[Wall, ...]) -> np.ndarray:
+    """Which points (n, 3) a wall hides from `eye` (3,); (n,) bool."""
+    if not walls:
+        return np.zeros(len(points), dtype=bool)
+    starts, runs, heights = _stacked(walls)
     sight = points - eye
-    run = wall.end - wall.start
-    determinant = sight[:, 0] * -run[1] + sight[:, 1] * run[0]
+    offset = starts - eye[:2]
+    determinant = runs[:, 0, None] * sight[:, 1] - runs[:, 1, None] * sight[:, 0]
     parallel = np.abs(determinant) < 1e-12
     safe = np.where(parallel, 1.0, determinant)
-    offset = wall.start - eye[:2]
-    share = (offset[0] * -run[1] + offset[1] * run[0]) / safe
-    place = (sight[:, 0] * offset[1] - sight[:, 1] * offset[0]) / safe
+    share = (offset[:, 1] * runs[:, 0] - offset[:, 0] * runs[:, 1])[:, None] / safe
+    place = (offset[:, 1, None] * sight[:, 0] - offset[:, 0, None] * sight[:, 1]) / safe
     height = eye[2] + share * sight[:, 2]
-    # The camera hangs on its own wall: what lies within a centimetre before the eye hides nothing.
-    near = share * np.linalg.norm(sight, axis=1) < 0.01
+    near = share * np.linalg.norm(sight, axis=1) < NEAR_M
     crosses = (share > 0) & (share < 1) & (place >= 0) & (place <= 1) & ~near & ~parallel
-    return crosses & (height >= 0) & (height <= wall.height)
+    return np.any(crosses & (height >= 0) & (height <= heights[:, None]), axis=0)
+
+
+@lru_cache(maxsize=16)
+def _stacked(walls: tuple[Wall, ...]) -> tuple[Array, Array, Array]:
+    """Starts (n, 2), runs (n, 2) and heights (n,) of walls."""
+    starts = np.array([wall.start for wall in walls])
+    ends = np.array([wall.end for wall in walls])
+    return starts, ends - starts, np.array([wall.height for wall in walls])

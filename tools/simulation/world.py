@@ -12,16 +12,17 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike
 
-from trigpoint.config import OdometryNoise
 from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Pattern, Target
 
-from .odometry import OdometryLog, chained, increments, reported
+from .actors import SimulatedCamera, SimulatedRobot
+from .odometry import OdometryLog, chained, drawn_scales, reported
 from .path import Drive, rounded_path
 from .targets import target_of
 from .visibility import SeenFace, Wall, seen_faces
@@ -33,41 +34,13 @@ FEWEST_CORNERS = 6  # of a board that may be seen in part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedCamera:
-    """One camera. It takes picture k at `phase + k / rate` seconds. Standard deviations: `blur_px`
-    of the lens, `noise` of a grey value (of 255), `sigma` of a coordinate in sightings that are
-    simulated without pictures, pixels."""
+class Shown:
+    """A sighting and what it shows: a robot's face, by the half turn where `is_turned`."""
 
-    name: str
-    map_from_camera: Pose
-    model: CameraModel
-    rate: float
-    phase: float
-    exposure_s: float
-    blur_px: float
-    noise: float
-    sigma: float
-
-    def time_of(self, index: ArrayLike) -> Array:
-        """World time of picture `index`: the middle of its exposure, seconds."""
-        return self.phase + np.asarray(index, dtype=float) / self.rate
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedRobot:
-    """One robot: its true drive in the map, and how it reports it."""
-
-    name: str
-    target: Target
-    drive: Drive
-    map_from_plan: Pose
-    odometry_rate: float
-    odometry_start: Pose
-    noise: OdometryNoise
-
-    def map_from_base(self, t_s: ArrayLike) -> Pose:
-        """The true pose at world time `t_s`, one or (n,)."""
-        return self.map_from_plan @ self.drive.at(t_s)
+    sighting: FaceSighting
+    robot: str
+    face: int
+    is_turned: bool
 
 
 class World:
@@ -87,9 +60,10 @@ class World:
             camera: _camera(camera, spec, self.map_from_plan, file.picture_rate)
             for camera, spec in file.cameras.items()
         }
+        targets = {robot: target_of(target or spec.target) for robot, spec in file.robots.items()}
         self.robots = {
-            robot: _robot(robot, spec, drives[robot], self.map_from_plan, target)
-            for robot, spec in file.robots.items()
+            robot: _robot(robot, file.robots[robot], drives[robot], self.map_from_plan, carried)
+            for robot, carried in _named_apart(targets).items()
         }
 
     @property
@@ -122,24 +96,29 @@ class World:
         eye = self.camera(camera)
         others = [other for name, other in self.robots.items() if name != robot]
         return seen_faces(
-            self.target(robot),
+            self.robot(robot).carried,
             self.map_from_base(robot, t_s),
-            eye.map_from_camera,
+            eye.map_from_camera_at(t_s),
             eye.model,
             self.walls,
-            tuple((other.target, other.map_from_base(t_s)) for other in others),
+            tuple((other.carried, other.map_from_base(t_s)) for other in others),
         )
 
     def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:
         """What a good detector finds at world time `t_s`, simulated without a picture."""
+        seen = {robot: self.seen(camera, robot, t_s) for robot in self.robots}
+        return tuple(shown.sighting for shown in self.shown(camera, t_s, seen))
+
+    def shown(self, camera: str, t_s: float, seen: dict[str, list[SeenFace]]) -> list[Shown]:
+        """The sightings, and what they show, of the faces that are `seen` of each robot."""
         random = self.random("sightings", camera, round(t_s * 1e6))
         found = []
-        for robot in self.robots:
-            for face in self.seen(camera, robot, t_s):
-                sighting = self._sighting(face, robot, self.camera(camera).sigma, random)
-                if sighting is not None:
-                    found.append(sighting)
-        return tuple(found)
+        for robot, faces in seen.items():
+            for face in faces:
+                shown = self._shown(face, robot, self.camera(camera).sigma, random)
+                if shown is not None:
+                    found.append(shown)
+        return found
 
     def random(self, purpose: str, owner: str, index: int = 0) -> np.random.Generator:
         """The random stream of a purpose."""
@@ -153,13 +132,14 @@ class World:
     def _reported(self, robot: SimulatedRobot) -> OdometryLog:
         count = int(np.floor(self.duration_s * robot.odometry_rate)) + 1
         stamps_s = np.arange(count) / robot.odometry_rate
-        steps = increments(robot.map_from_base(stamps_s))
-        noisy = reported(steps, robot.noise, self.random("odometry", robot.name))
-        return OdometryLog(stamps_s, chained(robot.odometry_start, noisy))
+        random = self.random("odometry", robot.name)
+        scales = drawn_scales(robot.noise, random)
+        noisy = reported(robot.steps(stamps_s), robot.noise, scales, random)
+        return OdometryLog(stamps_s, chained(robot.odometry_start, noisy), scales)
 
-    def _sighting(
+    def _shown(
         self, seen: SeenFace, robot: str, sigma: float, random: np.random.Generator
-    ) -> FaceSighting | None:
+    ) -> Shown | None:
         face = seen.face
         whole = face.pattern is Pattern.CHECKERBOARD
         needed = face.corner_count if whole else min(FEWEST_CORNERS, face.corner_count)
@@ -173,7 +153,8 @@ class World:
             pixels = pixels[::-1].copy()
         target = self.target(robot)
         number = face.id if len(target.look_alikes(face.appearance)) == 1 else -1
-        return FaceSighting(self._shown_name(robot), number, seen.corners, pixels, sigma)
+        sighting = FaceSighting(self._shown_name(robot), number, seen.corners, pixels, sigma)
+        return Shown(sighting, robot, face.id, turned)
 
     def _shown_name(self, robot: str) -> str:
         """The target's name, or "" where another robot carries the same pattern."""
@@ -205,12 +186,22 @@ def _drive(spec: RobotSpec, start_s: float) -> Drive:
     return Drive(path, spec.speed, spec.acceleration, start_s)
 
 
+def _named_apart(targets: dict[str, Target]) -> dict[str, Target]:
+    """The robots' targets; where they differ, each with its robot's name in its own."""
+    if all(target == next(iter(targets.values())) for target in targets.values()):
+        return targets
+    return {
+        robot: structs.replace(target, name=f"{target.name}-{robot}")
+        for robot, target in targets.items()
+    }
+
+
 def _robot(
-    name: str, spec: RobotSpec, drive: Drive, map_from_plan: Pose, target: str | None
+    name: str, spec: RobotSpec, drive: Drive, map_from_plan: Pose, target: Target
 ) -> SimulatedRobot:
     return SimulatedRobot(
         name=name,
-        target=target_of(target or spec.target),
+        target=target,
         drive=drive,
         map_from_plan=map_from_plan,
         odometry_rate=spec.odometry_rate,

@@ -6,7 +6,7 @@ import pytest
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import wrap
-from trigpoint.tools.simulation.odometry import chained, increments, reported
+from trigpoint.tools.simulation.odometry import chained, drawn_scales, increments, reported
 from trigpoint.tools.simulation.world import load_world
 
 NOISE = OdometryNoise(distance=0.006, lateral=0.002, heading_drive=0.004, heading_turn=0.006)
@@ -36,11 +36,15 @@ def whitened(truth: np.ndarray, report: np.ndarray, noise: OdometryNoise) -> np.
     )
 
 
+def plainly_reported(truth: np.ndarray, seed: int) -> np.ndarray:
+    return reported(truth, NOISE, np.zeros(2), np.random.default_rng(seed))
+
+
 @pytest.fixture(scope="module")
 def draws() -> np.ndarray:
     """(seeds, increments, 3), each in its sigma."""
     truth = true_increments()
-    reports = [reported(truth, NOISE, np.random.default_rng(seed)) for seed in range(SEEDS)]
+    reports = [plainly_reported(truth, seed) for seed in range(SEEDS)]
     return np.array([whitened(truth, report, NOISE) for report in reports])
 
 
@@ -68,7 +72,7 @@ def test_increments_and_their_components_are_independent(draws: np.ndarray) -> N
 def test_the_whole_way_is_off_by_what_the_model_says_and_not_to_one_side() -> None:
     truth = true_increments()
     sums = np.array(
-        [(truth - reported(truth, NOISE, np.random.default_rng(seed))).sum(axis=0)[2]
+        [(truth - plainly_reported(truth, seed)).sum(axis=0)[2]
          for seed in range(200)]
     )  # fmt: skip
     length, turn = np.hypot(truth[:, 0], truth[:, 1]).sum(), np.abs(truth[:, 2]).sum()
@@ -81,7 +85,8 @@ def test_the_whole_way_is_off_by_what_the_model_says_and_not_to_one_side() -> No
 def test_scale_errors_multiply_the_report() -> None:
     noise = OdometryNoise(0, 0, 0, 0, distance_scale=0.1, heading_scale=0.2)
     truth = true_increments()
-    report = reported(truth, noise, np.random.default_rng(5))
+    scale_errors = drawn_scales(noise, np.random.default_rng(5))
+    report = reported(truth, noise, scale_errors, np.random.default_rng(6))
     moving = np.abs(truth) > 1e-6
     ratio = np.where(moving, truth / np.where(moving, report, 1.0), np.nan)
     expected = 1 + np.random.default_rng(5).standard_normal(2) * [0.1, 0.2]
@@ -90,7 +95,7 @@ def test_scale_errors_multiply_the_report() -> None:
 
 
 def test_a_standing_robot_reports_no_motion() -> None:
-    report = reported(np.zeros((50, 3)), NOISE, np.random.default_rng(0))
+    report = reported(np.zeros((50, 3)), NOISE, np.zeros(2), np.random.default_rng(0))
     assert np.all(report == 0)
 
 

@@ -9,7 +9,7 @@ from trigpoint.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.target import parse_target
 from trigpoint.tools.simulation.targets import target_of, target_text
-from trigpoint.tools.simulation.visibility import Wall, crosses_wall, seen_faces
+from trigpoint.tools.simulation.visibility import Wall, hidden_by_walls, seen_faces
 from trigpoint.tools.simulation.world import World, load_world
 
 TWO_ROBOTS = """
@@ -123,7 +123,7 @@ def test_no_two_cameras_of_the_lab_see_the_same_place_at_the_targets_height(lab:
         for camera in lab.cameras.values():
             seen = camera.model.sees(camera.map_from_camera.inverse() @ points)
             for wall in lab.walls:
-                seen &= ~crosses_wall(camera.map_from_camera.translation, points, wall)
+                seen &= ~hidden_by_walls(camera.map_from_camera.translation, points, (wall,))
             assert seen.any()
             viewers += seen
         assert viewers.max() == 1

@@ -1,0 +1,123 @@
+"""What is measured of one session: errors in units of the bound and of the estimator's own sigmas.
+
+Measures are joint over all located cameras: e stacks their 6n errors by the contract's convention.
+"""
+
+import time
+
+import msgspec
+import numpy as np
+
+from trigpoint.fusion.bound import Bound
+from trigpoint.fusion.results import Results
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .session import StudySession, simulated_session, worked_out
+
+# An error of so many sigmas of the bound (the root of eᵀP⁻¹e/6 of one camera) is no noise: another
+# face, another way up, or the plane's other solution.
+GROSS = 8.0
+# A camera whose position the bound puts within this, metres, is decided by the data.
+DECIDED_M = 0.25
+
+
+class Measure(msgspec.Struct, frozen=True):
+    """One session. `efficiency` and `honesty`: eᵀP⁻¹e/6n, P the bound and the estimator's own joint
+    covariance; `distance` and `distance_bound`: mean error of the distances between cameras,
+    metres, and what the bound expects of it; `seconds`: of this process, the estimator alone.
+
+    `located`, `wrong` (located, but grossly elsewhere), `undetermined` (though the data decide),
+    `made_up` (located, though never seen): cameras. `rejected`: observations set aside.
+    """
+
+    situation: str
+    seed: int
+    estimator: str
+    efficiency: float
+    honesty: float
+    distance: float
+    distance_bound: float
+    seconds: float
+    located: list[str]
+    wrong: list[str]
+    undetermined: list[str]
+    made_up: list[str]
+    earlier: list[str]
+    rejected: int
+    chi2_per_dof: float | None
+
+
+def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
+    """Simulate, work out and measure a session."""
+    session = simulated_session(name, seed, estimator=estimator)
+    began = time.process_time()
+    results = worked_out(session).results()
+    seconds = time.process_time() - began
+    return measure_of(session, results, seconds)
+
+
+def measure_of(session: StudySession, results: Results, seconds: float) -> Measure:
+    """The measures of results that took so many seconds."""
+    bound, network = session.bound, results.network
+    truth = session.simulated.truth.cameras
+    located = [name for name in network.located if name in bound.cameras]
+    error = np.array([_pose(results, name).difference(truth[name]) for name in located])
+    least = bound.of(located)
+    own = _rows(results, located)
+    return Measure(
+        situation=session.name,
+        seed=session.seed,
+        estimator=session.inputs.site.fusion.estimator,
+        efficiency=_normalised(error, least.covariance),
+        honesty=_normalised(error, own),
+        distance=_distance_error(error, least),
+        distance_bound=least.mean_distance_error,
+        seconds=seconds,
+        located=located,
+        wrong=[n for i, n in enumerate(located) if _is_gross(error[i], bound.of([n]))],
+        undetermined=[n for n in truth if n not in network.located and _is_decided(bound, n)],
+        made_up=[name for name in network.located if name not in bound.cameras],
+        earlier=[name for name, camera in network.cameras.items() if camera.earlier],
+        rejected=sum(camera.rejected for camera in network.cameras.values()),
+        chi2_per_dof=network.statistics.chi2_per_dof,
+    )
+
+
+def _pose(results: Results, name: str) -> Pose:
+    record = results.network.cameras[name].map_from_camera
+    assert record is not None  # it is located
+    return record.pose
+
+
+def _rows(results: Results, names: list[str]) -> Array:
+    order = results.network.located
+    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
+    return results.covariance[np.ix_(rows, rows)]
+
+
+def _normalised(error: Array, covariance: Array) -> float:
+    """eᵀP⁻¹e/6n, after scaling P's diagonal to 1: metres and radians differ in size."""
+    scale = 1 / np.sqrt(np.diagonal(covariance))
+    e = error.reshape(-1) * scale
+    return float(e @ np.linalg.solve(covariance * scale[:, None] * scale, e) / len(e))
+
+
+def _is_gross(error: Array, bound: Bound) -> bool:
+    return bool(np.sqrt(_normalised(error, bound.covariance)) > GROSS)
+
+
+def _is_decided(bound: Bound, name: str) -> bool:
+    if name not in bound.cameras:
+        return False
+    return bool(np.sqrt(np.trace(bound.of([name]).covariance[:3, :3])) < DECIDED_M)
+
+
+def _distance_error(error: Array, bound: Bound) -> float:
+    """Mean absolute error of the distances between cameras, metres; 0 with fewer than two."""
+    first, second = np.triu_indices(len(bound.places), k=1)
+    if len(first) == 0:
+        return 0.0
+    found = bound.places + error[:, :3]
+    distances = [np.linalg.norm(p[first] - p[second], axis=1) for p in (found, bound.places)]
+    return float(np.mean(np.abs(distances[0] - distances[1])))

@@ -1,0 +1,118 @@
+"""The bound of a simulated session, from all that its simulator knows."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.bound import Bound, Oracle, cramer_rao
+from trigpoint.fusion.dataset import DataSet, KnownCameras
+from trigpoint.fusion.observations import Observation, Reading, base_from_faces, view_of
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.problem import CameraState
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry
+from trigpoint.target import Target
+from trigpoint.tools.simulation.memory import Simulated, Truth
+from trigpoint.tools.simulation.wrong_sightings import Labelled
+
+
+def bound_of(inputs: Inputs, session: Simulated) -> Bound:
+    """The bound of the cameras' poses, with an earlier pose of a moved camera as `name@k`."""
+    truth = session.truth
+    data = _data(inputs, session)
+    for robot, track in data.tracks.items():
+        for node, message in session.messages:
+            if node == robot and isinstance(message, Odometry):
+                track.add(message.stamp_ns, message.pose)
+    world = truth.world
+    oracle = Oracle(
+        cameras=_cameras(truth),
+        places=_places(data, truth),
+        scale_errors={name: world.odometry(name).scale_errors for name in world.robots},
+        base_from_face={n: base_from_faces(r.carried) for n, r in world.robots.items()},
+        lifted_ns={name: truth.lifted_ns(name) for name in world.robots},
+    )
+    return cramer_rao(data, oracle)
+
+
+def _data(inputs: Inputs, session: Simulated) -> DataSet:
+    """A data set with a camera for each pose that one had, and without what is not true."""
+    site, lenses = inputs.site, dict(inputs.lenses)
+    cameras = dict(site.cameras)
+    for name in inputs.site.cameras:
+        for k in range(_hung_before(session.truth, name)):
+            cameras[f"{name}@{k}"] = cameras[name]
+            lenses[f"{name}@{k}"] = lenses[name]
+    site = msgspec.structs.replace(site, cameras=cameras)
+    moved = {n for n in inputs.known.poses if session.truth.world.cameras[n].moves}
+    return DataSet(site, inputs.targets, lenses, _kept(inputs.known, moved))
+
+
+def _kept(known: KnownCameras, moved: set[str]) -> KnownCameras:
+    """What is still true of a known network: not the cameras that hang elsewhere by now."""
+    if not moved:
+        return known
+    names = [name for name in known.poses if name not in moved]
+    covariance = np.linalg.inv(known.information)
+    rows = np.concatenate([6 * list(known.poses).index(name) + np.arange(6) for name in names])
+    information = np.linalg.inv(covariance[np.ix_(rows, rows)])
+    return KnownCameras({name: known.poses[name] for name in names}, information)
+
+
+def _hung_before(truth: Truth, camera: str) -> int:
+    """How many poses a camera had in the session before its last one."""
+    return sum(move.at_s > 0 for move in truth.world.cameras[camera].moves)
+
+
+def _cameras(truth: Truth) -> dict[str, CameraState]:
+    cameras = {}
+    for name, camera in truth.world.cameras.items():
+        last = CameraState(truth.cameras[name], camera.model, camera.time_offset_s)
+        cameras[name] = last
+        moves = [move for move in camera.moves if move.at_s > 0]
+        for k, move in enumerate(moves):
+            before = camera.map_from_camera_at(move.at_s - 1e-6)
+            cameras[f"{name}@{k}"] = replace(last, map_from_camera=before)
+    return cameras
+
+
+def _places(data: DataSet, truth: Truth) -> list[tuple[Observation, Pose]]:
+    """Every observation that has a good corner, as it is to be read, where the robot stood."""
+    observations, stamps = [], []
+    for (camera, stamp_ns), faces in truth.sighted.items():
+        true_ns = stamp_ns - to_ns(truth.world.cameras[camera].time_offset_s)
+        for robot in data.targets:
+            track = data.tracks[robot]
+            if not track.first_ns <= true_ns <= track.last_ns or track.is_in_gap(true_ns):
+                continue
+            shown = [face for face in faces if face.robot == robot and face.is_good.any()]
+            if shown:
+                name = _as_it_hung(truth, camera, true_ns)
+                observations.append(_observation(name, stamp_ns, shown, data.targets[robot]))
+                stamps.append(true_ns)
+    places = []
+    for observation, true_ns in zip(observations, stamps, strict=True):
+        pose = truth.map_from_base(observation.robot, np.array([true_ns]))[0]
+        places.append((observation, pose))
+    return places
+
+
+def _as_it_hung(truth: Truth, camera: str, true_ns: int) -> str:
+    moved_ns = [m for m in truth.moved_ns(camera) if m > truth.start_ns]
+    k = sum(true_ns >= moment for moment in moved_ns)
+    return camera if k == len(moved_ns) else f"{camera}@{k}"
+
+
+def _observation(camera: str, stamp_ns: int, shown: list[Labelled], target: Target) -> Observation:
+    views, readings, outliers = [], [], []
+    index = {face.id: i for i, face in enumerate(target.faces)}
+    for face in shown:
+        view = view_of(target, replace(face.sighting, face=face.face))
+        assert view is not None  # it is the face that was simulated
+        views.append(view)
+        readings.append(Reading(index[face.face], face.is_turned))
+        outliers.append(~face.is_good)
+    observation = Observation(camera, shown[0].robot, stamp_ns, tuple(views), tuple(readings))
+    return observation.with_outliers(tuple(outliers))

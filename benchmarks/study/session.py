@@ -1,0 +1,145 @@
+"""One simulated session of a situation: what the estimator gets, and what an oracle knows."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import structs
+
+from trigpoint.config import (
+    BusConfig,
+    CameraConfig,
+    FusionConfig,
+    RecorderConfig,
+    RobotConfig,
+    Site,
+)
+from trigpoint.fusion.bound import Bound
+from trigpoint.fusion.dataset import KnownCameras
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.geometry import CameraModel
+from trigpoint.messages import Message, Odometry, Sightings
+from trigpoint.tools.simulation.memory import Simulated, Views, simulated, views_of
+from trigpoint.tools.simulation.world import World
+
+from .oracle import bound_of
+from .situation import Known, Situation
+from .situations import NEW_CAMERA, SITUATIONS
+from .worlds import world_of
+
+# 0.1 mm and 0.1 mrad, as for a network that is read from a file.
+_FLOOR = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StudySession:
+    """`messages`: (camera or robot, message) in the order in which they are pushed."""
+
+    name: str
+    seed: int
+    situation: Situation
+    inputs: Inputs
+    messages: list[tuple[str, Message]]
+    simulated: Simulated
+
+    @property
+    def bound(self) -> Bound:
+        """The Cramér-Rao bound of the cameras' poses; a camera that was moved also stands in it as
+        it hung before."""
+        return bound_of(self.inputs, self.simulated)
+
+
+def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> StudySession:
+    """A session of a situation of the table; the same for the same seed."""
+    situation = SITUATIONS[name]
+    world = world_of(situation.world, seed=seed, target=situation.target)
+    for robot, item in world.robots.items():
+        noise = structs.replace(item.noise, **situation.odometry)
+        world.robots[robot] = replace(item, noise=noise)
+    shared = None
+    if not situation.disturbance.changes_views:
+        shared = _views(situation.world, situation.target)
+    session = simulated(world, situation.disturbance, shared)
+    site = _site(world, situation, estimator)
+    lenses = _told_lenses(world, site, situation)
+    targets = {robot: world.target(robot) for robot in world.robots}
+    inputs = Inputs(site, targets, lenses, _known(world, situation))
+    messages = session.messages
+    if situation.is_in_order:
+        messages = sorted(messages, key=_stamp)
+    return StudySession(name, seed, situation, inputs, messages, session)
+
+
+def worked_out(session: StudySession) -> Pipeline:
+    """A pipeline after the whole session, as `calibrate` does it."""
+    pipeline = Pipeline(session.inputs, is_live=False)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    return pipeline
+
+
+def _stamp(item: tuple[str, Message]) -> tuple[int, bool]:
+    message = item[1]
+    assert isinstance(message, (Odometry, Sightings))
+    return message.stamp_ns, isinstance(message, Sightings)
+
+
+@cache
+def _views(world: str, target: Any) -> Views:
+    return views_of(world_of(world, seed=0, target=target))
+
+
+def _site(world: World, situation: Situation, estimator: str) -> Site:
+    cameras = {}
+    for name, camera in world.cameras.items():
+        keys: dict[str, Any] = dict(situation.camera)
+        size = (camera.model.width, camera.model.height)
+        cameras[name] = CameraConfig(f"sim://{name}", *size, **keys)
+    fusion: dict[str, Any] = {"estimator": estimator, **situation.fusion}
+    robots = {n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()}
+    return Site(
+        name="study",
+        cameras=cameras,
+        robots=robots,
+        bus=BusConfig(),
+        fusion=FusionConfig(**fusion),
+        recorder=RecorderConfig(),
+        directory=Path(),
+        text="",
+        default_target="target.toml",
+    )
+
+
+def _told_lenses(world: World, site: Site, situation: Situation) -> dict[str, CameraModel]:
+    if situation.is_lens_nominal:
+        return {name: camera.nominal() for name, camera in site.cameras.items()}
+    return {name: camera.model for name, camera in world.cameras.items()}
+
+
+def _known(world: World, situation: Situation) -> KnownCameras:
+    """Cameras of an earlier network: the truth as it was then, and errors by its covariance."""
+    if situation.known is Known.NONE:
+        return KnownCameras.none()
+    bound = _earlier_bound()
+    random = world.random("earlier network", world.site_name)
+    root = np.linalg.cholesky(bound.covariance + _FLOOR * np.eye(len(bound.covariance)))
+    error = (root @ random.standard_normal(len(root))).reshape(-1, 6)
+    poses = {
+        name: world.cameras[name].map_from_camera.disturbed(error[index])
+        for index, name in enumerate(bound.cameras)
+    }
+    if situation.known is Known.ALL_BUT_ONE:
+        del poses[NEW_CAMERA]
+    kept = bound.of(list(poses)).covariance
+    return KnownCameras(poses, np.linalg.inv(kept + _FLOOR * np.eye(len(kept))))
+
+
+@cache
+def _earlier_bound() -> Bound:
+    """That of an undisturbed drive."""
+    return simulated_session("drive", 0).bound

@@ -1,0 +1,137 @@
+"""What may be wrong in a simulated session beyond noise, and how it gets into a world.
+
+Everything is drawn from the world's own random streams, so a seed always gives the same.
+"""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from msgspec import structs
+
+from trigpoint.geometry import CameraModel
+from trigpoint.target import Face, Target
+
+from .actors import Lift, Move, SimulatedCamera, SimulatedRobot
+from .world import World
+
+_MOST_DRAWS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class LensSpread:
+    """Standard deviations of a camera's true lens about the one that is told: focal lengths
+    (relative), principal point (of the width), each distortion coefficient."""
+
+    focal: float
+    centre: float
+    distortion: float
+
+    def sigmas(self, lens: CameraModel) -> np.ndarray:
+        """Of `lens.parameters`."""
+        centre = self.centre * lens.width
+        focal = [self.focal * lens.fx, self.focal * lens.fy, centre, centre]
+        return np.array([*focal, *([self.distortion] * len(lens.distortion))])
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """Nothing of it unless it is written.
+
+    Of the world: `time_offset_s`, standard deviation of the cameras' time offsets; `lens`, of their
+    lenses; `mount_m` and `mount_rad`, of each face's pose on its robot; `moves` and `lifts`, by
+    camera and robot.
+
+    Of the sightings: a `displaced_share` of them lies `displaced_px` off as a whole; of the corners
+    a `wild_share` lies up to `wild_px` off; a `misnamed_share` is named as another face.
+    `pictures`: the most pictures of a robot that a camera takes, by camera.
+
+    Of the messages: a `twice_share` of the sightings comes twice, a `late_share` comes `late_s`
+    late; odometry between the times of `gaps_s` is lost.
+    """
+
+    time_offset_s: float = 0.0
+    lens: LensSpread | None = None
+    mount_m: float = 0.0
+    mount_rad: float = 0.0
+    moves: Mapping[str, tuple[Move, ...]] = field(default_factory=dict)
+    lifts: Mapping[str, tuple[Lift, ...]] = field(default_factory=dict)
+    displaced_share: float = 0.0
+    displaced_px: float = 15.0
+    wild_share: float = 0.0
+    wild_px: float = 60.0
+    misnamed_share: float = 0.0
+    pictures: Mapping[str, int] = field(default_factory=dict)
+    twice_share: float = 0.0
+    late_share: float = 0.0
+    late_s: float = 3.0
+    gaps_s: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def changes_views(self) -> bool:
+        """Whether what a camera sees, noise aside, differs from the undisturbed world's."""
+        return bool(self.lens or self.mount_m or self.mount_rad or self.moves or self.lifts)
+
+
+def disturbed(world: World, disturbance: Disturbance) -> World:
+    """A copy of the world in which cameras and robots are as they truly are."""
+    changed = copy.copy(world)
+    changed.__dict__.pop("_odometry", None)  # it is drawn anew, of the changed robots
+    changed.cameras = {n: _camera(world, c, disturbance) for n, c in world.cameras.items()}
+    changed.robots = {n: _robot(world, r, disturbance) for n, r in world.robots.items()}
+    skipped_s = [
+        sum(lift.skip_s for lift in disturbance.lifts.get(name, ())) for name in world.robots
+    ]
+    changed.duration_s = world.duration_s - min(skipped_s)
+    return changed
+
+
+def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> SimulatedCamera:
+    random = world.random("camera as it is", camera.name)
+    offset_s = float(random.normal(0.0, 1.0)) * disturbance.time_offset_s
+    model = camera.model
+    if disturbance.lens is not None:
+        model = _drawn_lens(model, disturbance.lens, random)
+    moves = disturbance.moves.get(camera.name, ())
+    return replace(camera, time_offset_s=offset_s, model=model, moves=moves)
+
+
+def _drawn_lens(told: CameraModel, spread: LensSpread, random: np.random.Generator) -> CameraModel:
+    """A lens about the told one that maps the whole picture one to one; others are drawn again."""
+    for _ in range(_MOST_DRAWS):
+        draw = random.standard_normal(len(told.parameters)) * spread.sigmas(told)
+        lens = told.with_parameters(told.parameters + draw)
+        if _maps_one_to_one(lens):
+            return lens
+    raise ValueError("hardly any lens of this spread maps its picture one to one; lower it")
+
+
+def _maps_one_to_one(lens: CameraModel) -> bool:
+    """Whether every pixel at the picture's edge has a direction that the lens brings there."""
+    u, v = np.linspace(0, lens.width - 1, 9), np.linspace(0, lens.height - 1, 9)
+    sides = [np.column_stack([u, np.full(9, y)]) for y in (v[0], v[-1])]
+    sides += [np.column_stack([np.full(9, x), v]) for x in (u[0], u[-1])]
+    directions = lens.directions(np.vstack(sides))
+    if not np.all(np.isfinite(directions)):
+        return False
+    return bool(np.all(lens.sees(np.column_stack([directions, np.ones(len(directions))]))))
+
+
+def _robot(world: World, robot: SimulatedRobot, disturbance: Disturbance) -> SimulatedRobot:
+    lifts = disturbance.lifts.get(robot.name, ())
+    if not disturbance.mount_m and not disturbance.mount_rad:
+        return replace(robot, lifts=lifts)
+    random = world.random("target as it is", robot.name)
+    sigma = np.repeat([disturbance.mount_m, disturbance.mount_rad], 3)
+    faces = tuple(_mounted(f, random.standard_normal(6) * sigma) for f in robot.target.faces)
+    return replace(robot, lifts=lifts, mounted=Target(robot.target.name, faces))
+
+
+def _mounted(face: Face, by: np.ndarray) -> Face:
+    pose = face.base_from_face.disturbed(by)
+    return structs.replace(
+        face,
+        translation=tuple(float(value) for value in pose.translation),
+        quaternion=tuple(float(value) for value in pose.quaternion),
+    )

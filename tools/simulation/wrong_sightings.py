@@ -1,0 +1,58 @@
+"""Sightings that are wrong: displaced, with wild corners, or of a face that is named wrongly."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.messages import FaceSighting
+from trigpoint.target import Target
+
+from .disturbance import Disturbance
+from .world import Shown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled:
+    """A sighting as it is sent, and what an oracle knows of it: the robot's face, whether by the
+    half turn, and which corners (n,) bool have nothing but their noise."""
+
+    sighting: FaceSighting
+    robot: str
+    face: int
+    is_turned: bool
+    is_good: np.ndarray
+
+
+def labelled(
+    shown: Shown, target: Target, disturbance: Disturbance, random: np.random.Generator
+) -> Labelled:
+    """What becomes of a sighting under a disturbance. `target`: the robot's."""
+    sighting = shown.sighting
+    count = len(sighting.corners)
+    is_good = np.ones(count, dtype=bool)
+    # Drawn in any case, so that one share does not move what another one hits.
+    chances, direction = random.random(2), _directions(1, random)
+    wild, sizes = random.random(count), random.random(count) * _directions(count, random).T
+    if chances[0] < disturbance.displaced_share:
+        pixels = sighting.pixels + disturbance.displaced_px * direction
+        sighting = _with_pixels(sighting, pixels)
+        is_good[:] = False
+    if np.any(hit := wild < disturbance.wild_share):
+        pixels = sighting.pixels + disturbance.wild_px * sizes.T * hit[:, None]
+        sighting = _with_pixels(sighting, pixels)
+        is_good &= ~hit
+    others = [face.id for face in target.faces if face.id != sighting.face]
+    name = int(random.choice(others)) if others else sighting.face
+    if sighting.face >= 0 and chances[1] < disturbance.misnamed_share:
+        sighting = replace(sighting, face=name)
+    return Labelled(sighting, shown.robot, shown.face, shown.is_turned, is_good)
+
+
+def _directions(count: int, random: np.random.Generator) -> np.ndarray:
+    """Unit vectors, (count, 2)."""
+    angle = random.uniform(0.0, 2 * np.pi, count)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _with_pixels(sighting: FaceSighting, pixels: np.ndarray) -> FaceSighting:
+    return replace(sighting, pixels=pixels.astype(np.float32))
