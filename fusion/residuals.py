@@ -16,12 +16,14 @@ from .problem import Batch, Problem, State
 class CameraResiduals:
     """One camera's corners in its used observations.
 
+    `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
     `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
     (n,): of a coordinate, as the detector said it; `used` (n,) bool: False for the wild ones that
     were left out. `sightings`: observations used; `rejected`: those that contradict the rest;
     `pending`: those that could not be read or whose camera is not located.
     """
 
+    places: Array
     pixels: Array
     residual_px: Array
     sigma_px: Array
@@ -45,11 +47,17 @@ def camera_residuals(
     verdicts = [entry.observation.verdict for entry in data.of_camera(camera)]
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)] if parts else _none()
     return CameraResiduals(
+        _places(data, camera),
         *joined,
         sightings=verdicts.count(Verdict.ACCEPTED),
         rejected=verdicts.count(Verdict.REJECTED),
         pending=verdicts.count(Verdict.PENDING),
     )
+
+
+def _places(data: DataSet, camera: str) -> Array:
+    poses = [entry.map_from_base for entry in data.of_camera(camera)]
+    return np.array([pose.translation for pose in poses if pose is not None]).reshape(-1, 3)
 
 
 def _corners(

@@ -34,7 +34,9 @@ class Command:
 
 
 COMMANDS: dict[str, Command] = {
-    "demo": Command("trigpoint.tools.demo:main", "The whole system around a simulated lab.", "all"),
+    "demo": Command(
+        "trigpoint.tools.demo.command:main", "The whole system around a simulated lab.", "all"
+    ),
     "init": Command("trigpoint.tools.init:main", "Write a first site.toml and target.toml."),
     "doctor": Command("trigpoint.tools.doctor:main", "Say what is wrong on this machine."),
     "status": Command("trigpoint.tools.status:main", "Show the live site."),

@@ -1,5 +1,1 @@
 """The demo: the whole system on this machine around a simulated lab, held against the truth."""
-
-from .command import main
-
-__all__ = ["main"]

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from trigpoint.errors import OperationError
-from trigpoint.tools.report import report_page
+from trigpoint.tools.report.page import report_page
 from trigpoint.tools.simulation.world import load_world
 from trigpoint.tools.simulation.world_file import TargetChoice
 

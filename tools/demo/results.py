@@ -152,9 +152,9 @@ class Series:
 class DemoResults:
     """Everything that the table and the report show. `walls`: (n, 2, 2) ends on the floor;
     `covariance`: (6n, 6n) of the located cameras in their order; `mean_distance_error_m`: over all
-    pairs of them, None where there is none; `bound_m`: the smallest mean distance error that any
-    estimator can expect of this drive, None where it was not worked out; `is_whole`: whether the
-    session was not cut shorter or longer than the drive."""
+    pairs of them, None where there is none; `bound_m`: the mean distance error that the
+    Cramér-Rao bound of this drive lets one expect, None where it was not worked out; `is_whole`:
+    whether the session was not cut shorter or longer than the drive."""
 
     site: str
     world: str

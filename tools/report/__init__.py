@@ -1,5 +1,1 @@
-"""The report of a demo: one self-contained page, drawn from its results alone."""
-
-from .page import report_page
-
-__all__ = ["report_page"]
+"""Self-contained pages: of a demo (`page`) and of a calibration (`calibration_page`)."""

@@ -12,7 +12,7 @@ from trigpoint.tools.demo.results import (
 )
 
 from .axes import Axes
-from .map import PALETTE
+from .style import PALETTE
 from .svg import circle, drawing, element, group, line, polyline, text
 
 WIDTH, HEIGHT = 520.0, 280.0

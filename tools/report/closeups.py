@@ -4,7 +4,8 @@ import numpy as np
 
 from trigpoint.tools.demo.results import CameraResult, DemoResults
 
-from .map import PALETTE, Plan
+from .plan import Plan
+from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, text
 
 SIZE = 176.0

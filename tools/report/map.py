@@ -5,43 +5,19 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.demo.results import CameraResult, DemoResults, Track
 
+from .plan import MARGIN, Plan
+from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
 
-PALETTE = 8
-"""How many colours the style has for cameras."""
-
 _VIEW_M = 1.15
-_MARGIN = 26.0
 _NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _LARGEST_ELLIPSE = 30.0
 _MOST_POINTS = 500
 
 
-class Plan:
-    """From metres in the map to the drawing. The long side of the rooms lies across the drawing, or
-    down it where `upright`."""
-
-    def __init__(self, results: DemoResults, width: float, *, upright: bool) -> None:
-        everything = _everything(results)
-        low, high = everything.min(axis=0), everything.max(axis=0)
-        size = high - low
-        # Turned by a quarter where that brings the long side to where it is wanted.
-        self._is_turned = bool((size[1] > size[0]) != upright)
-        across = size[1] if self._is_turned else size[0]
-        down = size[0] if self._is_turned else size[1]
-        self.scale = (width - 2 * _MARGIN) / across
-        self.width, self.height = width, down * self.scale + 2 * _MARGIN
-        self._low, self._high = low, high
-
-    def __call__(self, points: Array) -> Array:
-        """Points (…, 2) of the map in the drawing."""
-        corner = [self._low[0], self._low[1]] if self._is_turned else [self._low[0], self._high[1]]
-        return self.turned(np.asarray(points, dtype=float) - corner) * self.scale + _MARGIN
-
-    def turned(self, vectors: Array) -> Array:
-        """Directions (…, 2) of the map in the drawing, whose y points down; their lengths stay."""
-        x, y = np.moveaxis(np.asarray(vectors, dtype=float), -1, 0)
-        return np.stack([y, x] if self._is_turned else [x, -y], axis=-1)
+def plan_of(results: DemoResults, width: float, *, upright: bool) -> Plan:
+    """The drawing that holds walls, cameras and ways."""
+    return Plan(_everything(results), width, upright=upright)
 
 
 def magnification(results: DemoResults, plan: Plan) -> int:
@@ -58,7 +34,7 @@ def magnification(results: DemoResults, plan: Plan) -> int:
 
 def map_drawing(results: DemoResults, *, width: float, upright: bool) -> str:
     """The whole map; the ellipses are those of `magnification`."""
-    plan = Plan(results, width, upright=upright)
+    plan = plan_of(results, width, upright=upright)
     factor = magnification(results, plan)
     parts = [_walls(results, plan)]
     parts += [_view(camera, index, plan) for index, camera in enumerate(results.cameras)]
@@ -146,9 +122,9 @@ def _unit(angle: float) -> Array:
 def _scale_bar(plan: Plan) -> str:
     """One metre, and the map's axes where its origin is."""
     y = plan.height + 6
-    bar = line(_MARGIN, y, _MARGIN + plan.scale, y) + line(_MARGIN, y - 4, _MARGIN, y + 4)
-    bar += line(_MARGIN + plan.scale, y - 4, _MARGIN + plan.scale, y + 4)
-    words = text(_MARGIN + plan.scale + 8, y + 4.5, "1 m")
+    bar = line(MARGIN, y, MARGIN + plan.scale, y) + line(MARGIN, y - 4, MARGIN, y + 4)
+    bar += line(MARGIN + plan.scale, y - 4, MARGIN + plan.scale, y + 4)
+    words = text(MARGIN + plan.scale + 8, y + 4.5, "1 m")
     return group(bar, words, class_="scale")
 
 

@@ -7,7 +7,7 @@ from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M, DemoResults
 
 from .charts import distance_chart, latency_chart, robot_error_chart, uncertainty_chart
 from .closeups import closeups
-from .map import Plan, legend, magnification, map_drawing
+from .map import legend, magnification, map_drawing, plan_of
 from .style import STYLE
 from .svg import element
 from .tables import camera_table, kinds_table, message_table, missing_words
@@ -74,7 +74,7 @@ def _failures(results: DemoResults) -> str:
 
 
 def _map(results: DemoResults) -> str:
-    wide = Plan(results, _WIDE, upright=False)
+    wide = plan_of(results, _WIDE, upright=False)
     drawings = [
         element("div", map_drawing(results, width=_WIDE, upright=False), class_="wide"),
         element("div", map_drawing(results, width=_UPRIGHT, upright=True), class_="upright"),
@@ -92,7 +92,7 @@ def _cameras(results: DemoResults) -> str:
         "The filled ellipse is one standard deviation, the dashed one holds 95 of 100; so the "
         "ring should mostly lie inside the dashed one. The numbers count the height too."
     )
-    plan = Plan(results, _WIDE, upright=False)
+    plan = plan_of(results, _WIDE, upright=False)
     return element(
         "section",
         element("h2", "The cameras"),

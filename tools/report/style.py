@@ -8,6 +8,10 @@ _CAMERAS_DARK = (
 )  # fmt: skip
 
 
+PALETTE = len(_CAMERAS_LIGHT)
+"""How many colours there are for cameras."""
+
+
 def _cameras(colours: tuple[str, ...]) -> str:
     return "".join(f".k{i}{{--k:{colour}}}" for i, colour in enumerate(colours))
 

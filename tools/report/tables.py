@@ -6,7 +6,7 @@ from html import escape
 from trigpoint.tools.demo.results import MOST_SIGMAS, CameraResult, DemoResults, KeyCount
 from trigpoint.tools.demo.table import grouped
 
-from .map import PALETTE
+from .style import PALETTE
 from .svg import element
 
 _CAMERA_HEAD = (

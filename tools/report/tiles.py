@@ -57,7 +57,7 @@ def _distance(results: DemoResults) -> str:
         return ""
     words = f"mean error of the distances between cameras; the paper's is {_cm(_PAPER_M)}"
     if results.bound_m is not None:
-        words += f", the least that this drive allows {_cm(results.bound_m)}"
+        words += f", and this drive's expected error (Cramér-Rao) {_cm(results.bound_m)}"
     return _tile(_cm(error), words)
 
 

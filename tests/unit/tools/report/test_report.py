@@ -14,8 +14,8 @@ from builders_demo import (
 )
 
 from trigpoint.tools.demo.results import DemoResults, Track
-from trigpoint.tools.report import report_page
-from trigpoint.tools.report.map import Plan, magnification, map_drawing
+from trigpoint.tools.report.map import magnification, map_drawing, plan_of
+from trigpoint.tools.report.page import report_page
 
 VOID = {"meta", "br"}
 
@@ -145,7 +145,7 @@ def test_everything_lies_inside_the_map(upright, turned):
 
 @pytest.mark.parametrize("upright", [False, True])
 def test_map_is_turned_and_never_mirrored(upright):
-    plan = Plan(make_results(), 400.0, upright=upright)
+    plan = plan_of(make_results(), 400.0, upright=upright)
     origin, x, y = plan(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     across, up = x - origin, y - origin
     # The drawing's y points down, so a right-handed pair of axes turns the other way in it.
@@ -155,7 +155,7 @@ def test_map_is_turned_and_never_mirrored(upright):
 def test_small_errors_are_drawn_larger_so_that_they_show():
     small = make_results(cameras=(make_camera("c1", error=(1e-3, 0, 0), sigma=1e-3),))
     large = make_results(cameras=(make_camera("c1", error=(0.5, 0, 0), sigma=0.5),))
-    plan = Plan(small, 1000.0, upright=False)
+    plan = plan_of(small, 1000.0, upright=False)
     assert magnification(small, plan) > 1
     assert magnification(large, plan) == 1
     assert f"drawn {magnification(small, plan)} times larger" in " ".join(read(small).words)
