@@ -1,6 +1,6 @@
 """The normal equations of a problem at a state: half the Hessian and the gradient of its cost."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,14 +14,46 @@ from .problem import Batch, Chain, Problem, RobotState, State, inner_nodes
 EXACT = 1e13
 
 
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Blocks (m, d, q) between inner nodes `rows` (m,) and dense `columns` (q,); they add up."""
+
+    rows: np.ndarray
+    blocks: Array
+    columns: np.ndarray
+
+
 @dataclass(slots=True)
 class ChainEquations:
-    """Normal equations of one chain's inner nodes, n of them."""
+    """Normal equations of one chain's inner nodes, n of them.
+
+    A node is coupled with the few cameras that see it, so the blocks are kept by camera.
+    """
 
     diagonal: Array  # (n, d, d)
     lower: Array  # (n, d, d); [i]: node i + 1 by node i
-    coupling: Array  # (n, d, dense)
     gradient: Array  # (n, d)
+    dense_size: int
+    couplings: list[Coupling] = field(default_factory=list)
+
+    @classmethod
+    def zeros(cls, count: int, d: int, dense_size: int) -> "ChainEquations":
+        return cls(
+            np.zeros((count, d, d)), np.zeros((count, d, d)), np.zeros((count, d)), dense_size
+        )
+
+    @property
+    def coupling(self) -> Array:
+        """All of it, (n, d, dense)."""
+        n, d = self.gradient.shape
+        whole = np.zeros((n, d, self.dense_size))
+        for part in self.couplings:
+            if has_each_once(part.rows):
+                whole[part.rows[:, None], :, part.columns] += np.moveaxis(part.blocks, 2, 1)
+            else:
+                at = (part.rows[:, None, None], np.arange(d)[:, None], part.columns)
+                np.add.at(whole, at, part.blocks)
+        return whole
 
 
 @dataclass(slots=True)
@@ -41,12 +73,7 @@ def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Norma
     for name, chain in problem.chains.items():
         nodes = inner_nodes(chain)
         count, d = nodes.stop - nodes.start, len(chain.tangent)
-        equations.chains[name] = ChainEquations(
-            np.zeros((count, d, d)),
-            np.zeros((count, d, d)),
-            np.zeros((count, d, size)),
-            np.zeros((count, d)),
-        )
+        equations.chains[name] = ChainEquations.zeros(count, d, size)
         _add_odometry(equations, problem, chain, state.robots[name])
         if chain.is_anchored:
             _hold_first(equations, problem, chain)
@@ -82,11 +109,14 @@ def _scatter(
     equations.gradient[columns] += gradient[:, d:].sum(axis=0)
     is_inner = (nodes >= inner.start) & (nodes < inner.stop)
     rows = nodes[is_inner] - inner.start
-    np.add.at(target.diagonal, rows, hessian[is_inner, :d, :d])
-    np.add.at(target.gradient, rows, gradient[is_inner, :d])
-    coupling = np.zeros((len(rows), d, problem.layout.size))
-    coupling[:, :, columns] = hessian[is_inner, :d, d:]
-    np.add.at(target.coupling, rows, coupling)
+    if has_each_once(rows):
+        target.diagonal[rows] += hessian[is_inner, :d, :d]
+        target.gradient[rows] += gradient[is_inner, :d]
+    else:
+        np.add.at(target.diagonal, rows, hessian[is_inner, :d, :d])
+        np.add.at(target.gradient, rows, gradient[is_inner, :d])
+    if len(rows) and len(columns):
+        target.couplings.append(Coupling(rows, hessian[is_inner, :d, d:], columns))
     is_last = nodes == len(chain) - 1
     if np.any(is_last):
         last = np.arange(problem.layout.size)[problem.layout.last[robot]]
@@ -95,6 +125,11 @@ def _scatter(
         total[d:, d:] = 0
         equations.dense[np.ix_(both, both)] += total
         equations.gradient[last] += gradient[is_last, :d].sum(axis=0)
+
+
+def has_each_once(rows: np.ndarray) -> bool:
+    """Whether ascending rows name none twice (a robot that stands is seen twice at one node)."""
+    return bool(np.all(np.diff(rows) > 0))
 
 
 def _add_batch(
@@ -148,8 +183,8 @@ def _add_between(equations: NormalEquations, problem: Problem, chain: Chain, blo
         return
     inside = blocks[inner.start : inner.stop - 1]
     target.lower[: len(inside)] += inside
-    last = problem.layout.last[chain.robot]
-    target.coupling[count - 1][:, last] += blocks[-1].T
+    last = np.arange(problem.layout.size)[problem.layout.last[chain.robot]]
+    target.couplings.append(Coupling(np.array([count - 1]), blocks[-1:].swapaxes(1, 2), last))
 
 
 def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> None:

@@ -1,35 +1,37 @@
 """The live side of the smoother: what a batch solution knows, carried on sighting by sighting.
 
 The state is the dense part of the problem (cameras, lenses, scales and each robot's last pose) as
-information and gradient about a fixed point. A new sighting appends a node, odometry ties it to the
-robot's last one, and the last one is eliminated; that is exact but for the fixed point, which the
-next batch solution moves. Filters are immutable, so that going back to an earlier one, for a
-sighting that came late, costs nothing.
+mean and covariance about a fixed point. A new sighting appends a node, odometry ties it to the
+robot's last one, and the last one is forgotten; that is exact but for the fixed point, which the
+next batch solution moves. A step costs time in the square of the state's size. Filters are
+immutable, so that going back to an earlier one, for a sighting that came late, costs nothing.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 
 from trigpoint.clock import NANOSECONDS
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, hat
 
 from .dataset import DataSet
-from .equations import EXACT, linearise
-from .models import batch_jacobian
+from .equations import EXACT
+from .models import batch_jacobian, odometry_terms
 from .observations import Observation, points_of
 from .problem import (
     Batch,
     Chain,
+    Layout,
     Priors,
     Problem,
     RobotState,
     State,
     layout_of,
 )
-from .solver import Reduced, covariance_of, eliminate
+from .solver import Reduced, covariance_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +44,41 @@ class RobotEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Gaussian:
+    """Of the dense part's step from the fixed point: `mean` (size,), `covariance` (size, size)."""
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, reduced: Reduced) -> "Gaussian":
+        """Raises LinAlgError where something is not determined at all."""
+        covariance = reduced.covariance()
+        return cls(-covariance @ reduced.gradient, covariance)
+
+
+@dataclass(frozen=True, eq=False)
 class Filter:
-    """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those."""
+    """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those;
+    `source`: what is known about it, as it was worked out."""
 
     state: State
     stamps_ns: dict[str, int]
-    reduced: Reduced
+    layout: Layout
+    source: Reduced | Gaussian
+
+    @cached_property
+    def known(self) -> Gaussian:
+        """What is known; raise LinAlgError where something is not determined at all."""
+        return self.source if isinstance(self.source, Gaussian) else Gaussian.of(self.source)
+
+    @property
+    def reduced(self) -> Reduced:
+        """What is known, as information."""
+        if isinstance(self.source, Reduced):
+            return self.source
+        information = covariance_of(self.source.covariance)
+        return Reduced(self.layout, information, -information @ self.source.mean)
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "Filter":
@@ -74,7 +105,8 @@ class Filter:
                 [np.arange(layout.size)[layout.pose[n]] for n in data.known.poses]
             )
             information[np.ix_(columns, columns)] = data.known.information
-        return cls(state, stamps, Reduced(layout, information, np.zeros(layout.size)))
+        reduced = Reduced(layout, information, np.zeros(layout.size))
+        return cls(state, stamps, layout, reduced)
 
     @classmethod
     def after(cls, state: State, problem: Problem, reduced: Reduced) -> "Filter":
@@ -84,7 +116,7 @@ class Filter:
             nodes = state.robots[name].map_from_base
             robots[name] = replace(state.robots[name], map_from_base=_one(nodes[-1]))
             stamps[name] = int(chain.stamps_ns[-1])
-        return cls(State(state.cameras, robots), stamps, reduced)
+        return cls(State(state.cameras, robots), stamps, reduced.layout, reduced)
 
     def has_robot(self, robot: str) -> bool:
         """Whether the robot is tied to the map."""
@@ -92,22 +124,19 @@ class Filter:
 
     def has_camera(self, camera: str) -> bool:
         """Whether the camera is part of the state."""
-        return camera in self.reduced.layout.pose
+        return camera in self.layout.pose
 
     def mean_step(self) -> Array:
         """The step (size,) from the fixed point to the estimate."""
-        information = self.reduced.information
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-        factor = cho_factor(information * scale[:, None] * scale, lower=True)
-        return -scale * cho_solve(factor, scale * self.reduced.gradient)
+        return self.known.mean
 
     def robot(self, data: DataSet, robot: str, stamp_ns: int | None = None) -> RobotEstimate:
         """The robot at its last node, or later by its odometry.
 
         Raises LinAlgError where nothing determines it.
         """
-        step, covariance = self.mean_step(), covariance_of(self.reduced.information)
-        last = self.reduced.layout.last[robot]
+        step, covariance = self.known.mean, self.known.covariance
+        last = self.layout.last[robot]
         tangent = data.tracks[robot].tangent
         disturbance, full = np.zeros(6), np.zeros((6, 6))
         disturbance[tangent] = step[last]
@@ -116,7 +145,7 @@ class Filter:
         estimate = RobotEstimate(self.stamps_ns[robot], pose, full)
         if stamp_ns is None or stamp_ns <= estimate.stamp_ns:
             return estimate
-        if robot in self.reduced.layout.scales:
+        if robot in self.layout.scales:
             return self.carried(data, robot, stamp_ns).robot(data, robot)
         return carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
 
@@ -135,72 +164,71 @@ class Filter:
 
     def camera_sigma_px(self, camera: str, distance_m: float) -> float:
         """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
-        covariance = covariance_of(self.reduced.information)
-        pose = self.reduced.layout.pose[camera]
-        variances = np.diagonal(covariance)[pose]
+        variances = np.diagonal(self.known.covariance)[self.layout.pose[camera]]
         turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
         return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
 
     def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
-        """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point."""
-        chain = Chain(
-            robot=robot,
-            stamps_ns=np.array([self.stamps_ns[robot], stamp_ns]),
-            motion=data.tracks[robot].motion(
-                np.array([self.stamps_ns[robot], stamp_ns]), self.scales(robot)
-            ),
-            track=data.tracks[robot],
-            scales=self.scales(robot),
-            planar=data.tracks[robot].planar,
-            is_anchored=False,
-        )
+        """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point.
+
+        With r = e + J₀ δ₀ + J₁ δ₁ + Jₛ δₛ the whitened residual of odometry from the last pose to
+        the new one, δ₁ = -J₁⁻¹(e + J₀ δ₀ + Jₛ δₛ) with the covariance J₁⁻¹ J₁⁻ᵀ.
+        """
+        moments = np.array([self.stamps_ns[robot], stamp_ns])
+        motion = data.tracks[robot].motion(moments, self.scales(robot))
         before = self.state.robots[robot]
-        both = Pose.stack([before.map_from_base[0], guess])
-        state = self._with(robot, replace(before, map_from_base=both))
-        layout, last = self.reduced.layout, self.reduced.layout.last[robot]
-        problem = Problem({robot: chain}, (), _no_priors(), layout)
-        equations = linearise(problem, state)
-        # What is known of the last pose belongs to the chain's first node now.
-        information, gradient = self.reduced.information.copy(), self.reduced.gradient.copy()
-        old = equations.chains[robot]
-        old.diagonal[0] += information[last, last]
-        old.gradient[0] += gradient[last]
-        coupling = information[last].copy()
-        coupling[:, last] = 0
-        old.coupling[0] += coupling
-        information[last], information[:, last], gradient[last] = 0, 0, 0
-        equations.dense += information
-        equations.gradient += gradient
-        dense, slope, _ = eliminate(equations, 0.0)
+        terms = odometry_terms(
+            before.map_from_base, _one(guess), motion, data.tracks[robot].tangent
+        )
+        last, scales = self.layout.last[robot], self.layout.scales.get(robot, slice(0, 0))
+        inverse = np.linalg.inv(terms.by_later[0])
+        by_last = -inverse @ terms.by_earlier[0]
+        by_scales = -inverse @ terms.by_scale[0][:, : scales.stop - scales.start]
+        mean, covariance = self.known.mean.copy(), self.known.covariance.copy()
+        rows = by_last @ covariance[last] + by_scales @ covariance[scales]
+        own = rows[:, last] @ by_last.T + rows[:, scales] @ by_scales.T + inverse @ inverse.T
+        moved = by_last @ mean[last] + by_scales @ mean[scales] - inverse @ terms.residual[0]
+        covariance[last], covariance[:, last], covariance[last, last] = rows, rows.T, own
+        mean[last] = moved
         return Filter(
             self._with(robot, replace(before, map_from_base=_one(guess))),
             self.stamps_ns | {robot: stamp_ns},
-            Reduced(layout, dense, slope),
+            self.layout,
+            Gaussian(mean, covariance),
         )
 
     def updated(
         self, data: DataSet, observation: Observation, *, share: float = 1.0
     ) -> tuple["Filter", float]:
         """With an observation of the robot at its last node; also its surprise, χ² over twice the
-        corners (the normalised innovation squared). `share`: how much the observation counts."""
+        corners (the normalised innovation squared). `share`: how much the observation counts.
+
+        The Jacobian's triangular factor R stands for it (J = QR), so that the innovation is as
+        small as the unknowns that a sighting bears on: K = P Rᵀ (1 + R P Rᵀ)⁻¹.
+        """
         chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
         chain = replace(chain, scales=self.scales(observation.robot))
         batch = _batch(data, chain, observation, share)
-        layout = self.reduced.layout
-        problem = Problem({observation.robot: chain}, (batch,), _no_priors(), layout)
+        problem = Problem({observation.robot: chain}, (batch,), _no_priors(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
-        last = np.arange(layout.size)[layout.last[observation.robot]]
-        where = np.concatenate([last, columns])
-        flat, r = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
-        information, gradient = self.reduced.information.copy(), self.reduced.gradient.copy()
-        information[np.ix_(where, where)] += flat.T @ flat
-        gradient[where] += flat.T @ r
-        after = replace(self, reduced=Reduced(layout, information, gradient))
-        step, before = after.mean_step(), self.mean_step()
-        moved = step - before
-        surprise = moved @ self.reduced.information @ moved
-        surprise += np.sum((r + flat @ step[where]) ** 2)
-        return after, float(surprise)
+        where = np.concatenate(
+            [np.arange(self.layout.size)[self.layout.last[observation.robot]], columns]
+        )
+        flat, mean, covariance = (
+            jacobian.reshape(-1, jacobian.shape[-1]),
+            self.known.mean,
+            self.known.covariance,
+        )
+        expected = residual.reshape(-1) + flat @ mean[where]
+        basis, factor = np.linalg.qr(flat)
+        innovation = basis.T @ expected
+        spread = covariance[:, where] @ factor.T
+        root = np.linalg.cholesky(np.eye(len(factor)) + factor @ spread[where])
+        gain = solve_triangular(root, spread.T, lower=True).T
+        whitened = solve_triangular(root, innovation, lower=True)
+        after = Gaussian(mean - gain @ whitened, covariance - gain @ gain.T)
+        surprise = expected @ expected - innovation @ innovation + whitened @ whitened
+        return replace(self, source=after), float(surprise)
 
     def _with(self, robot: str, state: RobotState) -> State:
         return State(self.state.cameras, self.state.robots | {robot: state})

@@ -225,7 +225,7 @@ class Smoother:
         else:
             estimate, ahead = self._filter.robot(self.data, robot), self._filter
         last_ns = self.data.tracks[robot].last_ns
-        if robot in self._filter.reduced.layout.scales:
+        if robot in self._filter.layout.scales:
             ahead = ahead.carried(self.data, robot, last_ns)
             estimate = ahead.robot(self.data, robot)
         else:

@@ -1,19 +1,19 @@
 """Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains.
 
-The chains' block-tridiagonal matrix is factorised as a band (LAPACK's pbtrf), so a step costs time
-linear in the number of nodes. What remains is S = C - BᵀA⁻¹B, the information of the dense part,
-and S⁻¹ its covariance.
+The chains are eliminated (`elimination`) in a time linear in the number of nodes. What remains is
+S = C - BᵀA⁻¹B, the information of the dense part, and S⁻¹ its covariance.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
-from .equations import ChainEquations, NormalEquations, linearise
+from .elimination import Elimination, eliminated
+from .equations import NormalEquations, linearise
 from .problem import (
     CameraState,
     Layout,
@@ -49,29 +49,6 @@ class Solution:
     cost: float
     iterations: int
     has_converged: bool
-
-
-class Elimination:
-    """One robot's chain, factorised."""
-
-    def __init__(self, equations: ChainEquations, damping: float) -> None:
-        n, d, size = equations.coupling.shape
-        self.shape = (n, d)
-        band = np.zeros((2 * d, n * d))
-        rows, columns = np.tril_indices(d)
-        for i, j in zip(rows, columns, strict=True):
-            band[i - j, j::d] = equations.diagonal[:, i, j]
-        for i in range(d):
-            for j in range(d):
-                band[d + i - j, j::d] += equations.lower[:, i, j]
-        band[0] *= 1 + damping
-        self.coupling = equations.coupling.reshape(n * d, size)
-        right = np.column_stack([equations.gradient.reshape(-1), self.coupling])
-        self.solved = cho_solve_banded((cholesky_banded(band, lower=True), True), right)
-
-    def nodes(self, dense_step: Array) -> Array:
-        """The nodes' step (n, d) that belongs to a step of the dense part."""
-        return -(self.solved[:, 0] + self.solved[:, 1:] @ dense_step).reshape(self.shape)
 
 
 def solve(
@@ -130,15 +107,13 @@ def eliminate(
 ) -> tuple[Array, Array, dict[str, Elimination]]:
     """Information and gradient of the dense part once the chains are eliminated, and those."""
     information, gradient = equations.dense.copy(), equations.gradient.copy()
-    chains = {}
+    chains: dict[str, Elimination] = {}
     for name, chain in equations.chains.items():
         if len(chain.diagonal) == 0:
             continue
-        eliminated = Elimination(chain, damping)
-        reduction = eliminated.coupling.T @ eliminated.solved
-        gradient -= reduction[:, 0]
-        information -= reduction[:, 1:]
-        chains[name] = eliminated
+        chains[name] = eliminated(chain, equations.dense, damping)
+        gradient += chains[name].gradient
+        information += chains[name].information
     return symmetric(information), gradient, chains
 
 

@@ -25,8 +25,8 @@ def camera_estimates(
 ) -> dict[str, CameraEstimate]:
     """Those of the named cameras that are located, in this order; with their time offsets at that
     time after the data set's epoch."""
-    layout = known.reduced.layout
-    covariance, step = known.reduced.covariance(), known.mean_step()
+    layout = known.layout
+    covariance, step = known.known.covariance, known.known.mean
     located = _placed(layout, covariance, names)
     return {name: _estimate(known, name, covariance, step, since_epoch_s) for name in located}
 
@@ -42,7 +42,7 @@ def _placed(layout: Layout, covariance: Array, names: list[str]) -> list[str]:
 def _estimate(
     known: Filter, name: str, covariance: Array, step: Array, since_epoch_s: float
 ) -> CameraEstimate:
-    layout, camera = known.reduced.layout, known.state.cameras[name]
+    layout, camera = known.layout, known.state.cameras[name]
     pose, sigmas = layout.pose[name], np.sqrt(np.diagonal(covariance))
     lens, lens_sigma = camera.lens, np.zeros(len(camera.lens.parameters))
     if name in layout.lens:
@@ -65,7 +65,7 @@ def _estimate(
 
 def joint_covariance(known: Filter, names: list[str]) -> Array:
     """(6n, 6n) over the poses of those of the named cameras that are located, in this order."""
-    layout, covariance = known.reduced.layout, known.reduced.covariance()
+    layout, covariance = known.layout, known.known.covariance
     every = np.arange(layout.size)
     columns = [every[layout.pose[name]] for name in _placed(layout, covariance, names)]
     if not columns:
