@@ -48,7 +48,7 @@ def main(
     quieten_opencv()
     cv2.setNumThreads(1)  # as the agent does, so that the times are those of the agent
     detector = detector_for([load_target(target)])
-    _check_all(pictures)
+    check_all(pictures)
     if draw is not None:
         _make_folder(draw)
     first: Still | None = None
@@ -101,7 +101,7 @@ def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
         video.close()
 
 
-def _check_all(paths: Sequence[Path]) -> None:
+def check_all(paths: Sequence[Path]) -> None:
     """Raise InputError for a path that is not there, before any work is done."""
     for path in paths:
         if not path.exists():

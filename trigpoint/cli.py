@@ -68,6 +68,9 @@ COMMANDS: dict[str, Command] = {
         "trigpoint.tools.distances:main", "Distances between cameras, beside a tape measure's."
     ),
     "detect": Command("trigpoint.tools.detect:main", "The sightings in pictures.", "edge"),
+    "intrinsics": Command(
+        "trigpoint.tools.intrinsics:main", "One camera's intrinsics from pictures.", "edge"
+    ),
     "target draw": Command(
         "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge,tools"
     ),

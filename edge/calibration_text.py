@@ -1,0 +1,100 @@
+"""A calibration in words and as a record that JSON can hold."""
+
+import math
+
+from trigpoint.camera_info import format_camera_info
+from trigpoint.geometry.camera import LensModel
+
+from .calibration import Calibration
+
+COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
+    LensModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
+    LensModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    LensModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
+}
+THINLY_COVERED = 0.7
+"""A share of the picture below which the lens is a guess in the rest of it."""
+
+
+def parameter_names(model: LensModel) -> tuple[str, ...]:
+    """The names of a camera's `parameters`."""
+    return ("fx", "fy", "cx", "cy", *COEFFICIENTS[model])
+
+
+def covered_share(found: Calibration) -> float:
+    """The share of the picture's 81 fields that corners fell into."""
+    return float((found.coverage > 0).mean())
+
+
+def advice(found: Calibration) -> str:
+    """What to do for a better calibration, "" where it is good."""
+    if covered_share(found) < THINLY_COVERED:
+        return "show the target in the parts of the picture that it was not in yet"
+    if found.known.disagreement > 1.5:
+        return "the views disagree: see that the target is flat and the pictures are sharp"
+    if found.known.sigma[0] > 0.005 * found.camera.fx:
+        return "add pictures with the target slanted up to 45 degrees to all sides, near and far"
+    return ""
+
+
+def calibration_text(found: Calibration) -> str:
+    """Some lines for a person: what was used, the model and why, every number with its sigma."""
+    camera, known = found.camera, found.known
+    lines = [
+        f"{len(found.used)} views used, {len(found.rejected)} rejected, {found.spare} more would "
+        "tell nothing new",
+        *(f"  rejected {bad.name}: {bad.rms_px:.2f} px" for bad in found.rejected),
+        f"model {camera.model.value}; error on views left out, by model: {_held_out(found)}",
+        f"residuals {found.fit.rms_px:.3f} px a corner, {known.noise_px:.3f} px a coordinate; "
+        f"{100 * covered_share(found):.0f} % of the picture covered; "
+        f"disagreement between views {known.disagreement:.2f}",
+    ]
+    for name, value, sigma in zip(
+        parameter_names(camera.model), camera.parameters, known.sigma, strict=True
+    ):
+        lines.append(f"  {name:<3} {rounded(value, sigma)} ± {rounded(sigma, sigma)}")
+    if advised := advice(found):
+        lines.append(f"for a better one: {advised}")
+    return "\n".join(lines)
+
+
+def calibration_record(found: Calibration, *, name: str = "camera") -> dict[str, object]:
+    """The same for programs; `intrinsics` is as in network.json, `camera_info` ROS's YAML."""
+    camera, known = found.camera, found.known
+    fx, fy, cx, cy, *d = known.sigma.tolist()
+    return {
+        "intrinsics": {
+            "model": camera.model.value,
+            "width": camera.width,
+            "height": camera.height,
+            "k": camera.matrix.reshape(-1).tolist(),
+            "d": list(camera.distortion),
+            "sigma": {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "d": d},
+        },
+        "residual_px": found.fit.rms_px,
+        "noise_px": known.noise_px,
+        "disagreement": known.disagreement,
+        "covered": covered_share(found),
+        "used": [view.name for view in found.used],
+        "spare": found.spare,
+        "rejected": [{"name": bad.name, "residual_px": bad.rms_px} for bad in found.rejected],
+        "held_out_px": {one.model.value: _or_none(one.held_out_px) for one in found.tried},
+        "advice": advice(found),
+        "camera_info": format_camera_info(camera, name),
+    }
+
+
+def _held_out(found: Calibration) -> str:
+    return ", ".join(
+        f"{one.model.value} {one.held_out_px:.3f} px" if one.fit else f"{one.model.value} fits none"
+        for one in found.tried
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return value if value < float("inf") else None
+
+
+def rounded(value: float, sigma: float) -> str:
+    """A number to two digits of its sigma."""
+    return f"{value:.{max(0, 1 - math.floor(math.log10(sigma)))}f}"

@@ -1,0 +1,110 @@
+"""The command `intrinsics`: from pictures to a lens, its YAML file and its page."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from boards import CAMERA, charuco, picture_of, placed
+from builders import site_text
+
+from trigpoint.camera_info import read_camera_info
+from trigpoint.cli import run
+
+TARGET = """\
+name = "box"
+[[faces]]
+id = 0
+pattern = "charuco"
+columns = 5
+rows = 4
+square = 0.06
+marker = 0.045
+dictionary = "DICT_4X4_250"
+translation = [0.0, 0.0, 0.0]
+quaternion = [0.0, 0.0, 0.0, 1.0]
+"""
+PLACES = [
+    (-0.13, -0.1, 0.62, 30, 20),
+    (0.14, -0.09, 0.65, -35, 10),
+    (-0.12, 0.1, 0.6, 20, -35),
+    (0.12, 0.1, 0.64, -25, -25),
+    (0.0, 0.0, 0.5, 40, 0),
+    (0.02, 0.01, 0.5, 0, 42),
+    (-0.03, 0.0, 0.9, -40, 15),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pictures of a board, a target file, and a site file that names it."""
+    made = tmp_path_factory.mktemp("lens")
+    (made / "target.toml").write_text(TARGET)
+    (made / "site.toml").write_text(site_text())
+    (made / "shots").mkdir()
+    for number, (x, y, distance, tilt, yaw) in enumerate(PLACES):
+        view = placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
+        picture = picture_of([view], noise=2.0, seed=number)
+        cv2.imwrite(str(made / "shots" / f"{number}.png"), picture)
+    return made
+
+
+def test_lens_is_written_as_ros_reads_it_with_a_page_beside_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = folder / "made" / "c1.yaml"
+    words = ["intrinsics", str(folder / "shots"), "--target", str(folder / "target.toml")]
+    assert run([*words, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "7 pictures, 7 views of the target" in said
+    assert f"wrote {out}" in said
+    found = read_camera_info(out)
+    assert (found.width, found.height) == (640, 480)
+    assert found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    page = out.with_suffix(".html").read_text()
+    assert page.startswith("<!doctype html>")
+    assert "c1: focal length" in page
+    assert "http" not in page
+    assert page.count("<svg") == 3
+
+
+def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["intrinsics", str(folder / "shots"), "--site", str(folder / "site.toml"), "--json"]
+    assert run(words) == 0
+    record = json.loads(capsys.readouterr().out)
+    lens = record["intrinsics"]
+    errors = (np.array(lens["k"])[[0, 4]] - [CAMERA.fx, CAMERA.fy]) / [
+        lens["sigma"]["fx"],
+        lens["sigma"]["fy"],
+    ]
+    assert np.all(np.abs(errors) < 5)
+    assert len(record["used"]) == 7
+    assert "camera_matrix" in record["camera_info"]
+    assert not list(folder.glob("*.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["shots"], "no target is given"),
+        (["shots", "--target", "target.toml", "--site", "site.toml"], "no target is given, or two"),
+        (["none", "--target", "target.toml"], "none: there is no such picture"),
+        (["shots/0.png", "--target", "target.toml"], "1 views of the target were found"),
+        (["shots", "--target", "target.toml", "--out", "lens.txt"], "end the name in .yaml"),
+        (["shots", "other.png", "--target", "target.toml"], "give pictures of one camera"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(folder)
+    cv2.imwrite("other.png", np.zeros((20, 30), np.uint8))
+    assert run(["intrinsics", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1

@@ -1,0 +1,89 @@
+"""The command `intrinsics`: one camera's lens from pictures of a target."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.camera_info import write_camera_info
+from trigpoint.config import load_site
+from trigpoint.edge.calibration import Calibration, calibrate
+from trigpoint.edge.calibration_text import calibration_record, calibration_text
+from trigpoint.edge.calibration_views import View, views_of
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.quiet import quieten_opencv
+from trigpoint.errors import InputError, OperationError
+from trigpoint.target import Target, load_target
+
+from .detect import check_all, stills
+from .intrinsics_page import intrinsics_page
+
+
+def main(
+    pictures: Annotated[list[Path], typer.Argument(help="Pictures, folders of them, or videos.")],
+    target: Annotated[Path | None, typer.Option(help="The target file.")] = None,
+    site: Annotated[Path | None, typer.Option(help="Or the site file that names targets.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write ROS camera_info YAML here, and a page beside it.")
+    ] = None,
+    json_text: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """One camera's intrinsics with sigmas, from pictures of a target held before it."""
+    quieten_opencv()
+    targets = _targets(target, site)
+    if out is not None and out.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
+    check_all(pictures)
+    count, size, views = _views(pictures, targets)
+    found = calibrate(views, size)
+    if json_text:
+        typer.echo(json.dumps(calibration_record(found)))
+    else:
+        typer.echo(f"{count} pictures, {len(views)} views of the target\n{calibration_text(found)}")
+    if out is not None:
+        for file in _write(out, found, count):
+            typer.echo(f"wrote {file}", err=json_text)
+
+
+def _targets(target: Path | None, site: Path | None) -> list[Target]:
+    if (target is None) == (site is None):
+        raise InputError("no target is given, or two; give --target FILE, or --site FILE")
+    if target is not None:
+        return [load_target(target)]
+    assert site is not None
+    loaded = load_site(site)
+    names = dict.fromkeys(loaded.target_name(robot) for robot in loaded.robots)
+    return [load_target(loaded.path(name)) for name in names]
+
+
+def _views(
+    pictures: Sequence[Path], targets: Sequence[Target]
+) -> tuple[int, tuple[int, int], list[View]]:
+    """How many pictures there are, their width and height, and the views in them."""
+    detector = detector_for(targets)
+    count, size, views = 0, (0, 0), []
+    for still in stills(pictures):
+        height, width = still.picture.shape
+        if count and (width, height) != size:
+            raise InputError(
+                f"{still.name}: {width} × {height}, but the pictures before it are {size[0]} × "
+                f"{size[1]}; give pictures of one camera at one size"
+            )
+        count, size = count + 1, (width, height)
+        views += views_of(still.stem, detector.detect(still.picture), targets)
+    return count, size, views
+
+
+def _write(out: Path, found: Calibration, count: int) -> list[Path]:
+    page = out.with_suffix(".html")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_camera_info(out, found.camera, out.stem)
+        page.write_text(intrinsics_page(found, name=out.stem, pictures=count), encoding="utf-8")
+    except OSError as reason:
+        raise OperationError(
+            f"{out}: cannot be written ({reason.strerror}); choose another --out"
+        ) from None
+    return [out, page]
