@@ -120,3 +120,13 @@ class Inspectable(Protocol):
     def residuals(self, camera: str) -> CameraResiduals:
         """What the last solution leaves over of a camera's corners."""
         ...
+
+
+@runtime_checkable
+class Sampled(Protocol):
+    """What an estimator shows whose robots' poses are samples."""
+
+    def particles(self, robot: str) -> Pose | None:
+        """Places where the robot may be at its last odometry message, all equally likely; None
+        where there are none."""
+        ...

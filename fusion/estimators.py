@@ -10,6 +10,7 @@ from .estimator import Estimator
 
 ESTIMATORS = {
     "smoother": "trigpoint.fusion.smoother:Smoother",
+    "particle": "trigpoint.fusion.particle_filter:particle_filter",
     "ekf": "trigpoint.fusion.extended_kalman_filter:extended_kalman_filter",
 }
 
@@ -23,8 +24,6 @@ def make_estimator(data: DataSet) -> Estimator:
 def check_estimator(site: Site) -> None:
     """Raise ConfigError where the site asks its estimator for what that does not work out."""
     chosen = site.fusion.estimator
-    if chosen not in ESTIMATORS:
-        raise ConfigError(f"the estimator «{chosen}» is not in this version; use smoother or ekf")
     if chosen == "smoother":
         return
     asked = []

@@ -18,6 +18,7 @@ from trigpoint.messages import (
     Message,
     Odometry,
     Polygon,
+    PoseArray,
     PoseEstimate,
     Sightings,
     Transform,
@@ -29,7 +30,7 @@ from trigpoint.topics import Topic
 
 from .coverage import coverage
 from .dataset import DataSet, KnownCameras
-from .estimator import CameraEstimate, Inspectable
+from .estimator import CameraEstimate, Inspectable, Sampled
 from .estimators import make_estimator
 from .filter import RobotEstimate
 from .guidance_world import GuidanceWorld
@@ -40,6 +41,7 @@ from .residuals import CameraResiduals
 from .results import Results, results_of
 
 _TF_PERIOD_NS = to_ns(0.1)
+_PARTICLES_PERIOD_NS = to_ns(0.5)
 _CAMERA_PERIOD_NS = to_ns(1.0)
 _COVERAGE_PERIOD_NS = to_ns(5.0)
 _SEQUENCE_MARGIN = 1000
@@ -144,6 +146,7 @@ class Pipeline:
         self._send(
             topics.ROBOT_POSE, robot, PoseEstimate(stamp_ns, "map", pose, estimate.covariance)
         )
+        self._say_particles(robot, stamp_ns)
         if not self._is_due(f"tf/{robot}", stamp_ns, _TF_PERIOD_NS):
             return
         odom_from_base = self._data.tracks[robot].odom_from_base[-1]
@@ -152,6 +155,14 @@ class Pipeline:
             Transform(stamp_ns, f"{robot}/odom", f"{robot}/base", odom_from_base),
         )
         self._send(topics.TF, "", Transforms(transforms))
+
+    def _say_particles(self, robot: str, stamp_ns: int) -> None:
+        if not isinstance(self._estimator, Sampled):
+            return
+        if self._is_due(f"particles/{robot}", stamp_ns, _PARTICLES_PERIOD_NS):
+            poses = self._estimator.particles(robot)
+            if poses is not None:
+                self._send(topics.PARTICLES, robot, PoseArray(stamp_ns, "map", poses))
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> None:
         if camera in self._inputs.lenses:
