@@ -1,18 +1,22 @@
 """Rendered pictures of the simulated lab with the true corners of the faces in them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
+from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Target
+from trigpoint.tools.simulation.actors import SimulatedCamera
 from trigpoint.tools.simulation.rendering import CameraRenderer
 from trigpoint.tools.simulation.visibility import SeenFace
 from trigpoint.tools.simulation.world import World, load_world
 
 SEED = 1
+# A square whose shortest side in the picture is less need not be found.
+LEAST_SQUARE_PX = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +43,18 @@ class View:
 
 
 class Gallery:
-    """The pictures of the demo's drive with one kind of target, taken when asked for."""
+    """The pictures of the demo's drive with one kind of target, taken when asked for.
 
-    def __init__(self, target: str) -> None:
+    `size`: width and height of the pictures, the lab's own where it is left out; `is_sharp`: taken
+    with so short an exposure that nothing moves.
+    """
+
+    def __init__(
+        self, target: str, *, size: tuple[int, int] | None = None, is_sharp: bool = False
+    ) -> None:
         self.world: World = load_world("lab", seed=SEED, target=target)
+        for name, camera in self.world.cameras.items():
+            self.world.cameras[name] = _other(camera, size, is_sharp=is_sharp)
         self._renderers = {name: CameraRenderer(self.world, name) for name in self.world.cameras}
 
     @property
@@ -91,7 +103,7 @@ class Gallery:
         return self.world.seen(camera, robot, float(self.world.camera(camera).time_of(index)))
 
     def _is_whole(self, seen: SeenFace) -> bool:
-        is_large = seen.smallest_square_px >= self.world.smallest_square_px
+        is_large = seen.smallest_square_px >= LEAST_SQUARE_PX
         return is_large and len(seen.corners) == seen.face.corner_count
 
     def _pixels(self, camera: str, index: int, face: Face) -> Array:
@@ -102,6 +114,28 @@ class Gallery:
 
 
 @cache
-def gallery(target: str) -> Gallery:
+def gallery(target: str, *, size: tuple[int, int] | None = None, is_sharp: bool = False) -> Gallery:
     """The gallery of a kind of target; its rooms are drawn once."""
-    return Gallery(target)
+    return Gallery(target, size=size, is_sharp=is_sharp)
+
+
+def _other(
+    camera: SimulatedCamera, size: tuple[int, int] | None, *, is_sharp: bool
+) -> SimulatedCamera:
+    """The camera with as wide a view on a sensor of `size`."""
+    exposure_s = 0.0 if is_sharp else camera.exposure_s
+    if size is None:
+        return replace(camera, exposure_s=exposure_s)
+    old, (width, height) = camera.model, size
+    by = width / old.width
+    centre = by * (np.array([old.cx - old.width / 2, old.cy - old.height / 2]))
+    model = CameraModel(
+        width,
+        height,
+        by * old.fx,
+        by * old.fy,
+        width / 2 + float(centre[0]),
+        height / 2 + float(centre[1]),
+        old.distortion,
+    )
+    return replace(camera, model=model, exposure_s=exposure_s)

@@ -38,7 +38,7 @@ class Bound:
     def of(self, names: list[str]) -> "Bound":
         """The same of some cameras, in this order."""
         chosen = [self.cameras.index(name) for name in names]
-        rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in chosen])
+        rows = np.array([6 * index + axis for index in chosen for axis in range(6)], dtype=int)
         return Bound(names, self.covariance[np.ix_(rows, rows)], self.places[chosen])
 
     @property
@@ -122,7 +122,7 @@ def _stated(track: OdometryTrack, lifted_ns: list[int]) -> OdometryTrack:
     for index, stamp_ns in enumerate(track.stamps_ns.tolist()):
         pose = poses[index]
         for lift_ns in lifted_ns:
-            if stamp_ns > lift_ns:
+            if stamp_ns >= lift_ns:
                 pose = _AWAY @ pose
         stated.add(stamp_ns, pose)
     return stated

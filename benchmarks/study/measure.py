@@ -24,8 +24,9 @@ DECIDED_M = 0.25
 
 class Measure(msgspec.Struct, frozen=True):
     """One session. `efficiency` and `honesty`: eᵀP⁻¹e/6n, P the bound and the estimator's own joint
-    covariance; `distance` and `distance_bound`: mean error of the distances between cameras,
-    metres, and what the bound expects of it; `seconds`: of this process, the estimator alone.
+    covariance, None where no camera was located; `distance` and `distance_bound`: mean error of the
+    distances between cameras, metres, and what the bound expects of it; `seconds`: processor time
+    of the estimator alone.
 
     `located`, `wrong` (located, but grossly elsewhere), `undetermined` (though the data decide),
     `made_up` (located, though never seen): cameras. `rejected`: observations set aside.
@@ -34,8 +35,8 @@ class Measure(msgspec.Struct, frozen=True):
     situation: str
     seed: int
     estimator: str
-    efficiency: float
-    honesty: float
+    efficiency: float | None
+    honesty: float | None
     distance: float
     distance_bound: float
     seconds: float
@@ -69,8 +70,8 @@ def measure_of(session: StudySession, results: Results, seconds: float) -> Measu
         situation=session.name,
         seed=session.seed,
         estimator=session.inputs.site.fusion.estimator,
-        efficiency=_normalised(error, least.covariance),
-        honesty=_normalised(error, own),
+        efficiency=_normalised(error, least.covariance) if located else None,
+        honesty=_normalised(error, own) if located else None,
         distance=_distance_error(error, least),
         distance_bound=least.mean_distance_error,
         seconds=seconds,
@@ -92,7 +93,7 @@ def _pose(results: Results, name: str) -> Pose:
 
 def _rows(results: Results, names: list[str]) -> Array:
     order = results.network.located
-    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
+    rows = np.array([6 * order.index(name) + axis for name in names for axis in range(6)], int)
     return results.covariance[np.ix_(rows, rows)]
 
 

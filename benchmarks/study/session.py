@@ -21,7 +21,7 @@ from trigpoint.fusion.dataset import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import Message, Odometry, Sightings
-from trigpoint.tools.simulation.memory import Simulated, Views, simulated, views_of
+from trigpoint.tools.simulation.memory import Simulated, simulated
 from trigpoint.tools.simulation.world import World
 
 from .oracle import bound_of
@@ -31,6 +31,7 @@ from .worlds import world_of
 
 # 0.1 mm and 0.1 mrad, as for a network that is read from a file.
 _FLOOR = 1e-8
+_PLAIN = Situation("a plain session", "drive")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +59,7 @@ def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> S
     for robot, item in world.robots.items():
         noise = structs.replace(item.noise, **situation.odometry)
         world.robots[robot] = replace(item, noise=noise)
-    shared = None
-    if not situation.disturbance.changes_views:
-        shared = _views(situation.world, situation.target)
-    session = simulated(world, situation.disturbance, shared)
+    session = simulated(world, situation.disturbance)
     site = _site(world, situation, estimator)
     lenses = _told_lenses(world, site, situation)
     targets = {robot: world.target(robot) for robot in world.robots}
@@ -70,6 +68,13 @@ def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> S
     if situation.is_in_order:
         messages = sorted(messages, key=_stamp)
     return StudySession(name, seed, situation, inputs, messages, session)
+
+
+def plain_inputs(world: World) -> Inputs:
+    """What an estimator is told of a world by a site file without anything to be estimated."""
+    site = _site(world, _PLAIN, "smoother")
+    targets = {robot: world.target(robot) for robot in world.robots}
+    return Inputs(site, targets, _told_lenses(world, site, _PLAIN))
 
 
 def worked_out(session: StudySession) -> Pipeline:
@@ -87,11 +92,6 @@ def _stamp(item: tuple[str, Message]) -> tuple[int, bool]:
     message = item[1]
     assert isinstance(message, (Odometry, Sightings))
     return message.stamp_ns, isinstance(message, Sightings)
-
-
-@cache
-def _views(world: str, target: Any) -> Views:
-    return views_of(world_of(world, seed=0, target=target))
 
 
 def _site(world: World, situation: Situation, estimator: str) -> Site:

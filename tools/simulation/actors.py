@@ -12,6 +12,7 @@ from trigpoint.target import Target
 
 from .odometry import relative
 from .path import Drive
+from .way import Way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +56,11 @@ class SimulatedCamera:
         """World time of picture `index`: the middle of its exposure, seconds."""
         return self.phase + np.asarray(index, dtype=float) / self.rate
 
+    def picture_times(self, duration_s: float) -> Array:
+        """World times of its pictures (n,) up to the end."""
+        count = int(np.floor((duration_s - self.phase) * self.rate)) + 1
+        return self.time_of(np.arange(count))
+
     def map_from_camera_at(self, t_s: float) -> Pose:
         """Where it hangs at a world time."""
         pose = self.map_from_camera
@@ -66,8 +72,10 @@ class SimulatedCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRobot:
-    """One robot: its true drive in the map, and how it reports it. `target`: what its target file
-    says; `mounted`: where its faces really are, where that differs."""
+    """One robot: its drive in the map, and how it reports it. `target`: what its target file says;
+    `mounted`: where its faces really are, where that differs. The drive is the truth, and the
+    report scatters about it; where there is a `way`, that is the truth and the drive is reported.
+    """
 
     name: str
     target: Target
@@ -78,6 +86,7 @@ class SimulatedRobot:
     noise: OdometryNoise
     mounted: Target | None = None
     lifts: tuple[Lift, ...] = ()
+    way: Way | None = None
 
     @property
     def carried(self) -> Target:
@@ -86,11 +95,15 @@ class SimulatedRobot:
 
     def map_from_base(self, t_s: ArrayLike) -> Pose:
         """The true pose at world time `t_s`, one or (n,)."""
+        return self.way.at(t_s) if self.way is not None else self.planned(t_s)
+
+    def planned(self, t_s: ArrayLike) -> Pose:
+        """The pose by its drive at world time `t_s`, one or (n,)."""
         return self.map_from_plan @ self.drive.at(np.asarray(t_s) + self._skipped(t_s))
 
     def steps(self, stamps_s: Array) -> Array:
-        """True motion from stamp to stamp as wheels feel it, in the frame of the earlier one;
-        (n - 1, 3) x, y, heading."""
+        """The drive's motion from stamp to stamp as wheels feel it, in the frame of the earlier
+        one; (n - 1, 3) x, y, heading."""
         skipped = self._skipped(stamps_s[:-1])
         before = self.drive.at(stamps_s[:-1] + skipped)
         return relative(before, self.drive.at(stamps_s[1:] + skipped))

@@ -10,10 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from msgspec import structs
 
-from trigpoint.geometry import CameraModel
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.target import Face, Target
 
 from .actors import Lift, Move, SimulatedCamera, SimulatedRobot
+from .odometry import chained, drawn_scales
+from .way import Way, scattered
 from .world import World
 
 _MOST_DRAWS = 100
@@ -68,11 +70,6 @@ class Disturbance:
     late_s: float = 3.0
     gaps_s: tuple[tuple[float, float], ...] = ()
 
-    @property
-    def changes_views(self) -> bool:
-        """Whether what a camera sees, noise aside, differs from the undisturbed world's."""
-        return bool(self.lens or self.mount_m or self.mount_rad or self.moves or self.lifts)
-
 
 def disturbed(world: World, disturbance: Disturbance) -> World:
     """A copy of the world in which cameras and robots are as they truly are."""
@@ -85,6 +82,37 @@ def disturbed(world: World, disturbance: Disturbance) -> World:
     ]
     changed.duration_s = world.duration_s - min(skipped_s)
     return changed
+
+
+def with_ways(world: World) -> World:
+    """A copy of the world in which the truth scatters about what is reported; see `way`."""
+    changed = copy.copy(world)
+    changed.__dict__.pop("_odometry", None)
+    times_s = [camera.picture_times(world.duration_s) for camera in world.cameras.values()]
+    changed.robots = {n: _scattered(world, r, times_s) for n, r in world.robots.items()}
+    return changed
+
+
+def _scattered(world: World, robot: SimulatedRobot, times_s: list[np.ndarray]) -> SimulatedRobot:
+    random = world.random("way", robot.name)
+    scale_errors = drawn_scales(robot.noise, random)
+    messages_s = world.odometry(robot.name).stamps_s
+    lifts_s = [lift.at_s for lift in robot.lifts]
+    stamps_s = np.unique(np.concatenate([messages_s, lifts_s, *times_s]))
+    stamps_s = stamps_s[stamps_s <= messages_s[-1]]
+    steps = scattered(robot.steps(stamps_s), robot.noise, scale_errors, random)
+    poses, first = [], 0
+    # Whoever lifts it puts it down where its plan is, whatever it has drifted.
+    for end in [*np.searchsorted(stamps_s, lifts_s).tolist(), len(stamps_s)]:
+        start = robot.planned(stamps_s[first])
+        part = chained(start, steps[first : end - 1])
+        poses.append(part)
+        first = end
+    way = Pose(
+        np.concatenate([pose.rotation for pose in poses]),
+        np.concatenate([pose.translation for pose in poses]),
+    )
+    return replace(robot, way=Way(stamps_s, way, scale_errors))
 
 
 def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> SimulatedCamera:

@@ -10,7 +10,7 @@ from trigpoint.clock import to_ns
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.messages import Message, Odometry, Sightings
 
-from .disturbance import Disturbance, disturbed
+from .disturbance import Disturbance, disturbed, with_ways
 from .session import EPOCH_NS
 from .visibility import SeenFace, may_be_seen
 from .world import World
@@ -66,14 +66,10 @@ class Simulated:
     truth: Truth
 
 
-def simulated(world: World, disturbance: Disturbance, views: Views | None = None) -> Simulated:
-    """A session of a world under a disturbance.
-
-    `views`: `views_of` the world, which many seeds may share where the disturbance leaves them.
-    """
-    actual = disturbed(world, disturbance)
-    if views is None or disturbance.changes_views:
-        views = views_of(actual)
+def simulated(world: World, disturbance: Disturbance) -> Simulated:
+    """A session of a world under a disturbance, its true ways by the letter of the contract."""
+    actual = with_ways(disturbed(world, disturbance))
+    views = views_of(actual)
     truth = Truth(actual)
     arrivals: list[tuple[int, int, str, Message]] = []
     order = itertools.count()
@@ -96,9 +92,8 @@ def views_of(world: World) -> Views:
     """What the cameras see of the robots, without noise."""
     views: Views = {}
     for name, camera in world.cameras.items():
-        count = int(np.floor((world.duration_s - camera.phase) * camera.rate)) + 1
-        times_s = camera.time_of(np.arange(count))
-        maybe = np.zeros(count, dtype=bool)
+        times_s = camera.picture_times(world.duration_s)
+        maybe = np.zeros(len(times_s), dtype=bool)
         for robot in world.robots.values():
             poses = robot.map_from_base(times_s)
             for moment_s in (0.0, *(move.at_s for move in camera.moves)):

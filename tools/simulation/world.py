@@ -132,6 +132,11 @@ class World:
     def _reported(self, robot: SimulatedRobot) -> OdometryLog:
         count = int(np.floor(self.duration_s * robot.odometry_rate)) + 1
         stamps_s = np.arange(count) / robot.odometry_rate
+        if robot.way is not None:
+            steps = robot.steps(stamps_s)
+            return OdometryLog(
+                stamps_s, chained(robot.odometry_start, steps), robot.way.scale_errors
+            )
         random = self.random("odometry", robot.name)
         scales = drawn_scales(robot.noise, random)
         noisy = reported(robot.steps(stamps_s), robot.noise, scales, random)

@@ -1,0 +1,61 @@
+"""What many sessions of one situation say together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .measure import Measure
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """The root of the mean of normalised squares, and its standard error; NaN of nothing."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """`efficiency` and `honesty`: over all sessions in which a camera was located; metres and
+    seconds are means; `wrong` and `undetermined`: sessions with such a camera."""
+
+    sessions: int
+    efficiency: Ratio
+    honesty: Ratio
+    distance: float
+    distance_bound: float
+    seconds: float
+    wrong: int
+    undetermined: int
+    made_up: int
+
+
+def summary_of(measures: list[Measure]) -> Summary:
+    """Of one situation and estimator; at least one measure."""
+    return Summary(
+        sessions=len(measures),
+        efficiency=_ratio([m.efficiency for m in measures if m.efficiency is not None]),
+        honesty=_ratio([m.honesty for m in measures if m.honesty is not None]),
+        distance=_mean(measures, lambda m: m.distance),
+        distance_bound=_mean(measures, lambda m: m.distance_bound),
+        seconds=_mean(measures, lambda m: m.seconds),
+        wrong=sum(bool(m.wrong) for m in measures),
+        undetermined=sum(bool(m.undetermined) for m in measures),
+        made_up=sum(bool(m.made_up) for m in measures),
+    )
+
+
+def _ratio(squares: list[float]) -> Ratio:
+    if not squares:
+        return Ratio(np.nan, np.nan)
+    value = float(np.sqrt(np.mean(squares)))
+    if len(squares) < 2:
+        return Ratio(value, np.nan)
+    error = float(np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * value))
+    return Ratio(value, error)
+
+
+def _mean(measures: list[Measure], of: Callable[[Measure], float]) -> float:
+    return float(np.mean([of(measure) for measure in measures]))
