@@ -17,9 +17,10 @@ from trigpoint.target import Face
 from .detector import Appearance
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown
+from .measurement import measured
+from .patches import CornerPattern
 from .picture import as_grey
-from .planar_fit import fit_plane, sound_corners
-from .refine import nearest_spacing, refined_saddles
+from .planar_fit import PlanarFit, fit_plane
 from .saddles import Curvature, find_saddles, sampled
 
 # Of a board's corners, how many must be seen.
@@ -152,24 +153,18 @@ def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Face
     if ids is None:
         return None
     # pyrDown's pixel (x, y) is the full picture's (2x, 2y).
-    pixels = grid.pixels * step
-    pixels = refined_saddles(grey, pixels, nearest_spacing(pixels))
-    order = np.argsort(ids)
-    ids, pixels = ids[order], pixels[order]
-    points = look.face.corners[ids, :2]
-    keep, sigma = sound_corners(points, pixels, (grey.shape[1], grey.shape[0]))
-    if keep.sum() < LEAST_SHARE * look.face.corner_count:
+    points, size = look.face.corners[ids, :2], (grey.shape[1], grey.shape[0])
+    fit = fit_plane(points, grid.pixels * step, size)
+    found = measured(grey, CornerPattern.of(look.face), fit) if fit else None
+    if found is None or len(found.corners) < LEAST_SHARE * look.face.corner_count:
         return None
-    if not _alternates(grey, look.face, points[keep], pixels[keep]):
+    if not alternates(grey, look.face, found.fit):
         return None
-    return look.sighting(ids[keep], pixels[keep], sigma)
+    return look.sighting(found.corners, found.pixels, found.sigma)
 
 
-def _alternates(grey: np.ndarray, face: Face, points: Array, pixels: Array) -> bool:
+def alternates(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     """Whether the squares inside the corners are dark and light in turn, the first one dark."""
-    fit = fit_plane(points, pixels, (grey.shape[1], grey.shape[0]))
-    if fit is None:
-        return False
     x, y = np.meshgrid(np.arange(face.columns - 2), np.arange(face.rows - 2))
     centres = face.square * (np.stack([x, y], axis=-1) + 0.5)
     values = sampled(grey, fit.project(centres.reshape(-1, 2))).reshape(x.shape)

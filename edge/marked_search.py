@@ -1,45 +1,22 @@
 """The search that ChArUco boards and AprilGrids share: quadrilaterals, markers, boards."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
 
-from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 
-from .detector import Appearance
+from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
-from .markers import MarkerReader, reader_key, readers_for
+from .markers import reader_key, readers_for
 from .quads import QuadFinder
-
-# A board's markers, looked at where its corners put them, must match so well on the mean.
-LEAST_AGREEMENT = 0.5
-
-
-class Board(Protocol):
-    """A look with markers."""
-
-    @property
-    def look(self) -> Appearance: ...
-
-    @property
-    def layout(self) -> Array:
-        """The markers' corners in the face frame by number, (m, 4, 2), metres."""
-        ...
-
-    def locate(
-        self, grey: np.ndarray, group: MarkerGroup, reader: MarkerReader
-    ) -> FaceSighting | None:
-        """The sighting that a group of markers leads to; None where the picture denies it."""
-        ...
 
 
 class MarkedSearch:
     """Finds boards with markers; one pass over the picture serves them all."""
 
-    def __init__(self, boards: Sequence[Board]) -> None:
+    def __init__(self, boards: Sequence[MarkedBoard]) -> None:
         """Raises TargetError for an unknown or too small dictionary."""
         self._boards = tuple(boards)
         self._readers = readers_for([board.look.face for board in boards])
@@ -54,12 +31,12 @@ class MarkedSearch:
                 found += self._search(cv2.bitwise_not(grey) if inverted else grey, boards)
         return tuple(found)
 
-    def _search(self, grey: np.ndarray, boards: list[Board]) -> list[FaceSighting]:
+    def _search(self, grey: np.ndarray, boards: list[MarkedBoard]) -> list[FaceSighting]:
         quads = self._finder.find(grey)
         if len(quads) == 0:
             return []
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}
-        claims: list[tuple[MarkerGroup, Board]] = []
+        claims: list[tuple[MarkerGroup, MarkedBoard]] = []
         for board in boards:
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
@@ -67,7 +44,7 @@ class MarkedSearch:
         return self._settled(grey, claims)
 
     def _settled(
-        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, Board]]
+        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, MarkedBoard]]
     ) -> list[FaceSighting]:
         """The claims that hold, heaviest first.
 
@@ -78,9 +55,9 @@ class MarkedSearch:
             if id(board) in seen or not taken.isdisjoint(group.quads.tolist()):
                 continue
             reader = self._readers[reader_key(board.look.face)]
-            sighting = board.locate(grey, group, reader)
-            if sighting is not None:
-                found.append(sighting)
+            measured = board.locate(grey, group, reader)
+            if measured is not None:
+                found.append(board.sighting(measured))
                 taken.update(group.quads.tolist())
                 seen.update([id(board)] if board.look.is_unique else [])
         return found

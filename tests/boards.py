@@ -15,6 +15,7 @@ NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 DARK, LIGHT, GROUND = 30.0, 215.0, 110.0
 _CELL_PX = 48
 _SUPERSAMPLING = 2
+_FINER = 3
 
 Placed = tuple[Face, Pose]
 """A face and camera_from_face."""
@@ -120,6 +121,35 @@ def picture_of(
     return np.clip(noisy, 0, 255).round().astype(np.uint8)
 
 
+def fine_picture_of(
+    views: Sequence[Placed],
+    *,
+    camera: CameraModel = CAMERA,
+    noise: float = 0.0,
+    blur_px: float = 0.4,
+    seed: int = 0,
+) -> np.ndarray:
+    """Like `picture_of`, drawn so finely that its corners are true to a hundredth of a pixel."""
+    larger = _FINER * camera.parameters[:4]
+    shift = (_FINER - 1) / 2  # of a pixel's centre
+    fine = CameraModel(
+        _FINER * camera.width,
+        _FINER * camera.height,
+        float(larger[0]),
+        float(larger[1]),
+        float(larger[2]) + shift,
+        float(larger[3]) + shift,
+        camera.distortion,
+    )
+    picture = picture_of(views, camera=fine, blur_px=0.0)
+    size = (camera.width, camera.height)
+    light = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    light = cv2.GaussianBlur(light, (0, 0), blur_px)
+    random = np.random.default_rng(seed)
+    noisy = light + random.normal(0.0, noise, light.shape) if noise else light
+    return np.clip(noisy, 0, 255).round().astype(np.uint8)
+
+
 def plain_picture(*, noise: float = 0.0, level: float = GROUND, seed: int = 0) -> np.ndarray:
     """A picture of nothing, (480, 640) uint8."""
     random = np.random.default_rng(seed)
@@ -213,11 +243,13 @@ def _tags(face: Face) -> np.ndarray:
     side = round((face.marker or 0.0) / face.square * _CELL_PX)
     height, width = ((count - 1) * _CELL_PX + side for count in (face.rows, face.columns))
     sheet = np.full((height, width), 255, np.uint8)
+    fine = 20 * side  # so many that a cell has whole texels
     for tag in range(face.columns * face.rows):
         row, column = divmod(tag, face.columns)
         drawn = cv2.aruco.generateImageMarker(
-            _dictionary(face), face.first_marker + tag, side, borderBits=face.border_bits
+            _dictionary(face), face.first_marker + tag, fine, borderBits=face.border_bits
         )
+        drawn = cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA)
         y, x = row * _CELL_PX, column * _CELL_PX
         sheet[y : y + side, x : x + side] = drawn
     return sheet

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from boards import charuco
 
-from trigpoint.edge.detector_charuco import charuco_layout
 from trigpoint.edge.marker_groups import group_markers
 from trigpoint.edge.markers import MarkerReader, Markers
 from trigpoint.edge.quads import mapped, square_to_quads
+from trigpoint.edge.sheet import charuco_layout
 
 FACE = charuco(first=20)
 QUAD = np.array([[49.5, 49.5], [109.5, 49.5], [109.5, 109.5], [49.5, 109.5]])

@@ -1,0 +1,133 @@
+"""The picture about each corner of a face, and what is printed there, drawn as the camera sees it.
+
+The drawing is on a lattice of half pixels, so that its derivatives are those of the picture.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Pattern
+
+from .planar_fit import PlanarFit
+from .sheet import Sheet, sheet_of
+
+LEAST_HALF_PX = 3
+MOST_HALF_PX = 6
+STEP = 2  # lattice points a pixel
+MARGIN_PX = 3  # of the drawing around the picture's part, for blur to come from
+_SLACK = 0.05  # of the reach, left out beside an unknown sector
+_OUTWARD = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+
+
+@dataclass(frozen=True, slots=True)
+class CornerPattern:
+    """What a face has around its corners. `points`: (n, 2) corners in the face frame; `reach`: how
+    far from a corner along both axes is looked at, metres; `outward`: (n, 2) signs of the axes'
+    directions of a sector that may be printed or not (Kalibr has squares there), 0 without one."""
+
+    face: Face
+    points: Array
+    reach: float
+    outward: Array
+
+    @classmethod
+    def of(cls, face: Face) -> "CornerPattern":
+        """The pattern of any face."""
+        points = face.corners[:, :2]
+        outward = np.zeros_like(points)
+        reach = 0.5 * face.square
+        if face.pattern is Pattern.APRILGRID:
+            outward = np.tile(
+                [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], (len(points) // 4, 1)
+            )
+            reach = min(0.5 * (face.marker or 0.0), face.square - (face.marker or 0.0))
+        return cls(face, points, reach, outward)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """`seen`, `weight`: (n, k²) grey values, and 1 where they count; `drawn`: (n, l, l) the sheet's
+    grey values on the lattice, MARGIN_PX wider, sharp."""
+
+    seen: np.ndarray
+    weight: np.ndarray
+    drawn: np.ndarray
+
+
+def patches_around(
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, pixels: Array
+) -> Patches:
+    """Patches about `pixels` (n, 2), the pattern moved from where `fit` has it to there."""
+    points = pattern.points[ids]
+    expected = fit.project(points)
+    across = fit.project(points + np.array([pattern.reach, 0.0])) - expected
+    down = fit.project(points + np.array([0.0, pattern.reach])) - expected
+    longest = float(np.max(np.abs(across) + np.abs(down), initial=0.0))
+    half = int(np.clip(np.ceil(longest), LEAST_HALF_PX, MOST_HALF_PX))
+    nearest = np.rint(pixels)
+    face_x, face_y = fit.points(*_lattice(nearest, pixels - expected, half + MARGIN_PX))
+    seen, inside = _gathered(grey, nearest.astype(int), half)
+    weight = inside & _near(pattern, ids, face_x, face_y)
+    reach_px = float(np.median(np.hypot(*across.T) + np.hypot(*down.T))) / 2
+    sheet = sheet_of(pattern.face, reach_px / pattern.reach * pattern.face.square)
+    n = len(ids)
+    return Patches(
+        seen.reshape(n, -1),
+        weight.reshape(n, -1).astype(np.float32),
+        _drawn(sheet, face_x, face_y),
+    )
+
+
+def _near(
+    pattern: CornerPattern, ids: np.ndarray, face_x: np.ndarray, face_y: np.ndarray
+) -> np.ndarray:
+    """Whether whole pixels of the lattice (n, l, l) show what is known about the corner;
+    (n, k, k)."""
+    whole = slice(STEP * MARGIN_PX, -STEP * MARGIN_PX, STEP)
+    corner = pattern.points[ids].astype(np.float32)[:, :, None, None]
+    off_x, off_y = face_x[:, whole, whole] - corner[:, 0], face_y[:, whole, whole] - corner[:, 1]
+    near = (np.abs(off_x) < pattern.reach) & (np.abs(off_y) < pattern.reach)
+    if pattern.outward.any():
+        out = pattern.outward[ids].astype(np.float32)[:, :, None, None]
+        slack = -_SLACK * pattern.reach
+        near &= ~((off_x * out[:, 0] > slack) & (off_y * out[:, 1] > slack))
+    return near
+
+
+def _lattice(nearest: Array, offset: Array, half: int) -> tuple[np.ndarray, np.ndarray]:
+    """x and y (n, l, l) of the half pixels about each whole pixel `nearest` (n, 2), seen as though
+    the corner were where the fit has it, `offset` (n, 2) less."""
+    places = np.arange(-STEP * half, STEP * half + 1, dtype=np.float32) / STEP
+    start = (nearest - offset).astype(np.float32)
+    shape = (len(nearest), len(places), len(places))
+    x = np.broadcast_to(start[:, 0, None, None] + places[None, None, :], shape)
+    y = np.broadcast_to(start[:, 1, None, None] + places[None, :, None], shape)
+    return x, y
+
+
+def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Grey values (n, k, k) about whole pixels (n, 2), and whether they lie in the picture."""
+    places = np.arange(-half, half + 1)
+    rows, columns = nearest[:, 1, None] + places, nearest[:, 0, None] + places
+    height, width = grey.shape
+    in_rows, in_columns = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
+    rows, columns = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
+    seen = grey[rows[:, :, None], columns[:, None, :]].astype(np.float32)
+    return seen, in_rows[:, :, None] & in_columns[:, None, :]
+
+
+def _drawn(sheet: Sheet, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The sheet at face points, (n, l, l) float32."""
+    n, side, _ = x.shape
+    scale, offset = np.float32(sheet.scale), np.float32(sheet.offset)
+    texel_x, texel_y = (
+        (x * scale + offset).reshape(-1, side),
+        (y * scale + offset).reshape(-1, side),
+    )
+    drawn = cv2.remap(
+        sheet.texels, texel_x, texel_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return drawn.astype(np.float32).reshape(n, side, side)

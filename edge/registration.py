@@ -1,0 +1,100 @@
+"""Measures corners by laying the printed pattern over the picture.
+
+Around each corner the pattern is drawn as the camera must see it: through the face's planar fit, so
+in its perspective and lens, and blurred as the picture is (`patches`). What is left between drawing
+and picture says how far the corner is off (`alignment`). Next squares and markers are in the
+drawing, so they pull at nothing, and blur widens both alike.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+from .alignment import aligned
+from .patches import MOST_HALF_PX, CornerPattern, patches_around
+from .planar_fit import PlanarFit, fit_plane, sound_corners
+
+ROUNDS = 2
+ROUGH_ROUNDS = 2
+# Variances xx and yy and covariance of the picture's blur to start from, pixel²: that of a sharp
+# lens and of the pixel's own width.
+START_BLUR = np.array([0.35, 0.35, 0.0])
+# By how much a picture is softened where corners are off by more than its own blur, pixel².
+SOFTENING = np.array([1.6, 1.6, 0.0])
+# A step is trusted so far, pixels.
+LONGEST_STEP_PX = 1.0
+LONGEST_ROUGH_STEP_PX = 2.5
+_AROUND_PX = MOST_HALF_PX + 6
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """Where corners are. `pixels`: (n, 2); `is_clear`: (n,) whether the picture shows the corner as
+    the pattern has it; `sigma`: (n,) of a coordinate by the picture's noise, pixels; `blur`: (3,)
+    variances xx, yy and covariance xy of the picture's blur, pixel²; `fit`: the last one used."""
+
+    pixels: Array
+    is_clear: np.ndarray
+    sigma: Array
+    blur: Array
+    fit: PlanarFit
+
+
+def registered(
+    grey: np.ndarray,
+    pattern: CornerPattern,
+    fit: PlanarFit,
+    ids: np.ndarray,
+    *,
+    blur: Array | None = None,
+    is_rough: bool = False,
+) -> Registration:
+    """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
+    two or three where `is_rough` (then one more round is made, with a wider drawing)."""
+    points = pattern.points[ids]
+    size = (grey.shape[1], grey.shape[0])
+    sharp = START_BLUR if blur is None else blur
+    pixels = fit.project(points)
+    clear, sigma = np.zeros(len(ids), dtype=bool), np.zeros(len(ids))
+    rough = ROUGH_ROUNDS if is_rough else 0
+    for turn in range(rough + ROUNDS):
+        if turn > 0:
+            fit, pixels = _refitted(fit, points, pixels, clear, size)
+        if turn < rough:
+            soft = _softened(grey, pixels)
+            patches = patches_around(soft, pattern, fit, ids, pixels)
+            found = aligned(patches, START_BLUR + SOFTENING, LONGEST_ROUGH_STEP_PX)
+        else:
+            patches = patches_around(grey, pattern, fit, ids, pixels)
+            found = aligned(patches, sharp, LONGEST_STEP_PX)
+            sigma, sharp = found.sigma, found.blur
+        clear = found.is_clear
+        pixels = pixels + np.where(clear[:, None], found.step, 0.0)
+    return Registration(pixels, clear, sigma, sharp, fit)
+
+
+def _softened(grey: np.ndarray, pixels: Array) -> np.ndarray:
+    """The picture with the part about `pixels` (n, 2) blurred by SOFTENING, the rest left out."""
+    low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - _AROUND_PX, 0, None)
+    high = np.ceil(pixels.max(axis=0)).astype(int) + _AROUND_PX
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    soft = np.zeros_like(grey)
+    if grey[part].size:
+        soft[part] = cv2.GaussianBlur(grey[part], (0, 0), float(np.sqrt(SOFTENING[0])))
+    return soft
+
+
+def _refitted(
+    fit: PlanarFit, points: Array, pixels: Array, clear: np.ndarray, size: tuple[int, int]
+) -> tuple[PlanarFit, Array]:
+    """The plane through the clear corners, and all of them, the others where it has them."""
+    usable = sound_corners(points[clear], pixels[clear], size)
+    better = fit_plane(points[clear][usable], pixels[clear][usable], size)
+    if better is None:
+        return fit, pixels
+    kept = clear.copy()
+    kept[clear] = usable
+    return better, np.where(kept[:, None], pixels, better.project(points))

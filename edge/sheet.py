@@ -1,0 +1,114 @@
+"""What is printed on a face, as a picture in the face's own coordinates."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Pattern
+
+from .markers import predefined_dictionary
+
+# Texels a square; the edges of squares lie between texels at every level.
+LEVELS = (12, 24, 48)
+_MOST_TEXELS = 6_000_000
+_MARGIN_SQUARES = 1
+_LIGHT = 255
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheet:
+    """A face as it is printed. `texels`: (h, w) uint8, 0 dark and 255 light; the face point (x, y)
+    lies at texel (x, y) · `scale` + `offset`, where whole numbers are texels' centres."""
+
+    texels: np.ndarray
+    scale: float
+    offset: float
+
+
+def sheet_of(face: Face, square_px: float) -> Sheet:
+    """The sheet whose texels are about a pixel where a square takes `square_px` pixels."""
+    return _sheets(face)[min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)]
+
+
+def charuco_layout(face: Face) -> Array:
+    """The markers' corners in the face frame by number, (m, 4, 2), metres."""
+    board = cv2.aruco.CharucoBoard(
+        (face.columns, face.rows),
+        face.square,
+        face.marker or 0.0,
+        predefined_dictionary(face.dictionary or ""),
+    )
+    board.setLegacyPattern(face.legacy)
+    corners = np.array(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
+    # OpenCV's origin is the board's outer corner, the contract's is corner 0.
+    return corners[..., :2] - face.square
+
+
+@cache
+def _sheets(face: Face) -> tuple[Sheet, ...]:
+    """The sheet at every level; inverted boards as they are in the picture's negative."""
+    finest = 2 * LEVELS[-1]
+    columns, rows = (count + 2 * _MARGIN_SQUARES for count in (face.columns, face.rows))
+    while columns * rows * finest**2 > _MOST_TEXELS and finest > LEVELS[-1]:
+        finest //= 2
+    printed = _printed(face, finest)
+    return tuple(
+        Sheet(
+            cv2.resize(printed, (columns * level, rows * level), interpolation=cv2.INTER_AREA),
+            level / face.square,
+            (_MARGIN_SQUARES + _before(face)) * level - 0.5,
+        )
+        for level in LEVELS
+    )
+
+
+def _before(face: Face) -> int:
+    """How many squares the pattern begins before corner 0."""
+    return 0 if face.pattern is Pattern.APRILGRID else 1
+
+
+def _printed(face: Face, level: int) -> np.ndarray:
+    """The pattern and a light margin, `level` texels a square."""
+    low = -_MARGIN_SQUARES - _before(face)
+    x, y = (
+        (np.arange((count + 2 * _MARGIN_SQUARES) * level) + 0.5) / level + low
+        for count in (face.columns, face.rows)
+    )
+    sheet = np.full((len(y), len(x)), _LIGHT, np.uint8)
+    if face.pattern is Pattern.APRILGRID:
+        layout = face.corners[:, :2].reshape(-1, 4, 2)
+    else:
+        layout = charuco_layout(face) if face.pattern is Pattern.CHARUCO else np.zeros((0, 4, 2))
+        _draw_squares(sheet, face, layout.mean(axis=1) / face.square, x, y)
+    for number, quad in enumerate(layout / face.square):
+        _draw_marker(sheet, face, number, quad, x, y)
+    return sheet
+
+
+def _draw_squares(sheet: np.ndarray, face: Face, markers: Array, x: Array, y: Array) -> None:
+    """Every other square dark, and none that holds a marker; lengths in squares."""
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    light = np.floor(markers[0]).astype(int).sum() % 2 if len(markers) else 1
+    dark = (row[:, None] + column[None]) % 2 != light
+    dark &= ((row >= -1) & (row < face.rows - 1))[:, None]
+    dark &= ((column >= -1) & (column < face.columns - 1))[None]
+    sheet[dark] = 0
+
+
+def _draw_marker(
+    sheet: np.ndarray, face: Face, number: int, quad: Array, x: Array, y: Array
+) -> None:
+    """The cells of one marker; lengths in squares."""
+    dictionary = predefined_dictionary(face.dictionary or "")
+    side = dictionary.markerSize + 2 * face.border_bits
+    marker = face.first_marker + number
+    cells = cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=face.border_bits)
+    columns, rows = (
+        np.floor((values - low) * side * face.square / (face.marker or face.square)).astype(int)
+        for values, low in ((x, quad[0, 0]), (y, quad[0, 1]))
+    )
+    on_x, on_y = (np.flatnonzero((place >= 0) & (place < side)) for place in (columns, rows))
+    sheet[np.ix_(on_y, on_x)] = cells[np.ix_(rows[on_y], columns[on_x])]
