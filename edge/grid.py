@@ -19,6 +19,8 @@ NEAREST = 14
 ANGLE_TOLERANCE_RAD = np.radians(40.0)
 LEAST_CORNERS = 4
 LONGEST_RATIO = 2.2
+# Of a step, how much the next one and those beside it may differ.
+MOST_CHANGED = 0.5
 # Steps of the four directions of a corner: x, y, -x, -y.
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
@@ -126,26 +128,27 @@ def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
     """The connected grids of a link table that are large enough."""
     seen = np.zeros(len(links), dtype=bool)
     order = np.argsort(-(links[..., 0] >= 0).sum(axis=1), kind="stable")
-    table = links.tolist()
+    table, spots = links.tolist(), [complex(x, y) for x, y in saddles.pixels.tolist()]
     grids = []
     for seed in order.tolist():
         if not seen[seed]:
-            placed = _walk_from(seed, table, seen)
+            placed = _walk_from(seed, table, seen, spots)
             if len(placed) >= LEAST_CORNERS:
                 grids.append(_grid(saddles, placed))
     return grids
 
 
 def _walk_from(
-    seed: int, links: list[list[list[int]]], seen: np.ndarray
+    seed: int, links: list[list[list[int]]], seen: np.ndarray, spots: list[complex]
 ) -> dict[int, tuple[int, int, int]]:
     """Place (x, y) and turn of every corner that links reach from the seed, by corner.
 
-    `turn`: which of the corner's own directions is the grid's x. A corner whose place is taken, or
-    that would get two places, is left where it was first put.
+    `turn`: which of the corner's own directions is the grid's x; `spots`: pixels as x + iy. A
+    corner whose place is taken, or that would get two places, is left where it was first put; one
+    that does not go on as the grid does belongs to another board.
     """
     placed = {seed: (0, 0, 0)}
-    taken = {(0, 0)}
+    taken = {(0, 0): spots[seed]}
     seen[seed] = True
     waiting = deque([seed])
     while waiting:
@@ -156,13 +159,33 @@ def _walk_from(
                 continue
             step = (direction - turn) % 4
             place = (x + _STEPS[step][0], y + _STEPS[step][1])
-            if place in taken:
+            if place in taken or not _goes_on(taken, (x, y), _STEPS[step], spots[neighbour]):
                 continue
             placed[neighbour] = (*place, (back - step - 2) % 4)
-            taken.add(place)
+            taken[place] = spots[neighbour]
             seen[neighbour] = True
             waiting.append(neighbour)
     return placed
+
+
+def _goes_on(
+    taken: dict[tuple[int, int], complex],
+    place: tuple[int, int],
+    step: tuple[int, int],
+    to: complex,
+) -> bool:
+    """Whether a step from a taken place leads `to` about where the grid's other steps say."""
+    (x, y), (dx, dy), here = place, step, taken[place]
+    for behind, ahead in (
+        ((x - dx, y - dy), place),
+        ((x + dy, y + dx), (x + dy + dx, y + dx + dy)),
+        ((x - dy, y - dx), (x - dy + dx, y - dx + dy)),
+    ):
+        if behind in taken and ahead in taken:
+            other = taken[ahead] - taken[behind]
+            if abs(to - here - other) > MOST_CHANGED * abs(other):
+                return False
+    return True
 
 
 def _grid(saddles: Saddles, placed: dict[int, tuple[int, int, int]]) -> Grid:
