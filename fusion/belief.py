@@ -5,7 +5,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.clock import to_ns, to_seconds
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, hat
 
@@ -132,4 +132,4 @@ def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: A
         return np.zeros((*map_from_base.translation.shape[:-1], 6))
     motion = track.motion(np.array([begin, end]), scales).earlier_from_later[0]
     moved = (map_from_base @ motion).difference(map_from_base)
-    return moved / ((end - begin) * 1e-9)
+    return moved / to_seconds(end - begin)

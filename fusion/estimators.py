@@ -29,17 +29,11 @@ def check_estimator(site: Site) -> None:
     asked = []
     if site.fusion.target_translation > 0 or site.fusion.target_rotation > 0:
         asked.append("the faces' places on the robot (fusion.target_translation, target_rotation)")
-    if chosen == "particle":
-        asked += [
-            f"the intrinsics of camera {name}"
-            for name, camera in site.cameras.items()
-            if camera.estimates_intrinsics
-        ]
-        asked += [
-            f"the time offset of camera {name} (time_offset_sigma)"
-            for name, camera in site.cameras.items()
-            if camera.time_offset_sigma > 0
-        ]
+    for name, camera in site.cameras.items():
+        if camera.estimates_intrinsics:
+            asked.append(f"the intrinsics of camera {name}")
+        if camera.time_offset_sigma > 0 and chosen == "particle":
+            asked.append(f"the time offset of camera {name} (time_offset_sigma)")
     if asked:
         raise ConfigError(
             f"the estimator «{chosen}» does not work out {asked[0]}; "

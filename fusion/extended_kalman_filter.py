@@ -2,7 +2,7 @@
 
 The state is an error about nominal poses, in the contract's disturbances: each robot's last pose
 (x, y and heading where it is planar), every camera, and where the site file gives them a prior
-sigma its lens and time offset and the robots' odometry scales. After each update the error is put
+sigma the cameras' time offsets and the robots' odometry scales. After each update the error is put
 into the nominal state, which is then linearised about anew (iterated: Bell and Cathey, «The
 iterated Kalman filter update as a Gauss-Newton method», 1993).
 
@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.clock import to_seconds
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
-from .assembly import lens_sigmas
 from .belief import Sight, Surprise, carry, velocity
 from .dataset import DataSet
 from .estimator import CameraEstimate
@@ -88,16 +88,14 @@ class KalmanBelief:
     def estimate(self, camera: str) -> CameraEstimate:
         state, part = self.states[camera], self.columns["pose", camera]
         sigmas = np.sqrt(np.diagonal(self.covariance))
-        lens_sigma, offset_sigma = np.zeros(len(state.lens.parameters)), 0.0
-        if ("lens", camera) in self.columns:
-            lens_sigma = sigmas[self.columns["lens", camera]]
+        offset_sigma = 0.0
         if ("offset", camera) in self.columns:
             offset_sigma = float(sigmas[self.columns["offset", camera]][0])
         return CameraEstimate(
             state.map_from_camera,
             self.covariance[part, part].copy(),
             state.lens,
-            lens_sigma,
+            np.zeros(len(state.lens.parameters)),
             state.time_offset_s,
             offset_sigma,
         )
@@ -183,7 +181,9 @@ class KalmanBelief:
     ) -> "tuple[KalmanBelief, Surprise] | None":
         name, robot = sight.observation.camera, sight.observation.robot
         camera_from_base = camera.map_from_camera.inverse() @ sight.map_from_base
-        placed = replace(camera, map_from_camera=self.poses[robot] @ camera_from_base.inverse())
+        # What is known of its time offset before any sighting is that it is about nothing.
+        map_from_camera = self.poses[robot] @ camera_from_base.inverse()
+        placed = CameraState(map_from_camera, data.lenses[name])
         return self._with_camera_priors(data, name, placed)._entered(data, sight, ("pose", name))
 
     def _entered(
@@ -226,33 +226,37 @@ class KalmanBelief:
         after = replace(after._moved(kalman.x), covariance=symmetric(kalman.P))
         return after, _surprise(after._view(data, sight), view, chi2, lower)
 
+    def _seen(self, data: DataSet, sight: Sight) -> tuple[Pose, Array]:
+        """Where the robot was when it was seen, and its disturbance per second then, (6,).
+
+        Its node stands where an earlier estimate of the camera's time offset put it.
+        """
+        camera, robot = sight.observation.camera, sight.observation.robot
+        pose, node_ns = self.poses[robot], self.stamps_ns[robot]
+        if ("offset", camera) not in self.columns:
+            return pose, np.zeros(6)
+        moving = velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
+        after_s = to_seconds(sight.observation.stamp_ns - node_ns)
+        return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
+
     def _view(self, data: DataSet, sight: Sight) -> RelativeView | None:
-        camera = self.states[sight.observation.camera]
-        robot = sight.observation.robot
-        pose = camera.map_from_camera.inverse() @ self.poses[robot]
-        return relative_view(
-            sight.observation,
-            data.targets[robot],
-            camera.lens,
-            pose,
-            is_lens_open=("lens", sight.observation.camera) in self.columns,
-        )
+        camera, robot = self.states[sight.observation.camera], sight.observation.robot
+        pose, _ = self._seen(data, sight)
+        camera_from_base = camera.map_from_camera.inverse() @ pose
+        return relative_view(sight.observation, data.targets[robot], camera.lens, camera_from_base)
 
     def _jacobian(self, data: DataSet, sight: Sight, view: RelativeView) -> Array:
         """The compressed residual by the whole error, (k, n)."""
         camera, robot = sight.observation.camera, sight.observation.robot
-        state, pose, tangent = self.states[camera], self.poses[robot], self.tangents[robot]
-        by_camera, by_base = relative_jacobians(state.map_from_camera, pose)
+        pose, moving = self._seen(data, sight)
+        by_camera, by_base = relative_jacobians(self.states[camera].map_from_camera, pose)
+        by_base = view.root @ by_base
         jacobian = np.zeros((len(view.residual), len(self.covariance)))
-        by_pose = view.root[:, :6]
-        jacobian[:, self.columns["pose", camera]] = by_pose @ by_camera
-        jacobian[:, self.columns["last", robot]] = by_pose @ by_base[:, tangent]
-        if ("lens", camera) in self.columns:
-            jacobian[:, self.columns["lens", camera]] = view.root[:, 6:]
+        jacobian[:, self.columns["pose", camera]] = view.root @ by_camera
+        jacobian[:, self.columns["last", robot]] = by_base[:, self.tangents[robot]]
         if ("offset", camera) in self.columns:
             # True time = stamp - offset: a larger one looks at the robot earlier on its way.
-            moving = velocity(data.tracks[robot], pose, self.stamps_ns[robot], self.scales(robot))
-            jacobian[:, self.columns["offset", camera]] = -(by_pose @ by_base @ moving)[:, None]
+            jacobian[:, self.columns["offset", camera]] = -(by_base @ moving)[:, None]
         return jacobian
 
     # -- the state's parts ------------------------------------------------------------------------
@@ -260,9 +264,6 @@ class KalmanBelief:
     def _with_camera_priors(self, data: DataSet, camera: str, state: CameraState) -> "KalmanBelief":
         config = data.site.cameras[camera]
         belief = replace(self, states=self.states | {camera: state})
-        if config.estimates_intrinsics:
-            sigmas = lens_sigmas(config, data.lenses[camera])
-            belief = belief._with_part(("lens", camera), np.diag(sigmas**2))
         if config.time_offset_sigma > 0:
             variance = np.array([[config.time_offset_sigma**2]])
             belief = belief._with_part(("offset", camera), variance)
@@ -295,7 +296,7 @@ class KalmanBelief:
 
     def without_camera(self, camera: str) -> "KalmanBelief":
         states = {name: state for name, state in self.states.items() if name != camera}
-        gone = [("pose", camera), ("lens", camera), ("offset", camera)]
+        gone = [("pose", camera), ("offset", camera)]
         return replace(self, states=states)._without(gone)
 
     def without_robot(self, robot: str) -> "KalmanBelief":
@@ -327,8 +328,6 @@ class KalmanBelief:
             elif kind == "pose":
                 pose = states[name].map_from_camera.moved(error[part])
                 states[name] = replace(states[name], map_from_camera=pose)
-            elif kind == "lens":
-                states[name] = replace(states[name], lens=_moved_lens(states[name], error[part]))
             elif kind == "offset":
                 offset_s = states[name].time_offset_s + float(error[part][0])
                 states[name] = replace(states[name], time_offset_s=offset_s)
@@ -349,12 +348,6 @@ def _update(kalman: ExtendedKalmanFilter, jacobian: Array, residual: Array) -> N
     kalman.update(
         np.zeros(len(residual)), lambda _: jacobian, lambda error: residual + jacobian @ error
     )
-
-
-def _moved_lens(state: CameraState, step: Array) -> CameraModel:
-    parameters = state.lens.parameters + step
-    parameters[:2] = np.maximum(parameters[:2], 1.0)  # a focal length stays positive
-    return state.lens.with_parameters(parameters)
 
 
 def _true_ns(sight: Sight, camera: CameraState) -> int:

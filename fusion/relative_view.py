@@ -1,6 +1,6 @@
 """A sighting as a measurement of camera_from_base: all that a picture says of camera and robot.
 
-The corners' residuals depend on camera_from_base alone (and on the lens), so that the least squares
+The corners' residuals depend on camera_from_base alone, so that the least squares
 over a hundred corners are those over six numbers: with the thin factorisation J = Q R of their
 weighted Jacobian, |r + J d|² = |Qᵀr + R d|² + what no pose explains (Golub and Van Loan, «Matrix
 Computations», section 5.3). Both filters measure by this.
@@ -27,9 +27,9 @@ _LEAST_CORNERS = 4
 class RelativeView:
     """A sighting to first order about `camera_from_base`.
 
-    A disturbance d (6,) of that pose and a change l (q,) of the lens cost
-    |residual + root (d, l)|², unit noise each; `root`: (k, 6 + q), `residual`: (k,). `left_over`:
-    χ² that no pose explains, over `freedom`; `rms_px`: of a used coordinate.
+    A disturbance d (6,) of that pose costs |residual + root d|², unit noise each; `root`: (6, 6),
+    `residual`: (6,). `left_over`: χ² that no pose explains, over `freedom`; `rms_px`: of a used
+    coordinate.
     """
 
     camera_from_base: Pose
@@ -45,26 +45,20 @@ def relative_view(
     target: Target,
     lens: CameraModel,
     camera_from_base: Pose,
-    *,
-    is_lens_open: bool = False,
 ) -> RelativeView | None:
-    """The view of a read observation at a pose; None where a corner lies behind the camera.
-
-    `is_lens_open`: whether the lens's parameters are unknowns too.
-    """
+    """The view of a read observation at a pose; None where a corner lies behind the camera or too
+    few are left."""
     points = points_of(observation, target)
     arm = points.in_base(base_from_faces(target)) @ camera_from_base.rotation.T
     optical = arm + camera_from_base.translation
     used = points.weights > 0
     if np.any(optical[used, 2] < 1e-3) or used.sum() < _LEAST_CORNERS:
         return None
-    pixels, by_optical, by_lens = lens.project_jacobians(optical[used])
+    pixels, by_optical, _ = lens.project_jacobians(optical[used])
     weights = points.weights[used][:, None]
     apart = pixels - points.pixels[used]
-    parts = [by_optical, -by_optical @ hat(arm[used])]
-    if is_lens_open:
-        parts.append(by_lens)
-    jacobian = (np.concatenate(parts, axis=-1) * weights[..., None]).reshape(2 * len(apart), -1)
+    jacobian = np.concatenate([by_optical, -by_optical @ hat(arm[used])], axis=-1)
+    jacobian = (jacobian * weights[..., None]).reshape(2 * len(apart), 6)
     residual = (apart * weights).reshape(-1)
     if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(residual))):
         return None

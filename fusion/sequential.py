@@ -42,6 +42,10 @@ _GATE = 1e-5
 # be: it was carried.
 _CARRIED = 4
 _LEAST_TO_DROP = 4
+_LOOSE = (
+    "position and orientation in the map: the robot was not tied to it any more when it came here, "
+    "since its odometry jumped or it was carried; drive there without a break"
+)
 
 
 @dataclass(slots=True)
@@ -162,9 +166,7 @@ class SequentialEstimator:
         if len(self._steps) > _HISTORY:
             self._steps[-_HISTORY - 1].before = None
         if after is None:
-            # What came before the first sighting that shows where its camera is waits for it.
-            is_open = camera not in before.cameras
-            verdict = Verdict.PENDING if is_open else Verdict.REJECTED
+            verdict = Verdict.REJECTED if self._is_used(before, index) else Verdict.PENDING
             entry.observation = entry.observation.judged(verdict)
             self._belief = self._unless_carried(before, robot)
             return None
@@ -174,6 +176,16 @@ class SequentialEstimator:
         entry.map_from_base = step.map_from_base = estimate.map_from_base
         is_new = camera not in before.cameras
         return estimate if not is_new and is_placed(estimate.covariance) else None
+
+    def _is_used(self, belief: Belief, index: int) -> bool:
+        """Whether a sighting could have been used: what comes before its camera's first sighting,
+        or while the robot may be anywhere, says nothing yet."""
+        observation = self.data.entries[index].observation
+        if observation.camera in belief.cameras:
+            return True
+        read = self._located[observation.camera].readings
+        robots = {self.data.entries[i].observation.robot for i in read}
+        return observation.robot in robots and observation.robot in belief.stamps_ns
 
     def _used(self, before: Belief, entry: Entry, time_ns: int) -> tuple[Belief, Surprise] | None:
         """With a sighting by a camera of the belief, where it does not contradict it."""
@@ -286,7 +298,7 @@ class SequentialEstimator:
             self._apply(index)
         assert self._belief is not None
         if camera not in self._belief.cameras:
-            self._forget(camera, "its pictures do not determine it one by one")
+            self._forget(camera, _LOOSE)
             return Update()
         return Update(located=(camera,))
 
@@ -368,7 +380,7 @@ class SequentialEstimator:
                 self.solve()
             for name in found:
                 if name not in self._belief.cameras:
-                    self._forget(name, "its pictures do not determine it one by one")
+                    self._forget(name, _LOOSE)
             if not found:
                 return
 
