@@ -5,6 +5,7 @@ minutes on near-black pictures. A board counts as seen where its grid is complet
 height; single corners may be missing.
 """
 
+from collections import deque
 from collections.abc import Sequence
 
 import cv2
@@ -16,7 +17,7 @@ from trigpoint.target import Face
 
 from .detector import Appearance
 from .grid import Grid, find_grids
-from .grid_growth import LEAST_SEED, cleaned, grown
+from .grid_growth import LEAST_SEED, cleaned, grown, largest_flat
 from .measurement import measured
 from .patches import CornerPattern
 from .picture import as_grey
@@ -59,12 +60,27 @@ class CheckerboardDetector:
         saddles = find_saddles(curvature)
         if len(saddles) < min(self._least, LEAST_SEED):
             return ()
-        found = []
-        for grid in find_grids(saddles)[:MOST_GRIDS]:
+        found: list[FaceSighting] = []
+        waiting = deque(find_grids(saddles)[:MOST_GRIDS])
+        for _ in range(MOST_GRIDS):
+            if not waiting:
+                break
+            grid = waiting.popleft()
             sighting = self._match(grid, curvature, grey, step)
-            if sighting is not None and not any(_same_place(sighting, other) for other in found):
+            if sighting is None:
+                waiting.extend(self._parts(grid, small))
+            elif not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
         return tuple(found)
+
+    def _parts(self, grid: Grid, small: np.ndarray) -> list[Grid]:
+        """A grid that is no board, taken apart where it runs over two planes."""
+        if len(grid) < 2 * LEAST_SEED:
+            return []
+        flat = largest_flat(grid, (small.shape[1], small.shape[0]))
+        if flat.all() or flat.sum() < LEAST_SEED:
+            return []
+        return [grid.only(flat), grid.only(~flat)]
 
     def _match(
         self, grid: Grid, curvature: Curvature, grey: np.ndarray, step: int

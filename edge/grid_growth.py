@@ -9,6 +9,10 @@ from .planar_fit import PlanarFit, fit_plane, sound_corners
 from .saddles import Curvature, Saddles, examine
 
 LEAST_SEED = 9
+MOST_SEEDS = 6
+# How far a seed's surroundings reach, steps; how far off their plane a corner may be, of a step.
+SEED_REACH = 2
+FLAT = 0.15
 MOST_ROUNDS = 6
 # A predicted corner may be this much weaker than one that nothing predicted,
 TOLERANCE = 1.7
@@ -20,6 +24,27 @@ def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
     """The grid without corners that lie off its plane; `size`: width and height of the picture."""
     keep = sound_corners(grid.places.astype(float), grid.pixels, size)
     return grid.only(keep)
+
+
+def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
+    """Which corners (n,) of a grid lie on the plane that most of them share; for a grid that runs
+    over two boards. Planes are laid through the surroundings of some corners."""
+    best = np.zeros(len(grid), dtype=bool)
+    apart = np.abs(grid.places[:, None] - grid.places[None]).max(axis=-1)
+    crowded = np.argsort(-(apart <= 1).sum(axis=1), kind="stable")
+    for seed in crowded[:: max(1, len(grid) // MOST_SEEDS)][:MOST_SEEDS]:
+        keep = apart[seed] <= SEED_REACH
+        for _ in range(2):
+            if keep.sum() < LEAST_SEED:
+                break
+            fit = fit_plane(grid.places[keep].astype(float), grid.pixels[keep], size)
+            if fit is None:
+                break
+            spacing = np.median(np.linalg.norm(np.diff(grid.pixels[keep], axis=0), axis=-1))
+            keep = fit.residuals(grid.places.astype(float), grid.pixels) < FLAT * spacing
+            if keep.sum() > best.sum():
+                best = keep
+    return best
 
 
 def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
