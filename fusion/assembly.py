@@ -16,6 +16,7 @@ from .observations import Observation, points_of
 from .odometry_track import Motion
 from .problem import (
     Batch,
+    CameraState,
     Chain,
     Priors,
     Problem,
@@ -61,6 +62,7 @@ def assemble(
     )
     priors = _priors(data, cameras, list(chains), anchored=anchored)
     layout = layout_of(cameras, chains, priors, start)
+    start = State(_of_one_lens(start.cameras, priors.owners), start.robots)
     batches = _batches(data, chains, entries, node_of)
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
@@ -68,7 +70,20 @@ def assemble(
 def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bool) -> list[str]:
     seen = {data.entries[index].observation.camera for index in entries}
     known = set(data.known.poses) if anchored else set()
-    return [name for name in data.site.cameras if name in state.cameras and name in seen | known]
+    return [name for name in data.camera_names if name in state.cameras and name in seen | known]
+
+
+def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dict[str, CameraState]:
+    """The places of one camera with its one lens and clock."""
+    return {
+        name: CameraState(
+            camera.map_from_camera,
+            cameras[owners[name]].lens,
+            cameras[owners[name]].time_offset_s,
+            cameras[owners[name]].time_drift,
+        )
+        for name, camera in cameras.items()
+    }
 
 
 def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
@@ -209,16 +224,19 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
     fusion = site.fusion
     moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
     known = data.known if anchored else KnownCameras.none()
+    owners = {name: _first(data.places_of(data.site_camera(name)), cameras) for name in cameras}
+    configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}
     return Priors(
+        owners=owners,
         lens={
-            name: (data.lenses[name].parameters, lens_sigmas(site.cameras[name], data.lenses[name]))
+            name: (data.lenses[name].parameters, lens_sigmas(configs[name], data.lenses[name]))
             for name in cameras
-            if site.cameras[name].estimates_intrinsics
+            if name in configs and configs[name].estimates_intrinsics
         },
         time_offset={
             name: np.array([camera.time_offset_sigma, camera.time_drift_sigma])
             for name in cameras
-            if (camera := site.cameras[name]).time_offset_sigma > 0
+            if name in configs and (camera := configs[name]).time_offset_sigma > 0
         },
         scales=scales,
         faces={
@@ -233,6 +251,10 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
         cameras=known.poses,
         camera_information=known.information,
     )
+
+
+def _first(names: list[str], present: list[str]) -> str:
+    return next(name for name in names if name in present)
 
 
 def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:

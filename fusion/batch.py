@@ -17,20 +17,22 @@ import numpy as np
 from trigpoint.geometry import Pose
 
 from . import judge, repeated
+from .alignment import PosePrior, align
 from .assembly import Assembled
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
-from .alignment import PosePrior, align
 from .filter import Filter, RobotEstimate
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
 from .problem import State
 from .solver import Solution
+from .survey import camera_estimates
 from .trajectory import interpolated
 
 _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_SETTLING = 3
+_LEAST_USED = 3
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
@@ -96,9 +98,18 @@ class BatchSolution:
         self.assembled, self.solution = rounds
         self._forget_unused(self.assembled)
         known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        self._say_earlier(known)
         self._guess_rest()
         dropped = self._drop_misplaced()
         return self.solve(known) if dropped else known
+
+    def _say_earlier(self, known: Filter) -> None:
+        """Where cameras were before they were moved, as it is known now."""
+        estimates = camera_estimates(known, [move.name for move in self.data.moves])
+        for move in self.data.moves:
+            if move.name in estimates:
+                move.map_from_camera = estimates[move.name].map_from_camera
+                move.covariance = estimates[move.name].covariance
 
     def _rounds(self) -> tuple[Assembled, Solution] | None:
         """Solve and judge until nothing changes; None where nothing is left to solve."""
@@ -227,11 +238,11 @@ class BatchSolution:
         """A camera most of whose observations contradict its place loses it, and starts anew;
         whether there was one."""
         for camera in list(self.state.cameras):
-            if camera in self.data.known.poses:
+            if camera in self.data.known.poses or camera not in self.data.site.cameras:
                 continue
             entries = self.data.of_camera(camera)
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
-            if accepted * 2 >= len(entries):
+            if accepted * 2 >= len(entries) or may_have_moved(entries):
                 continue
             cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
             self.state = State(cameras, self.state.robots)
@@ -241,6 +252,13 @@ class BatchSolution:
             self.tries[camera] = len(entries)
             return True
         return False
+
+
+def may_have_moved(entries: list[Entry]) -> bool:
+    """Whether a camera's observations were used up to a moment, and contradict since then."""
+    used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
+    wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
+    return bool(len(used) >= _LEAST_USED and wrong and min(wrong) > max(used))
 
 
 def align_to(

@@ -1,7 +1,7 @@
 """Everything that came in: the robots' odometry and the observations, and what is held of them."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,10 +42,32 @@ class KnownCameras:
 
 
 @dataclass(slots=True)
+class Move:
+    """A camera that was moved: `name`: what its earlier pose is called among the cameras;
+    `since_ns`: the first sighting from its new place; `until_ns`: the last one from the old."""
+
+    camera: str
+    name: str
+    since_ns: int
+    until_ns: int
+    map_from_camera: Pose | None = None
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to the site, for people: `kind` is counted."""
+
+    kind: str
+    text: str
+
+
+@dataclass(slots=True)
 class DataSet:
     """The estimator's inputs so far. Not thread-safe.
 
-    `lenses`: a camera's lens, where it is known or where its estimation starts.
+    `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
+    of time; `events`: what nobody has been told yet.
     """
 
     site: Site
@@ -54,6 +76,8 @@ class DataSet:
     known: KnownCameras
     tracks: dict[str, OdometryTrack] = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
+    moves: list[Move] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for name, robot in self.site.robots.items():
@@ -74,6 +98,30 @@ class DataSet:
     def since_epoch_s(self, stamps_ns: np.ndarray | int) -> Array:
         """Stamps in seconds since the epoch, of the same shape."""
         return np.asarray(stamps_ns - self.epoch_ns) / NANOSECONDS
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Every camera and every earlier place of one."""
+        return [*(move.name for move in self.moves), *self.site.cameras]
+
+    def site_camera(self, name: str) -> str:
+        """The camera of a place of it."""
+        return next((move.camera for move in self.moves if move.name == name), name)
+
+    def places_of(self, camera: str) -> list[str]:
+        """The names of a camera's places, in order of time, its own the last."""
+        return [*(move.name for move in self.moves if move.camera == camera), camera]
+
+    def rename(self, camera: str, name: str, *, until_ns: int) -> None:
+        """Let a camera's observations before a moment be those of another."""
+        for entry in self.entries:
+            observation = entry.observation
+            if observation.camera == camera and observation.stamp_ns < until_ns:
+                entry.observation = replace(observation, camera=name)
+
+    def note(self, kind: str, text: str) -> None:
+        """Have people told."""
+        self.events.append(Event(kind, text))
 
     def of_camera(self, camera: str) -> list[Entry]:
         return [entry for entry in self.entries if entry.observation.camera == camera]

@@ -5,6 +5,7 @@ robot is taken to move with a constant twist, so a part of an increment is the s
 twist, and its variance the same part of the increment's.
 """
 
+import bisect
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -30,6 +31,7 @@ _GAP_SHARE = 0.5
 _GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 _UNKNOWN_VARIANCE = 100.0**2
+_STILL = 1e-9
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
@@ -168,6 +170,21 @@ class OdometryTrack:
         self._jumps[row] = True
         self._jump_rows.append(row)
         return Added.JUMP
+
+    def break_between(self, after_ns: int, before_ns: int) -> None:
+        """Between two moments the robot was moved in a way that odometry does not show.
+
+        It was while it stood, as far as that is known: the motion of that step is unknown then.
+        """
+        first = int(np.searchsorted(self.stamps_ns, after_ns, "left")) + 1
+        last = int(np.searchsorted(self.stamps_ns, before_ns, "right")) - 1
+        if first > last:  # no whole step lies between them
+            first = last = int(np.clip(last + 1, 1, self._count - 1))
+        still = np.abs(self._twists[first : last + 1]).max(axis=1) < _STILL
+        row = last - int(np.argmax(still[::-1]))
+        if not self._jumps[row]:
+            self._jumps[row] = True
+            bisect.insort(self._jump_rows, row)
 
     def _grow(self) -> None:
         if self._count < len(self._stamps):
@@ -311,7 +328,7 @@ def _compose(
     by_scale[:, :, 1] = np.add.reduceat(turning[..., 0], starts, axis=0)
     moved = np.maximum.reduceat(np.abs(twists).max(axis=1), starts, axis=0)
     unknown = np.maximum.reduceat(covariance[:, 0, 0], starts, axis=0) >= _UNKNOWN_VARIANCE
-    return Motion(whole, total, by_scale, (moved < 1e-9) & ~unknown)
+    return Motion(whole, total, by_scale, (moved < _STILL) & ~unknown)
 
 
 def composed(steps: Pose) -> Pose:

@@ -234,9 +234,17 @@ class Pipeline:
         if update.problem:
             self.counts["unusable"] += 1
             self._problem = update.problem
+        self._note_events()
         if update.correction is not None and not is_late:
             self._correct(observation.robot, update.correction)
         self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
+
+    def _note_events(self) -> None:
+        """Count what happened to the site, and say it."""
+        events, self._data.events = self._data.events, []
+        for event in events:
+            self.counts[event.kind] += 1
+            self._problem = event.text
 
     def _correct(self, robot: str, estimate: RobotEstimate) -> None:
         map_id = self.map_id
@@ -307,6 +315,7 @@ class Pipeline:
                 for observation in self._intake.rest(robot, track.last_ns):
                     self._use(observation, None)
         self._estimator.finish()
+        self._note_events()
         last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
         self._say_cameras(last_ns, is_urgent=True)
         return self.advance()

@@ -13,7 +13,7 @@ axes; a planar robot by x, y and heading alone. The last node of each robot is i
 that what is left after the chains are eliminated is what a filter would know.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -110,7 +110,8 @@ class Priors:
     `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
     drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,
     rotation sigma); `cameras`: known poses by name with their joint information (6n, 6n), in the
-    order of the dict.
+    order of the dict; `owners`: camera -> the one whose lens and clock it has (of a camera's places
+    the first).
     """
 
     lens: dict[str, tuple[Array, Array]]
@@ -119,6 +120,7 @@ class Priors:
     faces: dict[str, tuple[Pose, float, float]]
     cameras: dict[str, Pose]
     camera_information: Array
+    owners: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +161,9 @@ def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, stat
         for name in cameras
         if name in priors.lens
     }
+    lens |= {n: lens[o] for n, o in priors.owners.items() if o in lens}
     time_offset = {name: take(2) for name in cameras if name in priors.time_offset}
+    time_offset |= {n: time_offset[o] for n, o in priors.owners.items() if o in time_offset}
     scales = {name: take(2) for name in chains if name in priors.scales}
     faces = {name: take(6 * len(priors.faces[name][0])) for name in chains if name in priors.faces}
     last = {name: take(len(chain.tangent)) for name, chain in chains.items()}

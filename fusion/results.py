@@ -10,6 +10,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import (
     CameraRecord,
+    EarlierPose,
     FaceRecord,
     IntrinsicsRecord,
     Network,
@@ -20,7 +21,7 @@ from trigpoint.network import (
     save_network,
 )
 
-from .dataset import DataSet
+from .dataset import DataSet, Move
 from .estimator import CameraEstimate, Estimator
 
 
@@ -73,6 +74,7 @@ def _camera(
     undetermined: tuple[str, ...] | None,
 ) -> CameraRecord:
     count = estimator.count(name)
+    earlier = tuple(_earlier(move) for move in data.moves if move.camera == name)
     if located is not None:
         return CameraRecord(
             status="located",
@@ -84,6 +86,7 @@ def _camera(
             sightings=count.sightings,
             rejected=count.rejected,
             reprojection_rms=count.reprojection_rms,
+            earlier=earlier,
         )
     lens = data.lenses.get(name)
     intrinsics = None
@@ -97,7 +100,15 @@ def _camera(
         intrinsics=intrinsics,
         sightings=count.sightings,
         rejected=count.rejected,
+        earlier=earlier,
     )
+
+
+def _earlier(move: Move) -> EarlierPose:
+    assert move.map_from_camera is not None  # it was located when it was moved
+    assert move.covariance is not None
+    covariance = tuple(move.covariance.reshape(-1).tolist())
+    return EarlierPose(str(move.until_ns), PoseRecord.of(move.map_from_camera), covariance)
 
 
 def _robot(

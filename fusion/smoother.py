@@ -16,9 +16,11 @@ from trigpoint.geometry.rotation import Array
 from . import judge
 from .assembly import true_time_ns
 from .batch import BatchSolution, align_to
+from .contradictions import Contradictions
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate, carried_on
+from .moved import of_its_time
 from .observations import Observation, Verdict
 from .odometry_track import Added
 from .survey import camera_estimates, is_placed, joint_covariance
@@ -52,6 +54,7 @@ class Smoother:
     def __init__(self, data: DataSet) -> None:
         self.data = data
         self._batch = BatchSolution(data)
+        self._contradictions = Contradictions(self._batch)
         self._filter: Filter | None = None
         self._history: deque[_Step] = deque(maxlen=_HISTORY)
         self._since_solve = 0
@@ -85,6 +88,7 @@ class Smoother:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
     def _add(self, observation: Observation) -> Update:
+        observation = of_its_time(self.data.moves, observation)
         self.data.entries.append(Entry(observation))
         index = len(self.data.entries) - 1
         if observation.camera in self._batch.state.cameras:
@@ -128,6 +132,9 @@ class Smoother:
         for step in later:
             self._apply(step.entry, step.time_ns)
         self._since_solve += 1
+        if self._contradictions.note(index, self._filter):
+            self.solve()
+            return Update()
         return Update(correction=correction)
 
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
@@ -262,7 +269,8 @@ class Smoother:
         return pending | dict.fromkeys(loose, (_LOOSE,))
 
     def count(self, camera: str) -> CameraCount:
-        entries = self.data.of_camera(camera)
+        places = self.data.places_of(camera)
+        entries = [entry for place in places for entry in self.data.of_camera(place)]
         rejected = sum(e.observation.verdict is Verdict.REJECTED for e in entries)
         rms = None
         if self._batch.assembled is not None and self._batch.solution is not None:

@@ -172,9 +172,7 @@ def make_session(plan: Plan) -> Session:
             stamp_ns = EPOCH_NS + index * to_ns(STEP_S)
             message = Odometry(stamp_ns, f"{name}/odom", f"{name}/base", reported[index])
             found.append((stamp_ns, 0, name, message))
-    for number, name in enumerate(plan.cameras):
-        random = np.random.default_rng([plan.seed, 100, number])
-        found += [(m.stamp_ns, 1, name, m) for m in _pictures(plan, name, number, truth, random)]
+    found += [(m.stamp_ns, 1, name, m) for name, m in pictures_of(plan, truth)]
     found.sort(key=lambda item: item[:3])
     return Session(plan, _inputs(plan), tuple((n, m) for *_, n, m in found), truth)
 
@@ -197,6 +195,15 @@ def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pos
     for index in range(len(turns)):
         poses.append(poses[-1] @ true[index])
     return Pose.stack(poses)
+
+
+def pictures_of(plan: Plan, truth: dict[str, Pose]) -> list[tuple[str, Sightings]]:
+    """What the cameras see of robots on these ways."""
+    found = []
+    for number, name in enumerate(plan.cameras):
+        random = np.random.default_rng([plan.seed, 100, number])
+        found += [(name, m) for m in _pictures(plan, name, number, truth, random)]
+    return found
 
 
 def _pictures(
