@@ -3,8 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+WITH_BENCH := $(VENV)/.installed-bench
+SEEDS ?= 100
+SITUATIONS ?=
 
-.PHONY: demo test check lint types imports bench clean
+.PHONY: demo test check lint types imports bench study clean
 
 demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -24,8 +27,17 @@ types: $(INSTALLED)
 imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
-bench: $(INSTALLED)  ## ratios against the bare libraries, printed and written as JSON
+bench: $(WITH_BENCH)  ## ratios against the bare libraries, printed and written as JSON
 	$(BIN)/python -m benchmarks
+
+study: $(WITH_BENCH)  ## accuracy over simulated sessions, to docs/accuracy.md; goes on where it was
+	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
+	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
+	$(BIN)/python -m benchmarks.study report
+
+$(WITH_BENCH): $(INSTALLED)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'
+	touch $@
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Trigpoint needs Python 3.11 or later; say make PYTHON=python3.11")'

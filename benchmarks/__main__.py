@@ -8,7 +8,7 @@ import typer
 
 from .machine import machine
 from .report import write_report
-from .table import BENCHMARKS, Row, formatted, open_benchmark
+from .table import BENCHMARKS, Row, formatted, is_installed, open_benchmark
 
 
 def main(
@@ -28,9 +28,12 @@ def main(
     unknown = [name for name in chosen if name not in BENCHMARKS]
     if unknown:
         raise typer.BadParameter(f"no benchmark «{unknown[0]}»; choose of {', '.join(BENCHMARKS)}")
+    missing = [name for name in chosen if not is_installed(name)]
+    for name in missing:
+        typer.echo(f"{name}: left out; pip install -c constraints.txt -e '.[bench]'", err=True)
     before = machine()
     rows: list[Row] = []
-    for name in chosen:
+    for name in (name for name in chosen if name not in missing):
         began = time.perf_counter()
         rows += open_benchmark(name)(effort)
         typer.echo(f"{name}: measured in {time.perf_counter() - began:.0f} s", err=True)

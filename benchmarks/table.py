@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 
 BENCHMARKS: dict[str, str] = {
     "detection": "detection:run",
@@ -11,7 +12,11 @@ BENCHMARKS: dict[str, str] = {
     "recorder": "recorder:run",
     "calibration": "calibration:run",
     "capacity": "capacity:run",
+    "gtsam": "gtsam_comparison:run",
 }
+
+# What is installed for a benchmark alone, with the extra `bench`.
+NEEDED: dict[str, str] = {"gtsam": "gtsam"}
 
 Benchmark = Callable[[float], "list[Row]"]
 """Takes the effort: 1.0 is the whole measurement, less is quicker and rougher."""
@@ -39,6 +44,11 @@ def open_benchmark(name: str) -> Benchmark:
     """The function of a benchmark."""
     module, _, function = BENCHMARKS[name].partition(":")
     return getattr(import_module(f".{module}", __package__), function)
+
+
+def is_installed(name: str) -> bool:
+    """Whether everything that a benchmark needs is there."""
+    return name not in NEEDED or find_spec(NEEDED[name]) is not None
 
 
 def share_of(count: int, effort: float, *, least: int = 1) -> int:

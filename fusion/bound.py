@@ -14,7 +14,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .assembly import assemble
+from .assembly import Assembled, assemble
 from .dataset import DataSet, Entry
 from .equations import linearise
 from .faces import best_reading
@@ -78,6 +78,18 @@ def cramer_rao(data: DataSet, oracle: Oracle) -> Bound:
     `data` gives site, priors, targets, lenses that are told, and odometry; the odometry's noise is
     taken as the contract states it, with nothing added.
     """
+    assembled = oracle_problem(data, oracle)
+    reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
+    names = list(reduced.layout.pose)
+    every = np.arange(reduced.layout.size)
+    columns = np.concatenate([every[reduced.layout.pose[name]] for name in names])
+    covariance = reduced.covariance()[np.ix_(columns, columns)]
+    places = [oracle.cameras[name].map_from_camera.translation for name in names]
+    return Bound(names, covariance, np.array(places))
+
+
+def oracle_problem(data: DataSet, oracle: Oracle) -> Assembled:
+    """What an oracle would solve, with the truth for a start; arguments as `cramer_rao`'s."""
     true_cameras = {n: c for n, c in oracle.cameras.items() if n in data.lenses}
     entries = []
     for observation, map_from_base in oracle.places:
@@ -93,14 +105,7 @@ def cramer_rao(data: DataSet, oracle: Oracle) -> Bound:
             scales=np.asarray(oracle.scale_errors.get(name, robot.scales)),
             base_from_face=oracle.base_from_face.get(name, robot.base_from_face),
         )
-    assembled = assemble(told, state, list(range(len(entries))))
-    reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
-    names = list(reduced.layout.pose)
-    every = np.arange(reduced.layout.size)
-    columns = np.concatenate([every[reduced.layout.pose[name]] for name in names])
-    covariance = reduced.covariance()[np.ix_(columns, columns)]
-    places = np.array([true_cameras[name].map_from_camera.translation for name in names])
-    return Bound(names, covariance, places)
+    return assemble(told, state, list(range(len(entries))))
 
 
 def _read(

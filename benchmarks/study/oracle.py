@@ -20,6 +20,11 @@ from trigpoint.tools.simulation.wrong_sightings import Labelled
 
 def bound_of(inputs: Inputs, session: Simulated) -> Bound:
     """The bound of the cameras' poses, with an earlier pose of a moved camera as `name@k`."""
+    return cramer_rao(*known_to_oracle(inputs, session))
+
+
+def known_to_oracle(inputs: Inputs, session: Simulated) -> tuple[DataSet, Oracle]:
+    """What came in, and the truth of it."""
     truth = session.truth
     data = _data(inputs, session)
     for robot, track in data.tracks.items():
@@ -34,7 +39,7 @@ def bound_of(inputs: Inputs, session: Simulated) -> Bound:
         base_from_face={n: base_from_faces(r.carried) for n, r in world.robots.items()},
         lifted_ns={name: truth.lifted_ns(name) for name in world.robots},
     )
-    return cramer_rao(data, oracle)
+    return data, oracle
 
 
 def _data(inputs: Inputs, session: Simulated) -> DataSet:

@@ -9,11 +9,13 @@ import pytest
 from benchmarks import messages
 from benchmarks.machine import machine
 from benchmarks.report import write_report
-from benchmarks.table import BENCHMARKS, Row, formatted, open_benchmark
+from benchmarks.table import BENCHMARKS, NEEDED, Row, formatted, open_benchmark
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_every_name_of_the_table_opens(name: str) -> None:
+    if name in NEEDED:
+        pytest.importorskip(NEEDED[name])
     assert callable(open_benchmark(name))
 
 
