@@ -1,6 +1,7 @@
 """Where a robot stands before a located camera, and how what the camera saw is read."""
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,9 +18,13 @@ from .planar_pose import least_squares_steps
 # With a prior tighter than this, poses that a look-alike face or a turned board would need are
 # many sigmas away, so that only readings near the prior need to be looked at.
 _TIGHT_M = 0.15
-_TIGHT_RAD = 0.1
+_TIGHT_RAD = 0.15
 # A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is none.
 _HOPELESS = 100.0
+# A corner that is farther off than this at its view's best near the prior is wild; a view with more
+# wild ones than this share, or that moves the robot by so many of the prior's sigmas, is wrong.
+_FITS_SIGMAS = 6.0
+_WILD_SHARE = 0.25
 _MOST_STEPS = 12
 _SMALLEST_STEP = 1e-6
 
@@ -27,12 +32,21 @@ _SMALLEST_STEP = 1e-6
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """Where a robot stands before a located camera; `cost`: χ² with the prior's; `margin`: how much
-    worse the next reading is."""
+    worse the next reading is; `wild`: (n,) bool over all corners, those that took no part."""
 
     map_from_base: Pose
     readings: tuple[Reading, ...]
     cost: float
     margin: float
+    wild: np.ndarray
+
+    def read(self, observation: Observation) -> Observation:
+        """The observation as it is read here."""
+        read = observation.read_as(self.readings)
+        if not np.any(self.wild):
+            return read
+        ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
+        return read.with_outliers(tuple(np.split(self.wild, ends)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +77,16 @@ def align(
     `extra_sigma_px`: what the camera's own uncertainty adds to the corners'.
     """
     search = _Search(observation, target, lens, map_from_camera, tangent, prior, extra_sigma_px)
-    if prior is not None and prior.is_tight(tangent):
-        near = search.near(prior)
-        if near is not None:
-            return near
-    return search.everywhere()
+    if prior is None or not prior.is_tight(tangent):
+        return search.everywhere()
+    near = search.near(prior)
+    if near is not None:
+        return near
+    wild = search.wild_near(prior)
+    if np.all(wild):
+        return None
+    sound = search.without(wild)
+    return sound.near(prior) or sound.everywhere()
 
 
 class _Search:
@@ -86,11 +105,58 @@ class _Search:
         self.observation, self.target, self.lens = observation, target, lens
         self.map_from_camera, self.tangent, self.prior = map_from_camera, tangent, prior
         self.pixels, sigma = pixels_of(observation)
-        self.weights = 1 / np.sqrt(sigma**2 + extra_sigma_px**2)
+        self.extra_variance = extra_sigma_px**2
+        self.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
+        self.wild = np.zeros(len(self.pixels), dtype=bool)
         self.root = np.zeros((0, len(tangent)))  # of the prior's information
         if prior is not None:
             covariance = prior.covariance[np.ix_(tangent, tangent)]
             self.root = np.linalg.inv(np.linalg.cholesky(covariance))
+
+    def without(self, wild: np.ndarray) -> "_Search":
+        """The same search without some corners (n,)."""
+        other = copy(self)
+        other.wild = wild
+        other.weights = np.where(wild, 0.0, self.weights)
+        return other
+
+    def wild_near(self, prior: PosePrior) -> np.ndarray:
+        """The corners (n,) that fit nowhere near the prior, each view judged by itself: single ones
+        that lie elsewhere, or all of a view that shows something else than it says."""
+        parts = []
+        for view in self.observation.views:
+            alone = copy(self)
+            alone.observation = replace(self.observation, views=(view,))
+            alone.pixels, sigma = pixels_of(alone.observation)
+            alone.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
+            parts.append(alone._wild_in_view(prior))
+        return np.concatenate(parts)
+
+    def _wild_in_view(self, prior: PosePrior) -> np.ndarray:
+        nothing = np.ones(len(self.pixels), dtype=bool)
+        readings = self._read_at(prior.map_from_base)
+        if readings is None:
+            return nothing
+        points = corners_of(self.observation, body_of(self.target), readings[None])
+        pose, length, pull = Pose.stack([prior.map_from_base]), np.zeros(0), np.zeros(0)
+        for _ in range(_MOST_STEPS):
+            jacobian, residual, is_sound = self._linearised(pose, points)
+            if not is_sound[0]:
+                return nothing
+            count = 2 * len(self.pixels)
+            length = np.linalg.norm(residual[0, :count].reshape(-1, 2), axis=1)
+            pull = residual[0, count:]
+            # Cauchy's weights, with a scale that leaves most corners near their full weight.
+            weight = 1 / (1 + (length / max(2.0, 2 * float(np.median(length)))) ** 2)
+            root = np.concatenate([np.repeat(np.sqrt(weight), 2), np.ones(len(pull))])
+            steps = np.zeros((1, 6))
+            steps[:, self.tangent] = least_squares_steps(
+                jacobian * root[:, None], residual * root, is_sound
+            )
+            pose = pose.disturbed(steps)
+        is_elsewhere = pull @ pull > _FITS_SIGMAS**2
+        wild = length > _FITS_SIGMAS
+        return nothing if is_elsewhere or wild.mean() > _WILD_SHARE else wild
 
     def near(self, prior: PosePrior) -> Alignment | None:
         """The reading that fits at the prior; None where it does not fit or another may too."""
@@ -98,13 +164,13 @@ class _Search:
         if readings is None:
             return None
         poses, costs = self._solved(Pose.stack([prior.map_from_base]), readings[None])
-        freedom = 2 * len(self.pixels)
+        freedom = 2 * int(np.sum(~self.wild))
         if not costs[0] < freedom + 6 * np.sqrt(2 * freedom):
             return None
         margin = self._margin_at(poses, readings, float(costs[0]))
         if margin < _HOPELESS:
             return None
-        return Alignment(poses[0], self._named(readings), float(costs[0]), margin)
+        return Alignment(poses[0], self._named(readings), float(costs[0]), margin, self.wild)
 
     def _margin_at(self, pose: Pose, readings: np.ndarray, cost: float) -> float:
         """How much worse the observation fits with another reading of any one view, to first order
@@ -142,7 +208,8 @@ class _Search:
         differs = np.any(chosen != chosen[best], axis=1)
         second = float(np.min(costs[differs], initial=np.inf))
         named = self._named(chosen[best])
-        return Alignment(poses[best], named, float(costs[best]), second - float(costs[best]))
+        margin = second - float(costs[best])
+        return Alignment(poses[best], named, float(costs[best]), margin, self.wild)
 
     def _starts(self) -> tuple[list[Pose], list[np.ndarray]]:
         """Where the robot may be, and how the observation is read then."""

@@ -141,12 +141,11 @@ class BatchSolution:
 
     def _readmit(self, known: Filter | None) -> None:
         """Give observations that were set aside another chance, and place those without a place."""
-        for entry in self.data.entries:
+        for index, entry in enumerate(self.data.entries):
             observation = entry.observation
             if observation.camera not in self.state.cameras:
                 continue
-            if observation.outliers and observation.chosen is not None:
-                entry.observation = observation.read_as(observation.chosen)
+            judge.reconsider(self.data, self.state, index)
             if entry.map_from_base is None:
                 entry.map_from_base = self.pose_at(known, observation.robot, observation.stamp_ns)
             if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
@@ -284,7 +283,7 @@ def align_to(
     )
     if alignment is None or alignment.margin < judge.DECISIVE:
         return None
-    return observation.read_as(alignment.readings), alignment.map_from_base
+    return alignment.read(observation), alignment.map_from_base
 
 
 def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:

@@ -29,7 +29,8 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class CameraCount:
-    """How a camera's observations fared; `reprojection_rms`: of a coordinate, pixels."""
+    """How a camera's sightings (faces, not pictures) fared. `rejected`: those that a located camera
+    does not rest on; `reprojection_rms`: of a coordinate, pixels."""
 
     sightings: int
     rejected: int
@@ -107,6 +108,19 @@ class Estimator(Protocol):
 
     @property
     def iterations(self) -> int: ...
+
+
+@runtime_checkable
+class Collecting(Protocol):
+    """An estimator that needs no estimate on the way to the end, where nobody listens to it."""
+
+    def collect(self, observation: Observation) -> None:
+        """Take an observation for `finish` alone."""
+        ...
+
+    def finish(self) -> None:
+        """See `Estimator`."""
+        ...
 
 
 @runtime_checkable

@@ -1,4 +1,6 @@
-"""Which corners and observations contradict the rest, at a solution."""
+"""Which corners, views and observations contradict the rest, at a solution."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,59 +11,162 @@ from .assembly import Assembled
 from .dataset import DataSet
 from .faces import best_reading
 from .models import batch_jacobian
-from .observations import Verdict
+from .observations import Observation, Verdict, points_of, reprojection
 from .problem import Batch, Problem, State
 from .solver import Solution
 
 # χ² by which the next reading must be worse; e^(-25/2) is one in 300,000.
 DECISIVE = 25.0
-# A corner of a good sighting lies beyond this many sigmas once in 90 times, which costs little;
-# those of pictures have tails (an edge half hidden, a marker near by), which bias a pose.
-_WILD_SIGMAS = 3.0
-# With more wild corners than this the whole observation is wrong.
+# A corner of a good sighting lies beyond four sigmas once in 3000 times. Those of pictures have
+# tails (an edge half hidden, a marker near by), which bias a pose: where more lie between three and
+# five sigmas than noise puts there, what lies beyond three is left out too.
+_WILD_SIGMAS = 4.0
+_WILD_SIGMAS_IN_TAILS = 3.0
+_TAIL_SIGMAS = (3.0, 5.0)
+_SIGNIFICANT = 3.0
+# With more wild corners than this the whole view is wrong.
 _WILD_SHARE = 0.25
+# A view that was left out whole and is still this far off, where the robot is thought to stand
+# without it, would only draw the others away again.
+_FAR_SIGMAS = 30.0
 _BESIDE_NS = to_ns(2.0)
 _MUCH_BETTER = 0.5
 
 
+@dataclass(frozen=True, slots=True)
+class _Wrong:
+    """A view that contradicts the rest: which of which entry, and its corners' median length."""
+
+    source: int
+    order: int
+    length: float
+
+
 def judge(data: DataSet, assembled: Assembled, state: State) -> bool:
-    """Mark outliers and rejected observations in the data set; whether anything changed."""
+    """Mark wild corners and wrong views in the data set; whether anything changed.
+
+    An observation all of whose views are wrong is rejected.
+    """
     changed, wrong = False, []
     for batch in assembled.problem.batches:
         length = _lengths(assembled.problem, batch, state)
-        for row, source in enumerate(batch.sources):
-            count = data.entries[source].observation.corner_count
-            if _wild(length[row, :count]).mean() <= _WILD_SHARE:
-                changed |= _mark_outliers(data, int(source), length[row, :count])
-            elif _read_anew(data, int(source), state):
+        limit = _limit(length)
+        for row, source in enumerate(batch.sources.tolist()):
+            observation = data.entries[source].observation
+            views = _by_view(observation, length[row])
+            bad = [order for order, view in enumerate(views) if _is_wrong(view, limit)]
+            if bad and _read_anew(data, source, state, bad):
                 changed = True
-            else:
-                wrong.append((int(source), float(np.nanmedian(length[row, :count]))))
-    for source in _worst(data, wrong):
-        entry = data.entries[source]
-        entry.observation = entry.observation.judged(Verdict.REJECTED)
+                continue
+            wild = tuple(
+                ~(view <= limit) if order not in bad else _as_before(observation, order)
+                for order, view in enumerate(views)
+            )
+            changed |= _mark(data, source, wild)
+            wrong += [
+                _Wrong(source, order, float(np.nanmedian(views[order])))
+                for order in bad
+                if np.any(np.isfinite(views[order]))
+            ]
+    for view in _worst(data, wrong):
+        _leave_out(data, view)
     return changed or bool(wrong)
 
 
-def _worst(data: DataSet, wrong: list[tuple[int, float]]) -> list[int]:
-    """Those that are not much better than another one of their robot at about their time: a wrong
-    observation draws the good ones beside it off, which fit once it is gone."""
-    found = []
-    for source, length in wrong:
-        mine = data.entries[source].observation
-        beside = [
-            other_length
-            for other, other_length in wrong
-            if data.entries[other].observation.robot == mine.robot
-            and abs(data.entries[other].observation.stamp_ns - mine.stamp_ns) <= _BESIDE_NS
+def reconsider(data: DataSet, state: State, source: int) -> None:
+    """Take the corners and views of an observation back that were left out, but for a view that is
+    far off where the robot stood by all the others."""
+    entry = data.entries[source]
+    observation, map_from_base = entry.observation, entry.map_from_base
+    if not observation.outliers or observation.chosen is None:
+        return
+    fresh = observation.read_as(observation.chosen)
+    if map_from_base is not None:
+        camera = state.cameras[observation.camera]
+        points = points_of(fresh, data.targets[observation.robot])
+        pixels = reprojection(
+            camera.lens,
+            camera.map_from_camera,
+            map_from_base,
+            points.in_base(state.robots[observation.robot].base_from_face),
+        )
+        length = np.linalg.norm((pixels - points.pixels) * points.weights[:, None], axis=1)
+        far = [
+            bool(np.all(before)) and not np.nanmedian(view) <= _FAR_SIGMAS
+            for before, view in zip(observation.outliers, _by_view(fresh, length), strict=True)
         ]
-        if length >= _MUCH_BETTER * max(beside):
-            found.append(source)
+        if any(far):
+            fresh = fresh.with_outliers(
+                tuple(np.full(len(v.corners), f) for v, f in zip(fresh.views, far, strict=True))
+            )
+    entry.observation = fresh
+
+
+def _limit(length: Array) -> float:
+    """Beyond how many sigmas a corner is wild."""
+    good = length[np.isfinite(length)]
+    low, high = _TAIL_SIGMAS
+    # The length of a normal vector in the plane exceeds r with probability exp(-r²/2).
+    expected = len(good) * (np.exp(-(low**2) / 2) - np.exp(-(high**2) / 2))
+    tail = int(np.sum((good > low) & (good <= high)))
+    has_tails = tail > expected + _SIGNIFICANT * np.sqrt(expected) + 1
+    return _WILD_SIGMAS_IN_TAILS if has_tails else _WILD_SIGMAS
+
+
+def _by_view(observation: Observation, length: Array) -> list[Array]:
+    """The lengths of an observation's corners, view by view."""
+    ends = np.cumsum([len(view.corners) for view in observation.views])
+    return np.split(length[: ends[-1]], ends[:-1])
+
+
+def _is_wrong(length: Array, limit: float) -> bool:
+    return bool(np.mean(~(length <= limit)) > _WILD_SHARE)
+
+
+def _as_before(observation: Observation, order: int) -> np.ndarray:
+    """The corners of a view that were wild before."""
+    if observation.outliers:
+        return observation.outliers[order]
+    return np.zeros(len(observation.views[order].corners), dtype=bool)
+
+
+def _mark(data: DataSet, source: int, wild: tuple[np.ndarray, ...]) -> bool:
+    """Mark the wild corners of an observation; whether these are others than before."""
+    entry = data.entries[source]
+    before = [_as_before(entry.observation, order) for order in range(len(wild))]
+    if all(np.array_equal(a, b) for a, b in zip(before, wild, strict=True)):
+        return False
+    entry.observation = entry.observation.with_outliers(wild)
+    return True
+
+
+def _worst(data: DataSet, wrong: list[_Wrong]) -> list[_Wrong]:
+    """Those that are not much better than another one of their robot at about their time: a wrong
+    view draws the good ones beside it off, which fit once it is gone."""
+    found = []
+    for view in wrong:
+        mine = data.entries[view.source].observation
+        beside = [
+            other.length
+            for other in wrong
+            if data.entries[other.source].observation.robot == mine.robot
+            and abs(data.entries[other.source].observation.stamp_ns - mine.stamp_ns) <= _BESIDE_NS
+        ]
+        if view.length >= _MUCH_BETTER * max(beside):
+            found.append(view)
     return found
 
 
-def _wild(length: Array) -> np.ndarray:
-    return ~(length <= _WILD_SIGMAS)
+def _leave_out(data: DataSet, wrong: _Wrong) -> None:
+    """Leave a whole view out, and reject an observation that has none left."""
+    entry = data.entries[wrong.source]
+    observation = entry.observation
+    outliers = [_as_before(observation, order) for order in range(len(observation.views))]
+    outliers[wrong.order] = np.ones_like(outliers[wrong.order])
+    if all(np.all(wild) for wild in outliers):
+        entry.observation = observation.with_outliers(()).judged(Verdict.REJECTED)
+    else:
+        entry.observation = observation.with_outliers(tuple(outliers))
 
 
 def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
@@ -72,36 +177,23 @@ def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     return length / np.sqrt(batch.shares)[:, None]
 
 
-def _mark_outliers(data: DataSet, source: int, length: Array) -> bool:
-    """Mark the wild corners of an observation; whether these are others than before."""
-    observation = data.entries[source].observation
-    wild = _wild(length)
-    if not wild.any():
-        return False
-    ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
-    outliers = tuple(np.split(wild, ends))
-    known = observation.outliers
-    if known and all(np.array_equal(a, b) for a, b in zip(known, outliers, strict=True)):
-        return False
-    data.entries[source].observation = observation.with_outliers(outliers)
-    return True
-
-
-def _read_anew(data: DataSet, source: int, state: State) -> bool:
-    """Read an observation as it fits where the robot is now; whether that is another reading."""
+def _read_anew(data: DataSet, source: int, state: State, bad: list[int]) -> bool:
+    """Read the bad views of an observation as they fit where the robot is now; whether that is
+    another reading."""
     entry = data.entries[source]
     observation = entry.observation
-    if entry.map_from_base is None:
+    if entry.map_from_base is None or observation.chosen is None:
         return False
     camera = state.cameras[observation.camera]
     camera_from_base = camera.map_from_camera.inverse() @ entry.map_from_base
     target = data.targets[observation.robot]
-    best = tuple(
-        best_reading(view, target, camera.lens, camera_from_base)[0] for view in observation.views
-    )
-    if best == observation.chosen:
+    chosen = list(observation.chosen)
+    for order in bad:
+        view = observation.views[order]
+        chosen[order] = best_reading(view, target, camera.lens, camera_from_base)[0]
+    if tuple(chosen) == observation.chosen:
         return False
-    entry.observation = observation.read_as(best)
+    entry.observation = observation.read_as(tuple(chosen))
     return True
 
 

@@ -70,6 +70,13 @@ class Observation:
         return replace(self, outliers=outliers)
 
     @property
+    def used_views(self) -> int:
+        """How many of its views are used."""
+        if self.verdict is not Verdict.ACCEPTED:
+            return 0
+        return len(self.views) - sum(bool(np.all(wild)) for wild in self.outliers)
+
+    @property
     def corner_count(self) -> int:
         return sum(len(view.corners) for view in self.views)
 

@@ -237,7 +237,7 @@ class SequentialEstimator:
         )
         if alignment is None or alignment.margin < DECISIVE:
             return None
-        read = observation.read_as(alignment.readings)
+        read = alignment.read(observation)
         pose = map_from_camera.inverse() @ alignment.map_from_base
         sound = without_wild_corners(read, target, lens, pose)
         if sound is None:
@@ -442,7 +442,9 @@ class SequentialEstimator:
 
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)
-        rejected = sum(e.observation.verdict is Verdict.REJECTED for e in entries)
+        sightings = sum(len(entry.observation.views) for entry in entries)
+        used = sum(entry.observation.used_views for entry in entries)
+        rejected = sightings - used if self._is_located(camera) else 0
         squares = [
             step.surprise.rms_px**2
             for step in self._steps
@@ -450,7 +452,7 @@ class SequentialEstimator:
             and self.data.entries[step.entry].observation.camera == camera
         ]
         rms = float(np.sqrt(np.mean(squares))) if squares else None
-        return CameraCount(len(entries), rejected, rms)
+        return CameraCount(sightings, rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
         track = self.data.tracks[robot]

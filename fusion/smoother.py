@@ -271,13 +271,15 @@ class Smoother:
     def count(self, camera: str) -> CameraCount:
         places = self.data.places_of(camera)
         entries = [entry for place in places for entry in self.data.of_camera(place)]
-        rejected = sum(e.observation.verdict is Verdict.REJECTED for e in entries)
+        sightings = sum(len(entry.observation.views) for entry in entries)
+        used = sum(entry.observation.used_views for entry in entries)
+        rejected = sightings - used if camera in self._batch.state.cameras else 0
         rms = None
         if self._batch.assembled is not None and self._batch.solution is not None:
             rms = judge.reprojection_rms_px(
                 self._batch.assembled.problem, self._batch.solution.state, camera
             )
-        return CameraCount(len(entries), rejected, rms)
+        return CameraCount(sightings, rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
         track = self.data.tracks[robot]

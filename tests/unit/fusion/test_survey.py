@@ -111,7 +111,7 @@ def test_residuals_are_those_of_the_noise(session: Session, results: Results) ->
 def test_sightings_of_each_camera_are_counted(session: Session, results: Results) -> None:
     for name, camera in results.network.cameras.items():
         pictures = [m for node, m in session.messages if node == name and isinstance(m, Sightings)]
-        assert camera.sightings == sum(bool(picture.faces) for picture in pictures)
+        assert camera.sightings == sum(len(picture.faces) for picture in pictures)
 
 
 def test_trajectory_follows_the_robot_at_every_odometry_message(
@@ -189,7 +189,7 @@ def test_camera_that_saw_one_look_alike_face_is_undetermined_in_words(
 ) -> None:
     results = offline(changed(checkerboard, messages=only_once(checkerboard.messages, "c2")))
     record = results.network.cameras["c2"]
-    assert (record.status, record.sightings) == ("undetermined", 1)
+    assert (record.status, record.sightings) == ("undetermined", 2)
     assert "fit alike" in record.undetermined[0]
     assert record.map_from_camera is None
     assert record.covariance is None
@@ -458,9 +458,26 @@ def test_displaced_pictures_are_rejected_and_counted(charuco: Session) -> None:
         if not faces or random.random() > 0.07:
             return faces
         angle = random.uniform(0, 2 * np.pi)
-        moved.append(1)
+        moved.extend([1] * len(faces))
         shift = np.float32(15) * np.array([np.cos(angle), np.sin(angle)], np.float32)
         return tuple(replace(face, pixels=face.pixels + shift) for face in faces)
+
+    session = changed(charuco, messages=disturbed(charuco.messages, displace))
+    results = offline(session)
+    assert_honest(session, results)
+    assert len(moved) >= 3
+    assert sum(c.rejected for c in results.network.cameras.values()) == len(moved)
+
+
+def test_a_displaced_face_costs_the_other_face_of_its_picture_nothing(charuco: Session) -> None:
+    moved: list[int] = []
+
+    def displace(random: np.random.Generator, faces):
+        if len(faces) < 2 or random.random() > 0.15:
+            return faces
+        moved.append(1)
+        first = replace(faces[0], pixels=faces[0].pixels + np.array([0, 15], np.float32))
+        return (first, *faces[1:])
 
     session = changed(charuco, messages=disturbed(charuco.messages, displace))
     results = offline(session)
