@@ -24,6 +24,7 @@ from .dataset import DataSet, Entry
 from .filter import Filter, RobotEstimate
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
+from .placement import align_to, place
 from .problem import State
 from .solver import Solution
 from .survey import camera_estimates
@@ -31,12 +32,20 @@ from .trajectory import interpolated
 
 _HUBER = 4.0
 _MOST_ROUNDS = 6
+_MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
 _LEAST_USED = 3
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
 FINAL_TOLERANCE = 1e-4
+# How much is taken in at once of what was collected: so many observations, then this many times
+# what there is. So much that the solutions on the way cost less than the last one, and so little
+# that odometry from the last one leads to the right places.
+_FIRST_STRETCH = 64
+_GROWTH = 3
+_LEAST_PICTURES = 3
+_TRIED_SAME = 1e-3
 
 
 class BatchSolution:
@@ -52,12 +61,23 @@ class BatchSolution:
         self.tries: dict[str, int] = {}
         self.tolerance = LIVE_TOLERANCE
         self.iterations = 0
+        # What was collected without an estimate, and is not in the data set yet.
+        self.collected: list[Observation] = []
+        # Of rejected entries, with which places of camera and robot they were read in vain.
+        self._in_vain: dict[int, tuple[Pose, Pose]] = {}
 
     # -- solving ----------------------------------------------------------------------------------
 
     def finish(self, known: Filter | None) -> Filter | None:
         """Locate what can be located from all that came in, and solve to the end."""
+        known = self._take_in(known)
         self.tolerance = FINAL_TOLERANCE
+        try:
+            return self._finished(known)
+        finally:
+            self.tolerance = LIVE_TOLERANCE
+
+    def _finished(self, known: Filter | None) -> Filter | None:
         for _ in range(len(self.data.site.cameras) + 1):
             known = self.solve(known)
             missing = [
@@ -85,14 +105,49 @@ class BatchSolution:
         entries = self.data.entries
         return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
 
-    def solve(self, known: Filter | None) -> Filter | None:
+    def _take_in(self, known: Filter | None) -> Filter | None:
+        """Take in what was collected without an estimate, in ever larger stretches of time."""
+        while known is not None:
+            has_grown = self._extend()
+            homeless = self._homeless()
+            for robot, indices in homeless.items():
+                place(self.data, known, robot, indices)
+            if not has_grown and self._homeless() == homeless:
+                break
+            for camera in self.data.site.cameras:
+                if camera not in self.state.cameras and self.is_due(camera):
+                    self.locate(camera)
+            known = self.solve(known, is_rough=True)
+        return known
+
+    def _extend(self) -> bool:
+        """Put the next stretch of what was collected into the data set; whether there was one."""
+        count = max(_FIRST_STRETCH, (_GROWTH - 1) * len(self.data.entries))
+        stretch, self.collected = self.collected[:count], self.collected[count:]
+        self.data.entries.extend(Entry(observation) for observation in stretch)
+        return bool(stretch)
+
+    def _homeless(self) -> dict[str, list[int]]:
+        """By robot the entries without a place, in the order in which they came."""
+        found: dict[str, list[int]] = {}
+        for index, entry in enumerate(self.data.entries):
+            if entry.map_from_base is None:
+                found.setdefault(entry.observation.robot, []).append(index)
+        return found
+
+    def is_due(self, camera: str) -> bool:
+        """Whether a camera's pictures have grown by half since it was last tried to locate it."""
+        pictures = len(self.data.of_camera(camera))
+        return pictures >= max(_LEAST_PICTURES, 1.5 * self.tries.get(camera, 0))
+
+    def solve(self, known: Filter | None, *, is_rough: bool = False) -> Filter | None:
         """Solve over everything; observations that contradict the rest are set aside.
 
-        `known`: what is known up to now. Returns what is known then; `known`, where there is
-        nothing to solve.
+        `known`: what is known up to now; `is_rough`: well enough to go on from. Returns what is
+        known then; `known`, where there is nothing to solve.
         """
         self._readmit(known)
-        rounds = self._rounds()
+        rounds = self._rounds(is_rough=is_rough)
         if rounds is None:
             return known
         self.assembled, self.solution = rounds
@@ -101,7 +156,7 @@ class BatchSolution:
         self._say_earlier(known)
         self._guess_rest()
         dropped = self._drop_misplaced()
-        return self.solve(known) if dropped else known
+        return self.solve(known, is_rough=is_rough) if dropped else known
 
     def _say_earlier(self, known: Filter) -> None:
         """Where cameras were before they were moved, as it is known now."""
@@ -111,20 +166,20 @@ class BatchSolution:
                 move.map_from_camera = estimates[move.name].map_from_camera
                 move.covariance = estimates[move.name].covariance
 
-    def _rounds(self) -> tuple[Assembled, Solution] | None:
+    def _rounds(self, *, is_rough: bool) -> tuple[Assembled, Solution] | None:
         """Solve and judge until nothing changes; None where nothing is left to solve."""
         used = self.data.usable(self.state.cameras)
         last = None
-        for round_ in range(_MOST_ROUNDS):
+        for round_ in range(_MOST_ROUGH_ROUNDS if is_rough else _MOST_ROUNDS):
             if not used:
                 return None
-            is_rough = round_ == 0
-            last = assembled, _ = self._solve_used(used, is_rough=is_rough)
+            starts = round_ == 0
+            last = assembled, _ = self._solve_used(used, is_rough=is_rough or starts)
             changed = judge.judge(self.data, assembled, self.state)
-            if not is_rough:
+            if not (is_rough or starts):
                 changed |= repeated.share_out(self.data, assembled, self.state)
             used = self.data.usable(self.state.cameras)
-            if round_ > 0 and not changed:
+            if not changed and (is_rough or not starts):
                 break
         return last if used else None
 
@@ -152,13 +207,26 @@ class BatchSolution:
                 continue
             if known is None or not known.has_camera(observation.camera):
                 continue  # located just now: the next solution looks at it again
+            if self._is_in_vain(index, known, entry.map_from_base):
+                continue
             prior = self._loosely(observation, entry.map_from_base)
             aligned = align_to(self.data, known, observation, prior)
-            if aligned is None:
-                continue
             is_rejected = observation.verdict is Verdict.REJECTED
-            if not (is_rejected and _is_elsewhere(aligned[1], prior)):
+            if aligned is None or (is_rejected and _is_elsewhere(aligned[1], prior)):
+                camera = known.state.cameras[observation.camera].map_from_camera
+                self._in_vain[index] = (camera, entry.map_from_base)
+            else:
                 entry.observation = aligned[0].judged(Verdict.ACCEPTED)
+
+    def _is_in_vain(self, index: int, known: Filter, map_from_base: Pose) -> bool:
+        """Whether an observation was read in vain with camera and robot where they are now."""
+        if index not in self._in_vain:
+            return False
+        camera, base = self._in_vain[index]
+        name = self.data.entries[index].observation.camera
+        moved = known.state.cameras[name].map_from_camera.difference(camera)
+        apart = map_from_base.difference(base)
+        return bool(max(np.abs(moved).max(), np.abs(apart).max()) < _TRIED_SAME)
 
     def _loosely(self, observation: Observation, map_from_base: Pose) -> RobotEstimate:
         """Where the robot stood by the sightings around: within a decimetre and a tenth of a
@@ -218,6 +286,7 @@ class BatchSolution:
 
     def locate(self, camera: str) -> bool:
         """Try to locate a camera; whether that succeeded. The next solution uses it."""
+        self.tries[camera] = len(self.data.of_camera(camera))
         result = locate(self.data, self.state, camera)
         if isinstance(result, Undetermined):
             self.undetermined[camera] = result.reasons
@@ -258,32 +327,6 @@ def may_have_moved(entries: list[Entry]) -> bool:
     used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
     wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
     return bool(len(used) >= _LEAST_USED and wrong and min(wrong) > max(used))
-
-
-def align_to(
-    data: DataSet, known: Filter, observation: Observation, predicted: RobotEstimate | None
-) -> tuple[Observation, Pose] | None:
-    """A located camera's observation as it is read best, and where that puts the robot; None where
-    nothing fits or two readings fit alike."""
-    camera = known.state.cameras[observation.camera]
-    robot = observation.robot
-    prior, distance = None, 3.0
-    if predicted is not None:
-        prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
-        between = predicted.map_from_base.translation - camera.map_from_camera.translation
-        distance = float(np.linalg.norm(between))
-    alignment = align(
-        observation,
-        data.targets[robot],
-        camera.lens,
-        camera.map_from_camera,
-        tangent=data.tracks[robot].tangent,
-        prior=prior,
-        extra_sigma_px=known.camera_sigma_px(observation.camera, distance),
-    )
-    if alignment is None or alignment.margin < judge.DECISIVE:
-        return None
-    return alignment.read(observation), alignment.map_from_base
 
 
 def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:

@@ -78,6 +78,8 @@ class DataSet:
     entries: list[Entry] = field(default_factory=list)
     moves: list[Move] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
+    _sorted: int = field(init=False, repr=False, default=0)
 
     def __post_init__(self) -> None:
         for name, robot in self.site.robots.items():
@@ -118,13 +120,25 @@ class DataSet:
             observation = entry.observation
             if observation.camera == camera and observation.stamp_ns < until_ns:
                 entry.observation = replace(observation, camera=name)
+        self._by_camera.clear()
+        self._sorted = 0
 
     def note(self, kind: str, text: str) -> None:
         """Have people told."""
         self.events.append(Event(kind, text))
 
     def of_camera(self, camera: str) -> list[Entry]:
-        return [entry for entry in self.entries if entry.observation.camera == camera]
+        """Its entries, in the order in which they came."""
+        for entry in self.entries[self._sorted :]:
+            self._by_camera.setdefault(entry.observation.camera, []).append(entry)
+        self._sorted = len(self.entries)
+        return self._by_camera.get(camera, [])
+
+    def forget_from(self, index: int) -> None:
+        """Drop the entries from this one on."""
+        del self.entries[index:]
+        self._by_camera.clear()
+        self._sorted = 0
 
     def usable(self, cameras: Iterable[str]) -> list[int]:
         """Indices of the accepted observations of these cameras that odometry covers."""

@@ -30,7 +30,7 @@ from trigpoint.topics import Topic
 
 from .coverage import coverage
 from .dataset import DataSet, KnownCameras
-from .estimator import CameraEstimate, Inspectable, Sampled
+from .estimator import CameraEstimate, Collecting, Inspectable, Sampled
 from .estimators import make_estimator
 from .filter import RobotEstimate
 from .guidance_world import GuidanceWorld
@@ -193,11 +193,13 @@ class Pipeline:
             self.counts["without_intrinsics"] += 1
 
     def resumed(self) -> None:
-        """Say that what was pushed so far came from a checkpoint.
+        """Say that what was pushed so far came from a checkpoint: it is worked out at once.
 
         Whoever wrote it may have sent more corrections than it shows, and a robot refuses a
         sequence number that it has seen; so the next ones are well beyond.
         """
+        if isinstance(self._estimator, Collecting):
+            self._estimator.finish()
         self._is_live = True
         for robot in self.site.robots:
             self._sequence[robot] += _SEQUENCE_MARGIN
@@ -230,6 +232,9 @@ class Pipeline:
                 f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
                 "make no corrections; synchronise the clocks, or see what is slow"
             )
+        if not self._is_live and isinstance(self._estimator, Collecting):
+            self._estimator.collect(observation)
+            return
         update = self._estimator.add_observation(observation)
         if update.problem:
             self.counts["unusable"] += 1

@@ -15,7 +15,7 @@ from trigpoint.geometry.rotation import Array
 
 from . import judge
 from .assembly import true_time_ns
-from .batch import BatchSolution, align_to
+from .batch import BatchSolution
 from .contradictions import Contradictions
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
@@ -23,6 +23,7 @@ from .filter import Filter, RobotEstimate, carried_on
 from .moved import of_its_time
 from .observations import Observation, Verdict
 from .odometry_track import Added
+from .placement import align_to
 from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
@@ -36,7 +37,6 @@ _LOOSE = (
     "position and orientation in the map: the robot's odometry jumped on its way here from the "
     "other cameras; drive there without a break"
 )
-_LEAST_PICTURES_LIVE = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +82,13 @@ class Smoother:
             return self._add(observation)
         except (LinAlgError, ValueError) as reason:
             # Numbers that no arithmetic survives: the rest goes on as if they had not come.
-            del self.data.entries[count:]
+            self.data.forget_from(count)
             batch.state, self._filter, batch.solution, batch.assembled = before
             self._history.clear()
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+
+    def collect(self, observation: Observation) -> None:
+        self._batch.collected.append(observation)
 
     def _add(self, observation: Observation) -> Update:
         observation = of_its_time(self.data.moves, observation)
@@ -212,10 +215,8 @@ class Smoother:
 
     def _try_to_locate(self, camera: str) -> Update:
         """Try again whenever a camera's pictures have grown by half since the last try."""
-        pictures = len(self.data.of_camera(camera))
-        if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._batch.tries.get(camera, 0)):
+        if not self._batch.is_due(camera):
             return Update()
-        self._batch.tries[camera] = pictures
         if self._batch.locate(camera):
             self.solve()
             return Update(located=(camera,) if camera in self._batch.state.cameras else ())

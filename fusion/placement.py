@@ -1,0 +1,142 @@
+"""Where a robot stood at observations that no solution has seen yet: by odometry from where it is
+known, corrected wherever a located camera saw it.
+
+This is what the live filter does sighting by sighting, for a whole stretch and without the filter:
+it gives a batch solution its start, and ambiguous views their readings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .alignment import PosePrior, align
+from .dataset import DataSet, Entry
+from .filter import Filter, RobotEstimate
+from .judge import DECISIVE
+from .observations import Observation, Verdict
+from .odometry_track import composed
+
+# What a robot's place by odometry is taken to be uncertain by at the least, m² and rad².
+_FLOOR_M2 = 0.05**2
+_FLOOR_RAD2 = 0.05**2
+# An observation whose face is known starts well enough by odometry while that drifted less.
+_STEADY_M2 = 0.03**2
+_STEADY_RAD2 = 0.02**2
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A robot's way by odometry alone at moments (n,), and by how much it drifted up to each:
+    variances (n,), summed over directions."""
+
+    path: Pose
+    drift_m2: Array
+    drift_rad2: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Anchor:
+    """A moment at which the robot's pose is known."""
+
+    row: int
+    map_from_base: Pose
+
+
+def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> None:
+    """Put into these entries of the data set, in the order of their times, where the robot stood;
+    those of located cameras are read and accepted where they fit.
+
+    Entries are left without a place where nothing ties the robot to the map.
+    """
+    track = data.tracks[robot]
+    entries = [data.entries[index] for index in indices]
+    stamps = np.array([entry.observation.stamp_ns for entry in entries], dtype=np.int64)
+    stamps = np.clip(stamps, track.first_ns, track.last_ns)
+    start_ns = known.stamps_ns.get(robot)
+    moments = np.unique(stamps if start_ns is None else np.append(stamps, start_ns))
+    way = _way(data, known, robot, moments)
+    rows = np.searchsorted(moments, stamps).tolist()
+    anchor = None
+    if start_ns is not None:
+        row = int(np.searchsorted(moments, start_ns))
+        anchor = _Anchor(row, known.robot(data, robot).map_from_base)
+    homeless: list[tuple[Entry, int]] = []
+    for entry, row in zip(entries, rows, strict=True):
+        anchor = _placed(data, known, way, entry, row, anchor)
+        if anchor is None:
+            homeless.append((entry, row))
+            continue
+        for earlier, earlier_row in homeless:
+            earlier.map_from_base = _carried(way, anchor, earlier_row)
+        homeless.clear()
+
+
+def _way(data: DataSet, known: Filter, robot: str, moments: np.ndarray) -> _Way:
+    if len(moments) == 1:
+        return _Way(Pose.stack([Pose.identity()]), np.zeros(1), np.zeros(1))
+    motion = data.tracks[robot].motion(moments, known.scales(robot))
+    variances = np.diagonal(motion.covariance, axis1=1, axis2=2)
+    return _Way(
+        composed(motion.earlier_from_later),
+        np.concatenate([[0.0], np.cumsum(variances[:, :3].sum(axis=1))]),
+        np.concatenate([[0.0], np.cumsum(variances[:, 3:].sum(axis=1))]),
+    )
+
+
+def _carried(way: _Way, anchor: _Anchor, row: int) -> Pose:
+    return anchor.map_from_base @ (way.path[anchor.row].inverse() @ way.path[row])
+
+
+def _placed(
+    data: DataSet, known: Filter, way: _Way, entry: Entry, row: int, anchor: _Anchor | None
+) -> _Anchor | None:
+    """Place one entry; where the robot is known best then."""
+    observation, prior = entry.observation, None
+    if anchor is not None:
+        entry.map_from_base = _carried(way, anchor, row)
+        between = way.path.translation[row] - way.path.translation[anchor.row]
+        turned = abs(way.drift_rad2[row] - way.drift_rad2[anchor.row])
+        moved = abs(way.drift_m2[row] - way.drift_m2[anchor.row]) + between @ between * turned
+        if not known.has_camera(observation.camera):
+            return anchor
+        if observation.chosen and moved < _STEADY_M2 and turned < _STEADY_RAD2:
+            entry.observation = observation.judged(Verdict.ACCEPTED)
+            return anchor
+        covariance = np.diag(np.repeat([_FLOOR_M2 + moved, _FLOOR_RAD2 + turned], 3))
+        prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, covariance)
+    if not known.has_camera(observation.camera):
+        return anchor
+    aligned = align_to(data, known, observation, prior)
+    if aligned is None:
+        return anchor
+    entry.observation, entry.map_from_base = aligned[0].judged(Verdict.ACCEPTED), aligned[1]
+    return _Anchor(row, aligned[1])
+
+
+def align_to(
+    data: DataSet, known: Filter, observation: Observation, predicted: RobotEstimate | None
+) -> tuple[Observation, Pose] | None:
+    """A located camera's observation as it is read best, and where that puts the robot; None where
+    nothing fits or two readings fit alike."""
+    camera = known.state.cameras[observation.camera]
+    robot = observation.robot
+    prior, distance = None, 3.0
+    if predicted is not None:
+        prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
+        between = predicted.map_from_base.translation - camera.map_from_camera.translation
+        distance = float(np.linalg.norm(between))
+    alignment = align(
+        observation,
+        data.targets[robot],
+        camera.lens,
+        camera.map_from_camera,
+        tangent=data.tracks[robot].tangent,
+        prior=prior,
+        extra_sigma_px=known.camera_sigma_px(observation.camera, distance),
+    )
+    if alignment is None or alignment.margin < DECISIVE:
+        return None
+    return alignment.read(observation), alignment.map_from_base
