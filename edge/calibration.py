@@ -6,6 +6,7 @@
 4. The model is chosen by its error on views that were left out, and fitted to those taken.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,7 +26,7 @@ MOST_VIEWS = 60
 _ENOUGH_VIEWS = 20
 _START_VIEWS = 25
 _LEAST_GAIN = 0.005
-_BAD_FACTOR = 3.0
+_BAD_FACTOR = 2.5
 _ROUNDS = 3
 _LEAST_RMS_PX = 1e-3
 
@@ -143,7 +144,7 @@ def _best_fit(views: Sequence[View], size: tuple[int, int]) -> Fit:
 def _spread(views: Sequence[View], size: tuple[int, int], most: int) -> list[int]:
     """Views far from each other in where their outer corners are (farthest point first): that is
     place, size and slant at once, before any lens is known."""
-    marks = np.array([_outer_pixels(view) for view in views]) / size[0]
+    marks = np.array([outer_pixels(view) for view in views]) / size[0]
     middle = np.linalg.norm(marks - marks.mean(axis=0), axis=(1, 2))
     chosen = [int(np.argmin(middle))]
     distance = np.linalg.norm(marks - marks[chosen[0]], axis=(1, 2))
@@ -154,7 +155,7 @@ def _spread(views: Sequence[View], size: tuple[int, int], most: int) -> list[int
     return sorted(chosen)
 
 
-def _outer_pixels(view: View) -> Array:
+def outer_pixels(view: View) -> Array:
     """The pixels of the corners nearest to the pattern's four ends, (4, 2)."""
     x, y = view.points[:, 0], view.points[:, 1]
     return view.pixels[[int(np.argmin(way)) for way in (x + y, y - x, -x - y, x - y)]]
@@ -166,8 +167,9 @@ def _are_good(view_rms_px: Array, views: Sequence[View]) -> np.ndarray:
     A smeared view counts as bad too: the fit weighs all corners alike. Where few views let a lens
     fit too well, the detector's own sigmas say what is usual.
     """
-    expected = np.sqrt(2) * np.median([view.sigma for view in views])
-    usual = max(float(np.median(view_rms_px)), float(expected))
+    usual = float(np.median(view_rms_px))
+    if len(views) < _ENOUGH_VIEWS:
+        usual = max(usual, math.sqrt(2) * float(np.median([view.sigma for view in views])))
     return np.isfinite(view_rms_px) & (view_rms_px <= _BAD_FACTOR * usual)
 
 

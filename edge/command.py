@@ -10,6 +10,7 @@ import typer
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import load_site
 from trigpoint.node import Node, stop_on_signals
+from trigpoint.watchdog import Watchdog
 
 from .detector import detector_for
 from .node import KIND, EdgeNode, load_targets
@@ -34,9 +35,12 @@ def main(
     cv2.setNumThreads(1)
     quieten_opencv()
     with open_bus(loaded) as bus, ExitStack() as stack:
-        nodes = [Node(bus, site=loaded.name, kind=KIND, name=name) for name in names]
+        watchdog = Watchdog()
+        nodes = [
+            Node(bus, site=loaded.name, kind=KIND, name=name, watchdog=watchdog) for name in names
+        ]
         agents = [
-            EdgeNode(bus, node, loaded, name, detector_for(targets))
+            EdgeNode(bus, node, loaded, name, detector_for(targets), targets)
             for node, name in zip(nodes, names, strict=True)
         ]
         stop_on_signals(nodes)

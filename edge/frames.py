@@ -6,6 +6,7 @@ Further schemes are plug-ins: entry points of the group `trigpoint.frames` whose
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Protocol
@@ -20,20 +21,37 @@ from trigpoint.geometry import CameraModel
 SOURCES: dict[str, str] = {
     "dir": "trigpoint.edge.frames_directory:DirectoryFrames",
     "file": "trigpoint.edge.frames_video:VideoFrames",
-    "v4l2": "trigpoint.edge.frames_live:V4l2Frames",
-    "rtsp": "trigpoint.edge.frames_live:RtspFrames",
+    "v4l2": "trigpoint.edge.frames_v4l2:V4l2Frames",
+    "rtsp": "trigpoint.edge.frames_rtsp:RtspFrames",
 }
 PLUG_INS = "trigpoint.frames"
 _LOCAL_SCHEMES = ("dir", "file")
 
 
+class Stamp(StrEnum):
+    """How a picture's time is known."""
+
+    SOURCE = "by the source"
+    MONOTONIC = "by the kernel's monotonic clock"
+    REALTIME = "by the kernel's real-time clock"
+    ARRIVAL = "on arrival"
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One picture. `picture`: (height, width) or (height, width, 3) uint8, BGR as OpenCV's;
-    `captured_ns`: middle of exposure, Unix time on this machine's clock."""
+    `captured_ns`: middle of exposure, Unix time on this machine's clock.
+
+    `passed_over`: how many pictures before it were left out, since they came faster than the
+    camera's rate in the site file, or were the same again. `is_frozen`: the camera has given this
+    very picture for so long that it says nothing of its time.
+    """
 
     picture: np.ndarray
     captured_ns: int
+    stamp: Stamp = Stamp.SOURCE
+    passed_over: int = 0
+    is_frozen: bool = False
 
 
 class FrameSource(Protocol):

@@ -1,4 +1,4 @@
-"""`v4l2://DEVICE` and `rtsp://…`: cameras that do not wait.
+"""Cameras that do not wait: what `v4l2://` and `rtsp://` have in common.
 
 A thread of the source's own reads on and keeps the newest picture alone, since drivers and network
 streams queue: whoever reads slowly would see the past.
@@ -6,23 +6,25 @@ streams queue: whoever reads slowly would see the past.
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from trigpoint.clock import Clock, to_ns
-from trigpoint.config import CameraConfig
-from trigpoint.errors import FrameError
+from trigpoint.errors import FrameError, TrigpointError
 from trigpoint.geometry import CameraModel
 
-from .frames import Frame, local_path
+from .frames import Frame, Stamp
 
-_TIMEOUT_MS = 5000
-_STALLED_S = 10.0
+STALLED_S = 2.0
+"""A camera without a new picture for so long is lost, whatever its driver says."""
+FROZEN_S = 2.0
+_OPENING_S = 10.0
+_PERIODS = 3.0
 _LOOK_S = 0.2
 _JOIN_S = 1.0
-_OLDEST_NS = to_ns(2.0)
+_JITTER_NS = 500_000
 
 
 class Capture(Protocol):
@@ -37,7 +39,8 @@ class Capture(Protocol):
 
 class LiveFrames:
     """The newest picture of a capture that a thread reads; opened on that thread too, since it can
-    take seconds. `stamp`: capture and clock to Unix time of a picture that was just read."""
+    take seconds. `stamp`: capture and clock to the Unix time of a picture that was just read, and
+    how it is known; `rate`: pictures a second at most."""
 
     def __init__(
         self,
@@ -45,16 +48,26 @@ class LiveFrames:
         open_capture: Callable[[], Capture],
         *,
         clock: Clock,
-        stamp: Callable[[Capture, Clock], int],
+        rate: float,
+        stamp: Callable[[Capture, Clock], tuple[int, Stamp]],
     ) -> None:
+        """Raises FrameError while the thread of an earlier opening hangs in the driver."""
         self._name, self._clock, self._stamp = name, clock, stamp
+        self._pace = _Pace(rate)
+        self._stalled_ns = to_ns(max(STALLED_S, _PERIODS / rate))
         self._changed = threading.Condition()
         self._newest: Frame | None = None
-        self._lost = ""
-        self._skipped = 0
+        self._lost: TrigpointError | None = None
+        self._skipped = self._passed_over = 0
         self._closing = threading.Event()
+        self._alive_ns = clock.elapsed_ns() + to_ns(_OPENING_S)
+        self._last: np.ndarray | None = None
+        self._fresh_ns = 0
+        title = f"reads {name}"
+        if any(thread.name == title for thread in threading.enumerate()):
+            raise FrameError(f"{name}: its driver hangs since it was lost; unplug the camera")
         self._thread = threading.Thread(
-            target=self._read, args=(open_capture,), name=f"reads {name}", daemon=True
+            target=self._read, args=(open_capture,), name=title, daemon=True
         )
         self._thread.start()
 
@@ -70,14 +83,13 @@ class LiveFrames:
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
         """The newest picture each time; raises FrameError when the camera is lost or stalls."""
-        last_ns = self._clock.elapsed_ns()
         while not stopping.is_set():
             frame = self._take()
             if frame is not None:
-                last_ns = self._clock.elapsed_ns()
                 yield frame
-            elif self._clock.elapsed_ns() - last_ns > to_ns(_STALLED_S):
-                raise FrameError(f"{self._name}: no picture for {_STALLED_S:.0f} s; check it")
+            elif self._clock.elapsed_ns() > self._alive_ns + self._stalled_ns:
+                waited_s = self._stalled_ns / 1e9
+                raise FrameError(f"{self._name}: no picture for {waited_s:.0f} s; check the camera")
 
     def close(self) -> None:
         """Stop reading. A read that hangs in the driver ends by its own time limit."""
@@ -85,100 +97,77 @@ class LiveFrames:
         self._thread.join(_JOIN_S)
 
     def _take(self) -> Frame | None:
-        """Wait a moment for a picture. Raises FrameError where there will be none."""
+        """Wait a moment for a picture. Raises where there will be none."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._lost, _LOOK_S)
             frame, self._newest = self._newest, None
-            if frame is None and self._lost:
-                raise FrameError(self._lost)
+            if frame is None and self._lost is not None:
+                raise self._lost
             return frame
 
     def _read(self, open_capture: Callable[[], Capture]) -> None:
         try:
             capture = open_capture()
+            self._alive_ns = self._clock.elapsed_ns() + to_ns(STALLED_S)  # cameras start slowly
             try:
                 while not self._closing.is_set():
                     self._keep(capture)
             finally:
                 capture.release()
-        except FrameError as reason:
+        except TrigpointError as reason:
             with self._changed:
-                self._lost = str(reason)
+                self._lost = reason
                 self._changed.notify_all()
 
     def _keep(self, capture: Capture) -> None:
         is_read, picture = capture.read()
         if not is_read:
             raise FrameError(f"{self._name}: the camera was lost; check its cable or network")
-        frame = Frame(picture, self._stamp(capture, self._clock))
+        captured_ns, stamp = self._stamp(capture, self._clock)
+        self._alive_ns = max(self._alive_ns, self._clock.elapsed_ns())
+        is_new, is_frozen = self._compare(picture)
+        if not (is_new or is_frozen) or not self._pace.is_due(captured_ns):
+            self._passed_over += 1
+            return
+        frame = Frame(picture, captured_ns, stamp, self._passed_over, is_frozen)
+        self._passed_over = 0
         with self._changed:
-            self._skipped += self._newest is not None
+            if self._newest is not None:
+                self._skipped += 1
+                frame = replace(frame, passed_over=frame.passed_over + self._newest.passed_over)
             self._newest = frame
             self._changed.notify_all()
 
+    def _compare(self, picture: np.ndarray) -> tuple[bool, bool]:
+        """Whether the picture is another than the last, and whether none has been for too long.
 
-class V4l2Frames(LiveFrames):
-    """`v4l2:///dev/video0`: a camera of this machine, asked for the site file's size and rate."""
-
-    def __init__(self, url: str, camera: CameraConfig, *, clock: Clock) -> None:
-        device = local_path(url)
-        if not device.exists():
-            raise FrameError(f"{device}: there is no such camera; plug it in or correct `source`")
-        super().__init__(
-            str(device),
-            lambda: open_v4l2(str(device), camera),
-            clock=clock,
-            stamp=driver_stamp_ns,
-        )
+        Two pictures of a sensor never are the same: each has its own noise.
+        """
+        now_ns = self._clock.elapsed_ns()
+        if self._last is None or not np.array_equal(picture, self._last):
+            self._last, self._fresh_ns = picture, now_ns
+            return True, False
+        return False, now_ns - self._fresh_ns > to_ns(FROZEN_S)
 
 
-class RtspFrames(LiveFrames):
-    """`rtsp://…`: a network camera, stamped on arrival (its delay is the camera's time offset)."""
+class _Pace:
+    """Lets pictures through at a rate, on average: one that comes late makes none later."""
 
-    def __init__(self, url: str, _camera: CameraConfig, *, clock: Clock) -> None:
-        super().__init__(
-            without_password(url), lambda: open_rtsp(url), clock=clock, stamp=arrival_ns
-        )
+    def __init__(self, rate: float) -> None:
+        self._period_ns = to_ns(1 / rate)
+        self._due_ns = 0
 
-
-def open_v4l2(device: str, camera: CameraConfig) -> Capture:
-    """Open a Video4Linux camera; raise FrameError."""
-    capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
-    if not capture.isOpened():
-        raise FrameError(f"{device}: the camera cannot be opened; does another program use it?")
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
-    capture.set(cv2.CAP_PROP_FPS, camera.rate)
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    return capture
+    def is_due(self, captured_ns: int) -> bool:
+        early_ns = self._due_ns - captured_ns
+        # Stamps jitter around a camera's own rate, which may be just this one. One that lies far
+        # before the last is of a clock that was set back.
+        if _JITTER_NS < early_ns <= self._period_ns:
+            return False
+        is_in_step = -self._period_ns < early_ns <= self._period_ns
+        self._due_ns = (self._due_ns if is_in_step else captured_ns) + self._period_ns
+        return True
 
 
-def open_rtsp(url: str) -> Capture:
-    """Open a network stream within a time limit; raise FrameError."""
-    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC]
-    capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [*limits, _TIMEOUT_MS])
-    if not capture.isOpened():
-        name = without_password(url)
-        raise FrameError(f"{name}: the stream cannot be opened; check address and network")
-    return capture
-
-
-def arrival_ns(_capture: Capture, clock: Clock) -> int:
+def arrival_stamp(_capture: Capture, clock: Clock) -> tuple[int, Stamp]:
     """Now, as Unix time."""
-    return clock.now_ns()
-
-
-def driver_stamp_ns(capture: Capture, clock: Clock) -> int:
-    """The driver's time stamp as Unix time; now, where the driver gives none that can be true.
-
-    Video4Linux stamps on the monotonic clock, in ms as OpenCV hands it out.
-    """
-    age_ns = clock.elapsed_ns() - to_ns(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
-    return clock.now_ns() - (age_ns if 0 <= age_ns <= _OLDEST_NS else 0)
-
-
-def without_password(url: str) -> str:
-    """The URL without what logs must not hold."""
-    scheme, separator, rest = url.partition("://")
-    authority, slash, path = rest.partition("/")
-    return scheme + separator + authority.rpartition("@")[2] + slash + path
+    return clock.now_ns(), Stamp.ARRIVAL

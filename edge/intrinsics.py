@@ -18,24 +18,22 @@ def calibrated_lens(site: Site, camera: str) -> CameraModel | None:
     return read_camera_info(site.path(config.intrinsics))
 
 
-def announced_lens(
+def known_lens(
     site: Site, camera: str, calibrated: CameraModel | None, own: CameraModel | None
-) -> CameraModel:
-    """The calibrated lens, else the source's own, else the nominal one, which is warned of.
+) -> CameraModel | None:
+    """The lens to announce: the calibrated one, else the source's own, else none.
 
-    The nominal one is a start to estimate from; taken as known it spoils every result.
+    A lens that is only supposed is never announced: whoever hears one takes it as known, and that
+    spoils every result. Where it is to be estimated, fusion supposes it itself.
     """
-    if (known := calibrated or own) is not None:
-        return known
-    config = site.camera(camera)
-    if not config.estimates_intrinsics:
+    known = calibrated or own
+    if known is None and not site.camera(camera).estimates_intrinsics:
         _log.warning(
-            "camera %s has no intrinsics: a plain lens of %.0f degrees is announced; "
-            'give intrinsics = "FILE.yaml", or "estimate"',
+            "camera %s has no intrinsics, so none are announced and fusion cannot use its "
+            'sightings; make them with `trigpoint intrinsics`, or write intrinsics = "estimate"',
             camera,
-            config.horizontal_fov,
         )
-    return config.nominal()
+    return known
 
 
 def check_size(camera: str, lens: CameraModel, shape: tuple[int, ...]) -> None:

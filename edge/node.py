@@ -1,6 +1,7 @@
 """The agent of one camera as a node: source -> detector -> bus."""
 
 import threading
+from collections.abc import Callable, Sequence
 
 from trigpoint.bus import Bus
 from trigpoint.cdr import encode, warm_up
@@ -13,14 +14,20 @@ from trigpoint.node import Node
 from trigpoint.target import Target, load_target
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
+from .calibration_service import CalibrationService
 from .detector import TargetDetector
 from .frames import Frame, FrameSource, open_source
-from .intrinsics import announced_lens, calibrated_lens, check_size
+from .intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
 
 KIND = "edge"
 _FIRST_PAUSE_S = 1.0
 _LONGEST_PAUSE_S = 30.0
+_SOUND_S = 10.0
+"""A source that lasted so long was sound: the next pause is the first one again."""
+_PATIENCE_S = 20.0
+"""How long the camera's thread may take for one picture, or for opening, before it is hung."""
+_PATIENT_PERIODS = 5.0
 
 
 class EdgeNode:
@@ -37,6 +44,7 @@ class EdgeNode:
         site: Site,
         camera: str,
         detector: TargetDetector,
+        targets: Sequence[Target],
         *,
         clock: Clock | None = None,
     ) -> None:
@@ -46,7 +54,9 @@ class EdgeNode:
         self._clock = clock or SystemClock()
         self._config = site.camera(camera)
         self._calibrated = calibrated_lens(site, camera)
+        self._calibration = CalibrationService(camera, targets)
         self._lens: CameraModel | None = None
+        self._is_announced = False
         self._last_ns = -1
         self._pause_s = _FIRST_PAUSE_S
         self._detection_ms = self._delay_ms = 0.0
@@ -54,40 +64,62 @@ class EdgeNode:
     def start(self) -> None:
         """Declare what the camera sends and serves, and start its thread."""
         warm_up()
-        site, camera = self._site.name, self._camera
         self._sightings = self._bus.publisher(SIGHTINGS, self._key(SIGHTINGS))
         self._camera_info = self._bus.publisher(CAMERA_INFO, self._key(CAMERA_INFO))
         images = self._bus.publisher(IMAGE, self._key(IMAGE))
-        self._pictures = PictureSender(camera, self._config, images)
-        self._bus.serve(command_key(site, f"camera/{camera}/snapshot"), self._pictures.snapshot)
+        self._pictures = PictureSender(self._camera, self._config, images)
+        self._serve("snapshot", self._pictures.snapshot)
+        self._serve("calibrate", self._calibration.answer)
         self._node.health.gauge("detection_ms", lambda: self._detection_ms)
         self._node.health.gauge("delay_ms", lambda: self._delay_ms)
+        self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
+        self._pulse = self._node.watchdog.pulse(f"{self._node.label} sees", within_s=_PATIENCE_S)
         self._node.thread("sees", self._run)
 
+    def _serve(self, command: str, answer: Callable[[bytes], bytes]) -> None:
+        self._bus.serve(command_key(self._site.name, f"camera/{self._camera}/{command}"), answer)
+
     def _run(self) -> None:
-        stopping, health = self._node.stopping, self._node.health
+        try:
+            self._see(self._node.stopping)
+        finally:
+            self._node.watchdog.forget(self._pulse)
+
+    def _see(self, stopping: threading.Event) -> None:
         while not stopping.is_set():
+            began_ns = self._clock.elapsed_ns()
             try:
                 self._play(stopping)
             except FrameError as reason:
-                health.count("source_lost")
-                health.fail(f"{reason} (trying again in {self._pause_s:.0f} s)")
-                self._clock.wait(stopping, self._pause_s)
-                self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+                if to_seconds(self._clock.elapsed_ns() - began_ns) > _SOUND_S:
+                    self._pause_s = _FIRST_PAUSE_S
+                self._wait_for_source(reason, stopping)
             else:
+                self._say("ended")
                 self._node.stop()
+
+    def _wait_for_source(self, reason: FrameError, stopping: threading.Event) -> None:
+        health = self._node.health
+        health.count("source_lost")
+        health.fail(f"{reason} (trying again in {self._pause_s:.0f} s)")
+        self._say("lost")
+        self._pulse.beat(self._pause_s + _PATIENCE_S)
+        self._clock.wait(stopping, self._pause_s)
+        self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
 
     def _play(self, stopping: threading.Event) -> None:
         """Handle every picture until the source's end; raises FrameError where it is lost."""
+        self._say("opening")
+        # A source may take its time to open, and then until the first picture or its loss.
+        self._pulse.beat(_PATIENCE_S)
+        config = self._config
         source = open_source(
-            self._config.source,
-            self._config,
-            clock=self._clock,
-            directory=self._site.directory,
+            config.source, config, clock=self._clock, directory=self._site.directory
         )
         try:
             skipped = 0
             for frame in source.frames(stopping):
+                self._pulse.beat(_PATIENCE_S + _PATIENT_PERIODS / config.rate)
                 self._handle(frame, source)
                 self._node.health.lose("pictures", source.skipped - skipped)
                 skipped = source.skipped
@@ -97,11 +129,18 @@ class EdgeNode:
     def _handle(self, frame: Frame, source: FrameSource) -> None:
         health = self._node.health
         health.count("pictures")
-        self._pause_s = _FIRST_PAUSE_S
+        health.count("passed_over", frame.passed_over)
+        health.describe("stamps", frame.stamp.value)
+        if frame.is_frozen:
+            health.lose("frozen")
+            self._say("frozen")
+            return
+        self._say("running")
         if frame.captured_ns <= self._last_ns:
             health.lose("out_of_order")
             return
         self._last_ns = frame.captured_ns
+        self._pictures.keep(frame)
         self._announce(frame, source)
         self._publish(frame)
         if self._pictures.offer(frame):
@@ -109,15 +148,14 @@ class EdgeNode:
 
     def _announce(self, frame: Frame, source: FrameSource) -> None:
         """Send the lens with the first picture; raises ConfigError where it does not fit one."""
-        known = self._lens
-        lens = known or announced_lens(
-            self._site, self._camera, self._calibrated, source.intrinsics
-        )
-        check_size(self._camera, lens, frame.picture.shape)
-        if known is None:
-            self._lens = lens
-            self._camera_info.put(encode(CameraInfo(frame.captured_ns, self._frame_id, lens)))
-            self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
+        if not self._is_announced:
+            self._is_announced = True
+            self._lens = known_lens(self._site, self._camera, self._calibrated, source.intrinsics)
+            if self._lens is not None:
+                info = CameraInfo(frame.captured_ns, self._frame_id, self._lens)
+                self._camera_info.put(encode(info))
+                self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
+        check_size(self._camera, self._lens or self._config.nominal(), frame.picture.shape)
 
     def _publish(self, frame: Frame) -> None:
         """Find the faces and send them, also where there are none."""
@@ -130,6 +168,10 @@ class EdgeNode:
         self._delay_ms = to_seconds(self._clock.now_ns() - frame.captured_ns) * 1e3
         self._node.health.count(f"sent {self._key(SIGHTINGS)}")
         self._node.health.count("faces", len(faces))
+        self._calibration.offer(faces, (width, height))
+
+    def _say(self, state: str) -> None:
+        self._node.health.describe("source", state)
 
     def _key(self, topic: Topic) -> str:
         return topic.key(self._site.name, self._camera)

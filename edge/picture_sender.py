@@ -16,7 +16,7 @@ from .frames import Frame
 
 
 class PictureSender:
-    """`offer` is called on the camera's thread, `snapshot` on the bus's serving one."""
+    """`keep` and `offer` are called on the camera's thread, `snapshot` on the bus's serving one."""
 
     def __init__(self, camera: str, config: CameraConfig, publisher: Publisher) -> None:
         self._camera, self._publisher = camera, publisher
@@ -26,10 +26,13 @@ class PictureSender:
         self._lock = threading.Lock()
         self._latest: np.ndarray | None = None
 
-    def offer(self, frame: Frame) -> bool:
-        """Send the frame if one is due and wanted; return whether it was sent."""
+    def keep(self, frame: Frame) -> None:
+        """Make this the picture that a snapshot shows."""
         with self._lock:
             self._latest = frame.picture
+
+    def offer(self, frame: Frame) -> bool:
+        """Send the frame if one is due and wanted; return whether it was sent."""
         if frame.captured_ns < self._due_ns or not self._publisher.has_listener:
             return False
         self._due_ns = max(self._due_ns + self._period_ns, frame.captured_ns)

@@ -27,7 +27,7 @@ class Report:
     """One reading of a node's health; `values` in the form of the diagnostics.
 
     Keys: `NAME.total` and `NAME.rate` (a second) of a counter, `NAME.lost` of lost data,
-    `NAME.depth` of a watched queue, and `NAME` alone of a gauge.
+    `NAME.depth` of a watched queue, and `NAME` alone of a gauge or of a state in words.
     """
 
     level: Level
@@ -40,7 +40,8 @@ class Health:
 
     `count` adds to a counter that diagnostics show as total and rate; `lose` does the same for lost
     data, which makes the status a warning; `gauge` names a value that is read once a second (a
-    queue's depth); `fail` keeps the last error's text, which makes the status an error for a while.
+    queue's depth), `describe` a state in words; `fail` keeps the last error's text, which makes the
+    status an error for a while.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -50,6 +51,7 @@ class Health:
         self._losses: Counter[str] = Counter()
         self._gauges: dict[str, Callable[[], float]] = {}
         self._watched: dict[str, Subscription] = {}
+        self._descriptions: dict[str, str] = {}
         self._last_error = ""
         self._failed_ns: int | None = None
         self._lost_ns: int | None = None
@@ -71,6 +73,11 @@ class Health:
         """Show what `read` returns; it is called on the diagnostics thread."""
         with self._lock:
             self._gauges[name] = read
+
+    def describe(self, name: str, text: str) -> None:
+        """Show a state in words, in place of what was said of it before."""
+        with self._lock:
+            self._descriptions[name] = text
 
     def watch(self, name: str, subscription: Subscription) -> None:
         """Show a subscription's total, rate, depth and losses."""
@@ -109,7 +116,8 @@ class Health:
         with self._lock:
             totals, losses = dict(self._totals), dict(self._losses)
             watched, gauges = dict(self._watched), dict(self._gauges)
-        values = {name: _number(read()) for name, read in gauges.items()}
+            values = dict(self._descriptions)
+        values |= {name: _number(read()) for name, read in gauges.items()}
         for name, subscription in watched.items():
             totals[name] = totals.get(name, 0) + subscription.received
             losses[name] = losses.get(name, 0) + subscription.dropped

@@ -28,6 +28,7 @@ from .health import Health, Level
 from .messages import Diagnostics, DiagnosticStatus
 from .peers import Peers
 from .topics import DIAGNOSTICS, alive_key
+from .watchdog import Watchdog
 
 __all__ = ["Health", "Node", "stop_on_signals"]
 
@@ -36,16 +37,19 @@ _log = logging.getLogger(__name__)
 STOP_S = 2.0
 _TAKEOVER_S = 2.0
 _NEWCOMER_S = 5.0
+_PULSE_S = 10.0
 
 
 class Node:
     """One node on the bus. Several may share a bus and a process (an agent with two cameras).
 
-    Nodes that share a process may share `stopping`, so that the end of one is the end of all.
+    Nodes that share a process may share `stopping`, so that the end of one is the end of all, and
+    must share `watchdog`, which they tell of their threads.
     """
 
     health: Health
     stopping: threading.Event
+    watchdog: Watchdog
 
     def __init__(
         self,
@@ -56,11 +60,13 @@ class Node:
         name: str,
         clock: Clock | None = None,
         stopping: threading.Event | None = None,
+        watchdog: Watchdog | None = None,
         period_s: float = 1.0,
     ) -> None:
         self._clock = clock or SystemClock()
         self.health = Health(self._clock)
         self.stopping = stopping or threading.Event()
+        self.watchdog = watchdog or Watchdog(clock=self._clock)
         self.label = f"{kind}/{name}"
         self._bus, self._site, self._period_s = bus, site, period_s
         self._token_key = alive_key(site, kind, name)
@@ -173,11 +179,15 @@ class Node:
 
     def _report(self, publisher: Publisher, others: Subscription) -> None:
         due = time.monotonic()
+        pulse = self.watchdog.pulse(f"{self.label} diagnostics", within_s=_PULSE_S)
         while not self.stopping.is_set():
+            pulse.beat(self._period_s + _PULSE_S)
+            self.watchdog.tick()
             self._listen(others)
             publisher.put(encode(self.diagnostics()))
             due = max(due + self._period_s, time.monotonic())
             self.stopping.wait(due - time.monotonic())
+        self.watchdog.forget(pulse)
 
     def diagnostics(self) -> Diagnostics:
         """What the node says of itself now. Called on the diagnostics thread."""
@@ -186,11 +196,17 @@ class Node:
             self._logged_error = self.health.last_error
             _log.error("%s: %s", self.label, self._logged_error)
         level, message = report.level, report.message
-        if complaint := self._peers.complaint() or self._connection_complaint():
+        if complaint := self._complaint():
             level, message = Level.ERROR, complaint
         values = self._identity() | {"peers": str(len(self._bus.peers))} | report.values
         status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)
         return Diagnostics(self._clock.now_ns(), (status,))
+
+    def _complaint(self) -> str:
+        """What is wrong beyond what the node knows of its own work, "" where nothing is."""
+        if hung := self.watchdog.hung:
+            return f"no sign of life of: {', '.join(hung)}"
+        return self._peers.complaint() or self._connection_complaint()
 
     def _connection_complaint(self) -> str:
         """What is wrong with the connection to the others; a change goes to the log."""

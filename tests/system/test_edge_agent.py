@@ -14,14 +14,17 @@ from builders import REAL_DATA, eventually
 
 from trigpoint.bus import Subscription
 from trigpoint.bus_zenoh import open_bus
+from trigpoint.camera_info import format_camera_info
 from trigpoint.cdr import decode
 from trigpoint.config import Site, parse_site
+from trigpoint.geometry import CameraModel
 from trigpoint.messages import CameraInfo, Sightings
 from trigpoint.topics import CAMERA_INFO, SIGHTINGS, alive_key, command_key
 
 VIDEO = REAL_DATA / "charuco-video" / "cam_0.mp4"
 BOARD = charuco()
 VIEW = placed(BOARD, distance=0.8, tilt_deg=15)
+LENS = CameraModel(1280, 720, 904.9, 899.9, 640.9, 367.6, (-0.37, 0.17, -0.0036, 0.0011, 0.0))
 
 
 def write_site(folder: Path, port: int, camera: str, *, more: str = "", face: str = "") -> Site:
@@ -65,7 +68,8 @@ def taken(ears: Subscription, timeout_s: float) -> Sightings | CameraInfo | None
 
 @pytest.mark.skipif(not VIDEO.is_file(), reason="the real video charuco-video is not here")
 def test_real_video_arrives_as_sightings_in_another_process(tmp_path: Path, free_port) -> None:
-    camera = f'source = "file://{VIDEO}"\nwidth = 1280\nheight = 720'
+    (tmp_path / "c1.yaml").write_text(format_camera_info(LENS, "c1"))
+    camera = f'source = "file://{VIDEO}"\nwidth = 1280\nheight = 720\nintrinsics = "c1.yaml"'
     face = 'columns = 4\nrows = 5\nsquare = 0.054\nmarker = 0.0405\ndictionary = "DICT_4X4_1000"\n'
     site = write_site(tmp_path, free_port(), camera, face=face + "inverted = true\n")
     with open_bus(site) as bus:
@@ -84,7 +88,7 @@ def test_real_video_arrives_as_sightings_in_another_process(tmp_path: Path, free
     assert corners >= 12
     assert stamps == sorted(set(stamps))
     assert isinstance(info, CameraInfo)
-    assert info.camera.width == 1280
+    assert info.camera == LENS
 
 
 def test_two_cameras_of_one_agent_play_to_their_ends(tmp_path: Path, free_port) -> None:

@@ -18,10 +18,11 @@ from trigpoint.cdr import decode
 from trigpoint.config import CameraConfig, parse_site
 from trigpoint.edge import frames as frames_module
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.frames import Frame
+from trigpoint.edge.frames import Frame, Stamp
 from trigpoint.edge.node import EdgeNode
 from trigpoint.errors import ConfigError, FrameError, InputError
 from trigpoint.geometry import CameraModel
+from trigpoint.health import Health
 from trigpoint.messages import CameraInfo, Picture, Sightings
 from trigpoint.node import Node
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
@@ -35,7 +36,7 @@ class ScriptedFrames:
     """A source whose stamps and pictures the test hands over; an exception among them is raised,
     and the next opening goes on behind it. It says that it skipped one picture for each."""
 
-    script: Iterator[tuple[int, np.ndarray] | Exception]
+    script: Iterator[tuple[int, np.ndarray] | Frame | Exception]
     opened = 0
     own_lens: CameraModel | None = None
 
@@ -54,7 +55,7 @@ class ScriptedFrames:
             if isinstance(item, Exception):
                 raise item
             self.skipped += 1
-            yield Frame(item[1], item[0])
+            yield item if isinstance(item, Frame) else Frame(item[1], item[0])
 
     def close(self) -> None:
         pass
@@ -73,7 +74,7 @@ class Desk:
 
     def start(
         self,
-        *pictures: tuple[int, np.ndarray] | Exception,
+        *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
         script: Iterator[tuple[int, np.ndarray]] | None = None,
     ) -> Node:
@@ -82,7 +83,8 @@ class Desk:
         text = f'site = "lab"\ntarget = "t.toml"\n[cameras.c1]\nsource = "script://"\n{camera}\n'
         site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
         node = Node(self.bus, site="lab", kind="edge", name="c1")
-        agent = EdgeNode(self.bus, node, site, "c1", detector_for([target_of(BOARD)]))
+        targets = [target_of(BOARD)]
+        agent = EdgeNode(self.bus, node, site, "c1", detector_for(targets), targets)
         self._stack.enter_context(node)
         agent.start()
         return node
@@ -153,18 +155,18 @@ def test_lens_that_the_source_knows_comes_before_the_nominal_one(desk: Desk) -> 
     assert info.camera == CAMERA
 
 
-def test_nominal_lens_is_announced_with_a_warning(
-    desk: Desk, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("camera", ["", 'intrinsics = "estimate"'])
+def test_lens_that_nobody_knows_is_not_announced(
+    desk: Desk, caplog: pytest.LogCaptureFixture, camera: str
 ) -> None:
     ears = desk.listen(CAMERA_INFO)
-    desk.start((1000, EMPTY), camera="horizontal_fov = 90.0").wait()
-    (info,) = taken(ears)
-    assert isinstance(info, CameraInfo)
-    assert info.camera.fx == pytest.approx(320.0)
-    assert "camera c1 has no intrinsics" in caplog.text
+    desk.start((1000, EMPTY), camera=camera).wait()
+    assert taken(ears) == []
+    assert ("camera c1 has no intrinsics" in caplog.text) == (not camera)
 
 
 def test_late_listener_gets_the_lens(desk: Desk) -> None:
+    ScriptedFrames.own_lens = CAMERA
     desk.start((1000, EMPTY)).wait()
     assert len(taken(desk.listen(CAMERA_INFO))) == 1
 
@@ -235,6 +237,85 @@ def test_lost_source_is_told_and_opened_again(desk: Desk, monkeypatch: pytest.Mo
     assert ScriptedFrames.opened == 2
     assert node.health.total("source_lost") == 1
     assert "cam: the camera was lost" in node.health.last_error
+
+
+def test_frozen_pictures_are_flagged_and_not_looked_at(desk: Desk) -> None:
+    ears = desk.listen(SIGHTINGS)
+    frozen = Frame(SEEN, 2000, Stamp.MONOTONIC, passed_over=20, is_frozen=True)
+    node = desk.start(Frame(SEEN, 1000, Stamp.MONOTONIC, passed_over=4), frozen)
+    node.wait()
+    assert len(taken(ears)) == 1
+    assert node.health.lost("frozen") == 1
+    assert node.health.total("passed_over") == 24
+    assert node.health.report().values["stamps"] == "by the kernel's monotonic clock"
+
+
+def test_pauses_grow_while_the_source_stays_lost(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.edge.node._FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr("trigpoint.edge.node._LONGEST_PAUSE_S", 0.03)
+    said: list[str] = []
+    monkeypatch.setattr(Health, "fail", lambda _health, text: said.append(text))
+    losses = [FrameError("cam: gone") for _ in range(3)]
+    desk.start((1000, EMPTY), *losses, (2000, EMPTY)).wait()
+    assert ScriptedFrames.opened == 4
+    assert said == ["cam: gone (trying again in 0 s)"] * 3
+
+
+def test_state_of_the_source_is_in_the_diagnostics(desk: Desk) -> None:
+    has_begun, may_end = threading.Event(), threading.Event()
+
+    def script() -> Iterator[tuple[int, np.ndarray]]:
+        has_begun.wait(10.0)
+        yield 1000, EMPTY
+        may_end.wait(10.0)
+
+    node = desk.start(script=script())
+
+    def is_said(state: str) -> bool:
+        return eventually(lambda: node.health.report().values.get("source") == state)
+
+    assert is_said("opening")
+    has_begun.set()
+    assert is_said("running")
+    may_end.set()
+    node.wait()
+    assert is_said("ended")
+    assert {"detection_ms", "delay_ms", "calibration_views"} <= node.health.report().values.keys()
+
+
+def test_hung_camera_is_not_hidden_by_another_of_the_agent(desk: Desk) -> None:
+    may_end = threading.Event()
+
+    def script() -> Iterator[tuple[int, np.ndarray]]:
+        yield 1000, EMPTY
+        may_end.wait(10.0)
+
+    node = desk.start(script=script())
+    assert eventually(lambda: node.health.total("pictures") == 1)
+    assert node.watchdog.hung == ()
+    hung = node.watchdog.pulse("another", within_s=-1.0)
+    assert node.watchdog.hung == ("another",)
+    node.watchdog.forget(hung)
+    may_end.set()
+    node.wait()
+    assert eventually(lambda: node.watchdog.hung == ())
+
+
+def test_calibration_can_be_asked_for(desk: Desk) -> None:
+    may_end = threading.Event()
+
+    def script() -> Iterator[tuple[int, np.ndarray]]:
+        yield 1000, SEEN
+        may_end.wait(10.0)
+
+    node = desk.start(script=script())
+    assert eventually(lambda: node.health.report().values["calibration_views"] == "1")
+    (reply,) = desk.bus.query(command_key("lab", "camera/c1/calibrate"))
+    may_end.set()
+    node.wait()
+    assert "1 views of the target were found" in reply.error
 
 
 def test_skipped_pictures_are_counted_as_lost(desk: Desk) -> None:
