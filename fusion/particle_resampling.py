@@ -12,6 +12,8 @@ from trigpoint.geometry.rotation import Array
 _APART = 0.3
 # Keeps a spread of nothing (the map's origin) positive: 0.1 µm and µrad.
 _FLOOR_VARIANCE = 1e-14
+# Particles that differ by less than this many sigmas of a sighting do not differ for it.
+_NARROW = 0.01
 
 
 def normalised(log_weights: Array) -> Array:
@@ -40,46 +42,72 @@ def low_variance_indices(weights: Array, random: np.random.Generator) -> np.ndar
 
 
 def resampled(
-    errors: Array, weights: Array, random: np.random.Generator
-) -> tuple[np.ndarray, Array]:
-    """Equally weighted particles in place of weighted ones: indices (n,), and errors (n, D).
+    errors: Array, shown: Array, weights: Array, random: np.random.Generator
+) -> tuple[Array, np.ndarray]:
+    """Equally weighted particles in place of weighted ones: errors (n, D), and of which particle
+    each took what is shown, (n,).
 
-    Copies are drawn apart by a Gaussian kernel that keeps the spread as it is, and then moved
-    together so that mean and covariance are exactly the weighted ones: resampling adds no noise of
-    its own to them, however often it is done.
+    `shown`: (n, k), what the weights go by, in sigmas. It is resampled; the rest of a particle
+    follows by its regression on it, and what does not depend on it stays (Anderson, «A local least
+    squares framework for ensemble filtering», 2003), so that a sighting of one camera adds no noise
+    to the others. Copies are drawn apart by a Gaussian kernel, and all moved together so that mean
+    and covariance of what is shown are exactly the weighted ones.
     """
-    mean, covariance = moments(errors, weights)
+    values, vectors = np.linalg.eigh(np.cov(shown.T, bias=True))
+    wide = values > _NARROW**2
+    axes = vectors[:, wide] / np.sqrt(values[wide])
+    even = (shown - shown.mean(axis=0)) @ axes  # mean 0 and covariance 1
+    mean, covariance = moments(even, weights)
     indices = low_variance_indices(weights, random)
     root = np.linalg.cholesky(covariance + _FLOOR_VARIANCE * np.eye(len(mean)))
-    draws = random.standard_normal(errors.shape) @ root.T
-    spread = mean + np.sqrt(1 - _APART**2) * (errors[indices] - mean) + _APART * draws
-    even = np.full(len(errors), 1 / len(errors))
-    have_mean, have = moments(spread, even)
-    have_root = np.linalg.cholesky(have + _FLOOR_VARIANCE * np.eye(len(mean)))
-    exact = np.linalg.solve(have_root, (spread - have_mean).T)
-    return indices, mean + (root @ exact).T
+    drawn = random.standard_normal(even.shape) @ root.T
+    spread = mean + np.sqrt(1 - _APART**2) * (even[indices] - mean) + _APART * drawn
+    moved = mean + standardised(spread) @ root.T - even
+    return errors + moved @ (even.T @ errors) / len(errors), indices
+
+
+def regression(values: Array, on: Array) -> Array:
+    """How values (n, k) follow others (n, D) in this sample, (D, k); directions in which the others
+    do not differ have no part in it."""
+    centred = on - on.mean(axis=0)
+    scale = 1 / np.maximum(np.sqrt(np.mean(centred**2, axis=0)), 1e-12)
+    centred = centred * scale
+    inverse = np.linalg.pinv(centred.T @ centred, rcond=1e-9, hermitian=True)
+    return scale[:, None] * (inverse @ (centred.T @ (values - values.mean(axis=0))))
+
+
+def standardised(values: Array) -> Array:
+    """Values (n, k) moved and stretched together to mean 0 and covariance 1."""
+    centred = values - values.mean(axis=0)
+    covariance = centred.T @ centred / len(values)
+    root = np.linalg.cholesky(covariance + _FLOOR_VARIANCE * np.eye(values.shape[1]))
+    return np.linalg.solve(root, centred.T).T
+
+
+def independent_draws(errors: Array, count: int, random: np.random.Generator) -> Array:
+    """Standard normal draws (n, count) that have mean 0, covariance 1 and no correlation with the
+    errors (n, D) in this very sample."""
+    draws = random.standard_normal((len(errors), count))
+    return standardised(draws - (errors - errors.mean(axis=0)) @ regression(draws, errors))
 
 
 def moments(errors: Array, weights: Array) -> tuple[Array, Array]:
-    """Weighted mean (D,) and covariance (D, D) of errors (n, D).
-
-    Divided by 1 - Σw², without which a covariance shrinks by a sample's worth at every resampling.
-    """
+    """Weighted mean (k,) and covariance (k, k) of errors (n, k)."""
     mean = weights @ errors
     apart = errors - mean
-    return mean, (apart * weights[:, None]).T @ apart / (1 - np.sum(weights**2))
+    return mean, (apart * weights[:, None]).T @ apart
 
 
-def largest_share(log_weights: Array, log_likelihood: Array, most: float) -> float:
-    """The largest exponent up to `most` of a likelihood that leaves half of the weight effective.
+def largest_share(log_likelihood: Array, most: float) -> float:
+    """The largest exponent up to `most` of a likelihood that leaves half of even weights effective.
 
     A sighting that knows far more than the particles is taken in such shares, with resampling in
     between (tempering: Neal, «Annealed importance sampling», 2001).
     """
 
     def is_kept(share: float) -> bool:
-        weights = normalised(log_weights + share * log_likelihood)
-        return effective_sample_size(weights) >= len(log_weights) / 2
+        weights = normalised(share * log_likelihood)
+        return effective_sample_size(weights) >= len(weights) / 2
 
     return most if is_kept(most) else _bisected(is_kept, most)
 
