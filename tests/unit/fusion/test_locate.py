@@ -4,27 +4,41 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import CameraPlan, Plan, RobotPlan, circle, looking_at, make_session, standing
+from drives import (
+    CameraPlan,
+    Plan,
+    RobotPlan,
+    circle,
+    lens,
+    looking_at,
+    make_session,
+    standing,
+    straight,
+)
 
 from trigpoint.config import OdometryNoise
+from trigpoint.fusion.body import body_of, can_be_seen
 from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.hypotheses import DECISIVE, Located, distinct, refine
 from trigpoint.fusion.intake import Intake
-from trigpoint.fusion.locate import Located, Undetermined, locate
+from trigpoint.fusion.locate import Undetermined, is_below_floor, locate
+from trigpoint.fusion.starts import starts_of
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry, Sightings
-from trigpoint.target import Target
+from trigpoint.target import Face, Pattern, Target
 from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.visibility import seen_faces
 
 EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
 QUIET = OdometryNoise(0.001, 0.001, 0.001, 0.001)
 
 
 def seen_data(
-    target: Target, *, way=None, seconds: float = 4.0, most: int | None = None
+    target: Target, *, way=None, seconds: float = 4.0, most: int | None = None, eye: Pose = EYE
 ) -> DataSet:
     """What one camera sees of a robot whose pose in the map is known."""
     robot = RobotPlan(way or circle(), target, QUIET)
-    plan = Plan({"c1": CameraPlan(EYE)}, {"r1": robot}, seconds=seconds, picture_rate=4.0)
+    plan = Plan({"c1": CameraPlan(eye)}, {"r1": robot}, seconds=seconds, picture_rate=4.0)
     session = make_session(plan)
     inputs = session.inputs
     data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
@@ -152,3 +166,43 @@ def test_located_camera_is_never_mirrored() -> None:
     pose: Pose = found.camera.map_from_camera
     assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
     assert pose.translation[2] > 0.5
+
+
+def board_ahead() -> Target:
+    """One checkerboard that looks where the robot drives, and reads from both ends."""
+    into, down = np.array([-1.0, 0, 0]), np.array([0, 0, -1.0])
+    pose = Pose(np.column_stack([np.cross(down, into), down, into]), np.array([0.2, -0.1, 0.7]))
+    shift = tuple(pose.translation.tolist())
+    turn = tuple(pose.quaternion.tolist())
+    return Target("board", (Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, shift, turn),))
+
+
+def test_camera_is_not_put_below_the_floor_that_the_robot_drives_on() -> None:
+    eye = looking_at((2.8, 0.3, 1.6), (1.0, 0.0, 0.65))
+    data = seen_data(board_ahead(), way=straight(), eye=eye)
+    indices, state = list(range(len(data.entries))), data.first_state()
+    starts = starts_of(data, "c1", indices, most=8)
+    alike = distinct(refine(data, state, "c1", start, indices) for start in starts)
+    below = [h for h in alike if is_below_floor(data, h)]
+    assert below
+    assert min(abs(alike[0].lead(h)) for h in below) < DECISIVE  # the pictures leave it open
+    found = locate(data, state, "c1")
+    assert isinstance(found, Located), found
+    assert np.abs(found.map_from_camera.difference(eye)).max() < 0.05
+
+
+def test_robot_is_not_seen_through_its_own_faces() -> None:
+    target = target_of("checkerboard")
+    body = body_of(target)
+    points = np.stack(body.corners)
+    hidden = 0
+    for azimuth in np.linspace(0, 2 * np.pi, 73):
+        eye = looking_at((2 * np.cos(azimuth), 2 * np.sin(azimuth), 1.2), (0.0, 0.0, 0.72))
+        seen = can_be_seen(body, np.arange(6), points, eye.translation[None])[0]
+        for face in seen_faces(target, Pose.identity(), eye, lens(), ()):
+            share = len(face.corners) / face.face.corner_count
+            # The simulator's sheets reach a centimetre beyond the pattern.
+            if abs(share - 0.5) > 0.2:
+                assert seen[target.faces.index(face.face)] == (share > 0.5)
+                hidden += share < 0.5
+    assert hidden > 10
