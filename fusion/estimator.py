@@ -124,19 +124,6 @@ class Collecting(Protocol):
 
 
 @runtime_checkable
-class Collecting(Protocol):
-    """An estimator that needs no estimate on the way to the end, where nobody listens to it."""
-
-    def collect(self, observation: Observation) -> None:
-        """Take an observation for `finish` alone."""
-        ...
-
-    def finish(self) -> None:
-        """See `Estimator`."""
-        ...
-
-
-@runtime_checkable
 class Inspectable(Protocol):
     """What an estimator shows that solves for every robot pose at once."""
 
