@@ -121,10 +121,11 @@ def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Sug
     return found
 
 
-def suggestion(world: GuidanceWorld) -> Suggestion | None:
-    """The most useful next pose of any robot; None where no visit helps."""
-    found = [s for robot in world.robots for s in suggestions(world, robot) if s.is_worthwhile]
-    return min(found, key=lambda s: s.expected_sigma_m, default=None)
+def next_poses(world: GuidanceWorld, *, count: int) -> list[Suggestion]:
+    """The next poses of the robot whose first one helps most."""
+    found = [suggestions(world, robot, count=count) for robot in world.robots]
+    useful = [poses for poses in found if poses]
+    return min(useful, key=lambda poses: poses[0].expected_sigma_m, default=[])
 
 
 @dataclass(frozen=True, slots=True)

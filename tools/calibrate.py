@@ -15,9 +15,10 @@ from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.network import encode_network
 from trigpoint.recorder.recording import Recording, open_recording
+from trigpoint.tools.calibration_report import REPORT, write_report
+from trigpoint.tools.truth import NetworkError, load_truth, network_error
 
 from .session_inputs import session_inputs
-from .truth import NetworkError, load_truth, network_error
 
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
 
@@ -41,8 +42,8 @@ def main(
 ) -> None:
     """Work out the network of a recorded session, faster than it took.
 
-    Writes network.json, covariance.npz and each robot's trajectory. Where a truth.json lies beside
-    the session, the errors against it are stated too.
+    Writes network.json, covariance.npz, each robot's trajectory, and report.html with all of it on
+    a page. Where a truth.json lies beside the session, the errors against it are stated too.
     """
     recording = open_recording(session)
     inputs = session_inputs(recording, site=site, network=network)
@@ -51,18 +52,26 @@ def main(
         chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
         check_estimator(chosen)
         inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
-    results = calibrated(recording, inputs)
+    pipeline = worked_out(recording, inputs)
+    results = pipeline.results()
     folder = out if out is not None else recording.path.parent / "calibration"
     results.save(folder)
+    error = _error(recording, results)
+    write_report(pipeline, results, error, session=session, folder=folder)
     if json:
         typer.echo(encode_network(results.network).decode(), nl=False)
         return
-    _print(results, _error(recording, results))
-    typer.echo(f"written to {folder}")
+    _print(results, error)
+    typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
 
 
 def calibrated(recording: Recording, inputs: Inputs) -> Results:
     """The results of a whole session; raise InputError where nothing in it can be used."""
+    return worked_out(recording, inputs).results()
+
+
+def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
+    """A pipeline after a whole session; raise InputError where nothing in it can be used."""
     pipeline = Pipeline(inputs, is_live=False)
     messages = messages_of(recording)
     if not any(isinstance(message, Odometry) for _, message in messages):
@@ -76,7 +85,7 @@ def calibrated(recording: Recording, inputs: Inputs) -> Results:
         typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
     if pipeline.last_problem:
         typer.echo(f"note: {pipeline.last_problem}", err=True)
-    return pipeline.results()
+    return pipeline
 
 
 def messages_of(recording: Recording) -> list[tuple[str, Message]]:

@@ -8,17 +8,12 @@ from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M, DemoResults
 from .charts import distance_chart, latency_chart, robot_error_chart, uncertainty_chart
 from .closeups import closeups
 from .map import legend, magnification, map_drawing, plan_of
-from .style import STYLE
+from .page_frame import brand, html_page
 from .svg import element
 from .tables import camera_table, kinds_table, message_table, missing_words
 from .tiles import headline, tiles
 
 _WIDE, _UPRIGHT = 1000.0, 420.0
-
-_MARK = (
-    '<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M12 3 L21 20 L3 20 Z"/>'
-    '<circle cx="12" cy="14.4" r="2.4"/></svg>'
-)
 
 
 def report_page(results: DemoResults, *, folder: str) -> str:
@@ -38,15 +33,7 @@ def report_page(results: DemoResults, *, folder: str) -> str:
         _further(results, folder),
         _footer(results),
     )
-    title = element("title", f"Trigpoint demo, seed {results.seed}")
-    head = element(
-        "head",
-        '<meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        title,
-        element("style", STYLE),
-    )
-    return f'<!doctype html>\n<html lang="en">{head}<body>{body}</body></html>\n'
+    return html_page(f"Trigpoint demo, seed {results.seed}", body)
 
 
 def _header(results: DemoResults) -> str:
@@ -60,7 +47,7 @@ def _header(results: DemoResults) -> str:
     )
     return element(
         "header",
-        element("div", _MARK, element("span", "Trigpoint"), class_="brand"),
+        brand(),
         element("h1", escape(headline(results))),
         element("p", lead, class_="lead"),
     )

@@ -111,6 +111,22 @@ svg .reckoned-text {{ fill:var(--reckoned); font-weight:600 }}
 .paper-band {{ fill:var(--bar); fill-opacity:.09 }}
 .mark {{ stroke:var(--ink); stroke-width:1.2; stroke-dasharray:4 3 }}
 svg .mark-text {{ fill:var(--ink) }}
+.picture {{ fill:var(--card); stroke:var(--faint); stroke-width:1 }}
+.shade rect {{ fill:var(--k) }}
+.residuals line {{ stroke:var(--ink); stroke-width:1 }}
+.residuals circle {{ fill:var(--k) }}
+.wild line {{ stroke:var(--bad); stroke-width:1.4 }}
+.normal {{ fill:none; stroke:var(--ink); stroke-width:1.4 }}
+.next {{ fill:var(--good); stroke:var(--card); stroke-width:1 }}
+svg .next-text {{ fill:var(--card); font-weight:700; font-size:12px; text-anchor:middle }}
+.tiles.thirds {{ grid-template-columns:repeat(3,1fr) }}
+.pair {{ display:grid; grid-template-columns:repeat(auto-fit,minmax(300px,1fr)); gap:14px 30px;
+  align-items:start; margin-top:12px }}
+.camera {{ margin-top:14px }}
+.camera summary {{ margin:0; font-size:16px }}
+.camera summary b {{ color:var(--k); font-size:18px }}
+.camera .bar {{ fill:var(--k) }}
+.narrow {{ max-width:430px }}
 .scroll {{ overflow-x:auto; margin-top:14px }}
 table {{ border-collapse:collapse; width:100%; font-size:15px }}
 th, td {{ text-align:right; padding:7px 12px; border-bottom:1px solid var(--rule);
@@ -135,7 +151,7 @@ footer {{ margin-top:56px; padding-top:14px; border-top:1px solid var(--rule); c
   .lead {{ font-size:16.5px }}
   .wide {{ display:none }}
   .upright {{ display:block; max-width:430px; margin:0 auto }}
-  .tiles {{ grid-template-columns:1fr 1fr }}
+  .tiles, .tiles.thirds {{ grid-template-columns:1fr 1fr }}
   .tile {{ padding:12px }}
   .tile b {{ font-size:22px }}
   .charts {{ grid-template-columns:1fr }}

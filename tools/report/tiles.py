@@ -1,13 +1,13 @@
 """The page's first lines: the run in a sentence and in five numbers."""
 
 import math
-from html import escape
 
 import numpy as np
 
 from trigpoint.tools.demo.results import PAPER_DISTANCE_ERROR_M as _PAPER_M
 from trigpoint.tools.demo.results import DemoResults
 
+from .page_frame import centimetres, tile
 from .svg import element
 
 
@@ -20,7 +20,7 @@ def headline(results: DemoResults) -> str:
     if error is None:
         return f"{located} of {len(results.cameras)} cameras located"
     seen = f"All {located}" if located == len(results.cameras) else f"All {located} visited"
-    return f"{seen} cameras located; the distances between them are right to {_cm(error)}"
+    return f"{seen} cameras located; the distances between them are right to {centimetres(error)}"
 
 
 def tiles(results: DemoResults) -> str:
@@ -28,15 +28,6 @@ def tiles(results: DemoResults) -> str:
     shown = [_located(results), _distance(results), _robot(results), _latency(results)]
     shown.append(_messages(results))
     return element("div", *(tile for tile in shown if tile), class_="tiles")
-
-
-def _tile(number: str, words: str, *, is_bad: bool = False) -> str:
-    return element(
-        "div",
-        element("b", escape(number)),
-        element("span", escape(words)),
-        class_="tile bad" if is_bad else "tile",
-    )
 
 
 def _located(results: DemoResults) -> str:
@@ -48,17 +39,17 @@ def _located(results: DemoResults) -> str:
     furthest = max((c.error.sigmas for c in results.located if c.error), default=math.nan)
     if located:
         words += f"; the furthest is {furthest:.1f} of its own sigmas off"
-    return _tile(f"{located} of {count}", words, is_bad=any(c.is_missed for c in results.cameras))
+    return tile(f"{located} of {count}", words, is_bad=any(c.is_missed for c in results.cameras))
 
 
 def _distance(results: DemoResults) -> str:
     error = results.mean_distance_error_m
     if error is None:
         return ""
-    words = f"mean error of the distances between cameras; the paper's is {_cm(_PAPER_M)}"
+    words = f"mean error of the distances between cameras; the paper's is {centimetres(_PAPER_M)}"
     if results.bound_m is not None:
-        words += f", and this drive's expected error (Cramér-Rao) {_cm(results.bound_m)}"
-    return _tile(_cm(error), words)
+        words += f", and this drive's expected error (Cramér-Rao) {centimetres(results.bound_m)}"
+    return tile(centimetres(error), words)
 
 
 def _robot(results: DemoResults) -> str:
@@ -68,8 +59,8 @@ def _robot(results: DemoResults) -> str:
     live, odometry = robot.final_error(robot.live), robot.final_error(robot.odometry)
     if live is None or odometry is None:
         return ""
-    words = f"off at the drive's end, the robot; {_cm(odometry.place_m)} by odometry alone"
-    return _tile(_cm(live.place_m), words)
+    words = f"off at the drive's end, the robot; {centimetres(odometry.place_m)} by odometry alone"
+    return tile(centimetres(live.place_m), words)
 
 
 def _latency(results: DemoResults) -> str:
@@ -77,7 +68,7 @@ def _latency(results: DemoResults) -> str:
         return ""
     half, most = 1000 * np.quantile(results.latencies_s, [0.5, 0.95])
     words = f"from exposure to correction, half of the time; 95 % within {most:.0f} ms"
-    return _tile(f"{half:.0f} ms", words)
+    return tile(f"{half:.0f} ms", words)
 
 
 def _messages(results: DemoResults) -> str:
@@ -88,12 +79,8 @@ def _messages(results: DemoResults) -> str:
     broken = [count for count in reliable if not count.is_complete]
     if results.restarts:
         total = sum(results.restarts.values())
-        return _tile(f"{total} ×", "a part ended, was started again, and the system went on")
+        return tile(f"{total} ×", "a part ended, was started again, and the system went on")
     if broken:
         number = f"{len(broken)} key{'s' * (len(broken) > 1)}"
-        return _tile(number, "on which messages were lost that must arrive", is_bad=True)
-    return _tile("0 lost", f"of {sent} messages on reliable keys: sent, received and recorded")
-
-
-def _cm(metres: float) -> str:
-    return f"{100 * metres:.2f} cm" if metres < 0.1 else f"{100 * metres:.1f} cm"
+        return tile(number, "on which messages were lost that must arrive", is_bad=True)
+    return tile("0 lost", f"of {sent} messages on reliable keys: sent, received and recorded")

@@ -1,0 +1,237 @@
+"""The page of a calibration as a reader's browser gets it."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import CameraPlan, lab_cameras, lab_plan, looking_at, make_session, write_session
+
+from trigpoint.cli import run
+from trigpoint.fusion.guidance import Suggestion
+from trigpoint.fusion.residuals import CameraResiduals
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.network import (
+    CameraRecord,
+    IntrinsicsRecord,
+    Network,
+    PoseRecord,
+    Statistics,
+)
+from trigpoint.tools.report.calibration import (
+    CalibrationResults,
+    view_angle_sigmas,
+    view_angles,
+)
+from trigpoint.tools.report.calibration_page import calibration_page
+from trigpoint.tools.report.residual_charts import covered_share
+
+VOID = {"meta", "br"}
+LENS = CameraModel(640, 480, 500.0, 501.0, 320.0, 240.0, (-0.2, 0.05, 1e-3, 0.0, 0.0))
+EYE = looking_at((2.0, 0.0, 1.6), (0.0, 0.0, 0.6))
+
+
+class Reader(HTMLParser):
+    """Checks that every element is closed in its place, and collects tags, attributes and text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.attributes: list[tuple[str, str]] = []
+        self.words: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] != "style":
+            self.words.append(data)
+
+
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    assert reader.open == []
+    return reader
+
+
+def words(page: str) -> str:
+    return " ".join(" ".join(read(page).words).split())
+
+
+def located(place: tuple[float, float, float] = (2.0, 0.0, 1.6), sigma: float = 0.02):
+    pose = Pose(EYE.rotation, np.array(place))
+    covariance = np.diag([sigma**2 / 3] * 3 + [1e-4] * 3)
+    return CameraRecord(
+        "located",
+        map_from_camera=PoseRecord.of(pose),
+        covariance=tuple(covariance.reshape(-1).tolist()),
+        intrinsics=IntrinsicsRecord.of(LENS, np.array([1.5, 1.6, 0.7, 0.8, 0.01, 0.02, 0, 0, 0])),
+        sightings=12,
+        rejected=2,
+        time_offset=0.012,
+        time_offset_sigma=0.001,
+        reprojection_rms=0.2,
+    )
+
+
+def residuals(count: int = 60, wild: int = 3) -> CameraResiduals:
+    random = np.random.default_rng(2)
+    pixels = random.uniform([0, 240], [639, 479], (count, 2))
+    used = np.arange(count) >= wild
+    return CameraResiduals(
+        np.zeros((2, 3)), pixels, random.normal(0, 0.2, (count, 2)), np.full(count, 0.2),
+        used, 10, 2, 1,
+    )  # fmt: skip
+
+
+def make_results(**more) -> CalibrationResults:
+    cameras = more.pop("cameras", {"c1": located(), "c2": located((2.0, 3.0, 1.6), 0.05)})
+    count = sum(camera.status == "located" for camera in cameras.values())
+    way = Pose.planar(np.linspace(0, 1, 20), np.linspace(0, 3, 20), 0.3)
+    goal = Pose.planar(0.4, 1.0, 1.5)
+    fields = {
+        "network": Network("lab", "uuid", "smoother", cameras, {}, Statistics(0.98, 7)),
+        "covariance": np.eye(6 * count) * 1e-4,
+        "trajectories": {"r1": (np.arange(20) * 10**9, way)},
+        "residuals": {name: residuals() for name in cameras},
+        "left_out": {},
+        "note": "",
+        "suggestions": (Suggestion("r1", goal, "c2", 0.05, 0.03, ("c1", "c2")),),
+        "error": None,
+        "session": "drive/session.mcap",
+        "folder": "drive/calibration",
+    }
+    return CalibrationResults(**(fields | more))
+
+
+UNDETERMINED = CameraRecord("undetermined", undetermined=("which face it saw",), sightings=4)
+KINDS = {
+    "good": make_results(),
+    "nothing located": make_results(
+        cameras={"c1": UNDETERMINED, "c2": CameraRecord("unseen")}, suggestions=()
+    ),
+    "nothing at all": make_results(
+        cameras={"c1": CameraRecord("unseen")}, suggestions=(), trajectories={}, residuals={}
+    ),
+    "no residuals": make_results(residuals={}),
+    "robot stood": make_results(
+        trajectories={"r1": (np.arange(3), Pose.planar(np.zeros(3), 0.0, 0.0))}
+    ),
+    "all corners wild": make_results(residuals={"c1": residuals(5, 5), "c2": residuals(0, 0)}),
+    "one corner": make_results(residuals={"c1": residuals(1, 0), "c2": residuals(2, 1)}),
+}
+
+
+@pytest.mark.parametrize("results", KINDS.values(), ids=KINDS.keys())
+def test_page_is_whole_and_every_number_in_it_is_one(results: CalibrationResults) -> None:
+    page = calibration_page(results)
+    text = words(page)
+    assert not {"nan", "inf", "None", "nan°", "-0.00"} & set(text.split())
+    for name, value in read(page).attributes:
+        if name in ("points", "x", "y", "cx", "cy", "x1", "y1", "x2", "y2", "width", "height"):
+            assert "nan" not in value, (name, value)
+            assert "inf" not in value, (name, value)
+
+
+def test_page_needs_nothing_from_elsewhere() -> None:
+    page = calibration_page(make_results())
+    reader = read(page)
+    assert not reader.tags & {"script", "link", "img", "iframe", "object", "use", "image"}
+    assert not {name for name, _ in reader.attributes} & {"src", "href", "onclick", "onload"}
+    assert "url(" not in page
+    assert "http" not in page
+
+
+def test_intrinsics_stand_with_their_sigmas_and_known_ones_say_so() -> None:
+    text = words(calibration_page(make_results()))
+    for shown in ("fx 500.00 px 1.50 px", "cy 240.00 px 0.80 px", "k2 0.05000 0.02000"):
+        assert shown in text
+    assert "p1 0.00100 taken as known" in text
+    assert "k3 0.00000 taken as known" in text
+    assert "time offset 12.00 ms 1.00 ms" in text
+
+
+def test_undetermined_camera_tells_why_and_where_the_robot_stood() -> None:
+    cameras = {"c1": located(), "c2": UNDETERMINED, "c3": CameraRecord("unseen")}
+    text = words(calibration_page(make_results(cameras=cameras)))
+    assert "1 of 3 cameras located" in text
+    assert "which face it saw. It saw the robot 4 times, as near (0.0, 0.0) m" in text
+    assert "c3 : it never saw a robot's target" in text
+
+
+def test_next_pose_stands_with_what_it_improves() -> None:
+    text = words(calibration_page(make_results()))
+    assert "The camera that is known worst is c2, to 5.00 cm" in text
+    assert "1 r1 0.40 1.00 86 c1, c2 c2 5.00 3.00" in text
+    nothing = words(calibration_page(make_results(suggestions=())))
+    assert "No single picture more" in nothing
+
+
+def test_what_was_left_out_stands_in_words() -> None:
+    text = words(calibration_page(make_results(left_out={"wrong_size": 7}, note="camera c3 sends")))
+    assert "pictures of another size than the camera's intrinsics are for 7" in text
+    assert "camera c3 sends" in text
+    assert "c1 10 2 1 57 3" in text  # used, rejected, not read, corners, wild ones
+
+
+def test_names_from_files_cannot_break_the_page() -> None:
+    results = make_results(note="<script>", left_out={"<b>": 1}, session="a&b <i>.mcap")
+    reader = read(calibration_page(results))
+    assert "script" not in reader.tags
+    assert "trigpoint review a&b <i>.mcap" in " ".join(reader.words)
+
+
+def test_many_cameras_are_folded() -> None:
+    cameras = {f"c{i}": located((2.0, float(i), 1.6)) for i in range(12)}
+    page = calibration_page(make_results(cameras=cameras))
+    assert '<details class="camera card k0">' in page
+    assert 'class="camera card k0" open' in calibration_page(make_results())
+
+
+def test_angles_are_those_of_the_camera() -> None:
+    assert view_angles(EYE) == pytest.approx([180.0, np.degrees(np.arctan2(1, 2)), 0.0], abs=1e-9)
+    spun = Pose(EYE.rotation @ Pose.planar(0, 0, 0.1).rotation, EYE.translation)
+    assert view_angles(spun)[2] == pytest.approx(np.degrees(0.1))
+
+
+def test_angle_sigmas_are_those_of_drawn_poses() -> None:
+    root = 1e-3 * np.random.default_rng(1).standard_normal((6, 6))
+    covariance = root @ root.T
+    pose = Pose(EYE.rotation, EYE.translation).disturbed([0, 0, 0, 0.1, 0.2, 0.9])
+    draws = np.random.default_rng(2).multivariate_normal(np.zeros(6), covariance, 4000)
+    sampled = np.std([view_angles(pose.disturbed(draw)) for draw in draws], axis=0)
+    np.testing.assert_allclose(view_angle_sigmas(pose, covariance), sampled, rtol=0.06)
+
+
+def test_covered_share_counts_the_fields_of_the_picture() -> None:
+    found = replace(residuals(1, 0), pixels=np.array([[3.0, 3.0]]))
+    assert covered_share(found, 640, 480) == pytest.approx(1 / 192)
+
+
+def test_calibrate_leaves_the_page_beside_the_network(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras = lab_cameras()
+    cameras["far"] = CameraPlan(looking_at((90.0, 0.0, 1.6), (95.0, 0.0, 0.6)))
+    session = make_session(lab_plan(cameras=cameras, picture_rate=1.0))
+    folder = write_session(session, tmp_path / "drive")
+    assert run(["calibrate", str(folder), "--out", str(tmp_path / "out")]) == 0
+    assert str(tmp_path / "out" / "report.html") in capsys.readouterr().out
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    text = words(page)
+    assert "3 of 4 cameras located" in text
+    assert "far : it never saw a robot's target" in text
+    assert re.search(r"1 r1 -?\d+\.\d\d -?\d+\.\d\d -?\d+ .* c\d", text)
+    deviations = re.findall(r"Standard deviation (\d\.\d\d) sigmas", text)
+    assert len(deviations) == 3
+    assert all(0.8 < float(value) < 1.1 for value in deviations)

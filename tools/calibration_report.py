@@ -1,0 +1,46 @@
+"""Writes a calibration's page beside its files."""
+
+from pathlib import Path
+
+from trigpoint.fusion.guidance import Suggestion, next_poses
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.results import Results
+from trigpoint.tools.report.calibration import CalibrationResults
+from trigpoint.tools.report.calibration_page import calibration_page
+from trigpoint.tools.truth import NetworkError
+
+REPORT = "report.html"
+_NEXT_POSES = 3
+
+
+def write_report(
+    pipeline: Pipeline,
+    results: Results,
+    error: NetworkError | None,
+    *,
+    session: Path,
+    folder: Path,
+) -> None:
+    """Write report.html to the folder of the results."""
+    page = calibration_page(
+        CalibrationResults(
+            network=results.network,
+            covariance=results.covariance,
+            trajectories=results.trajectories,
+            residuals=pipeline.residuals(),
+            left_out=pipeline.left_out,
+            note=pipeline.last_problem,
+            suggestions=_next_poses(pipeline),
+            error=error,
+            session=str(session),
+            folder=str(folder),
+        )
+    )
+    part = folder / f"{REPORT}.part"
+    part.write_text(page, encoding="utf-8")
+    part.replace(folder / REPORT)
+
+
+def _next_poses(pipeline: Pipeline) -> tuple[Suggestion, ...]:
+    world = pipeline.guidance_world()
+    return tuple(next_poses(world, count=_NEXT_POSES)) if world is not None else ()

@@ -1,0 +1,143 @@
+"""A camera's residuals over its picture, and how large they are in sigmas."""
+
+import numpy as np
+
+from trigpoint.fusion.residuals import CameraResiduals
+from trigpoint.geometry.rotation import Array
+
+from .axes import Axes
+from .svg import circle, drawing, element, group, line, polyline
+
+_WIDTH = 480.0
+_COLUMNS, _ROWS = 16, 12
+_MOST_VECTORS, _MOST_WILD = 160, 80
+_LONGEST = 20.0  # of an ordinary residual, in the drawing
+_NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_BARS, _REACH = 33, 4.125  # sigmas: the middle bar lies around 0
+
+
+def covered_share(residuals: CameraResiduals, width: int, height: int) -> float:
+    """Which share of the picture's 16 × 12 fields holds a used corner."""
+    return float(np.mean(_fields(residuals, width, height) > 0))
+
+
+def picture_drawing(
+    residuals: CameraResiduals, width: int, height: int, *, name: str
+) -> tuple[str, str]:
+    """The picture with its residuals, and in words what is drawn."""
+    scale = _WIDTH / width
+    used = np.flatnonzero(residuals.used)
+    shown = _spread(used, _MOST_VECTORS)
+    factor = _magnification(residuals.residual_px[used], scale)
+    vectors = [
+        _vector(residuals.pixels[i], factor * residuals.residual_px[i], scale) for i in shown
+    ]
+    wild = [
+        _cross(residuals.pixels[i], scale)
+        for i in _spread(np.flatnonzero(~residuals.used), _MOST_WILD)
+    ]
+    frame = element(
+        "rect", x=0.5, y=0.5, width=_WIDTH - 1, height=height * scale - 1, class_="picture"
+    )
+    picture = drawing(
+        _WIDTH,
+        height * scale,
+        frame,
+        _shade(residuals, width, height, scale),
+        group(*vectors, class_="residuals"),
+        group(*wild, class_="wild"),
+        label=f"The picture of camera {name} with its residuals",
+    )
+    count = f"{len(shown)} of " if len(shown) < len(used) else ""
+    words = (
+        f"From where a corner was seen to where it is expected: {count}{len(used)} corners, "
+        f"{factor} times larger"
+    )
+    covered = covered_share(residuals, width, height)
+    words += (
+        f". The shade tells how many there are; {100 * covered:.0f} % of the picture is covered."
+    )
+    left_out = len(residuals.used) - len(used)
+    if left_out:
+        words += f" Crosses: {left_out} corner{'s' * (left_out > 1)} left out."
+    return picture, words
+
+
+def histogram_drawing(residuals: CameraResiduals, *, name: str) -> tuple[str, str]:
+    """How many coordinates are how many sigmas off, beside the normal distribution, and in words
+    how wide that is."""
+    values = residuals.in_sigmas.reshape(-1)
+    counts, edges = np.histogram(np.clip(values, -_REACH, _REACH), _BARS, (-_REACH, _REACH))
+    across = np.linspace(-_REACH, _REACH, 120)
+    normal = np.exp(-(across**2) / 2) / np.sqrt(2 * np.pi) * len(values) * (edges[1] - edges[0])
+    top = max(float(counts.max()), float(normal.max())) * 1.12
+    axes = Axes.of(_WIDTH, 300.0, x=(-_REACH, _REACH), y=(0.0, top))
+    bars = [_bar(axes, edges[i], edges[i + 1], int(n)) for i, n in enumerate(counts) if n]
+    chart = drawing(
+        _WIDTH,
+        300.0,
+        axes.frame("residual of a coordinate, in sigmas", "coordinates"),
+        *bars,
+        polyline(axes.points(across, normal), class_="normal"),
+        label=f"Histogram of the residuals of camera {name} in sigmas",
+        class_="chart",
+    )
+    words = (
+        f"Standard deviation {np.std(values):.2f} sigmas, mean {np.mean(values):+.2f}; the line is "
+        "what noise of the stated size would give."
+    )
+    return chart, words
+
+
+def _fields(residuals: CameraResiduals, width: int, height: int) -> Array:
+    """How many used corners lie in each field of the picture, (columns, rows)."""
+    x, y = residuals.pixels[residuals.used].T
+    span = ((-0.5, width - 0.5), (-0.5, height - 0.5))
+    return np.histogram2d(x, y, bins=(_COLUMNS, _ROWS), range=span)[0]
+
+
+def _shade(residuals: CameraResiduals, width: int, height: int, scale: float) -> str:
+    counts = _fields(residuals, width, height)
+    across, down = width * scale / _COLUMNS, height * scale / _ROWS
+    most = max(float(counts.max()), 1.0)
+    cells = [
+        element(
+            "rect", x=i * across, y=j * down, width=across, height=down,
+            fill_opacity=0.05 + 0.27 * float(counts[i, j]) / most,
+        )
+        for i, j in zip(*np.nonzero(counts), strict=True)
+    ]  # fmt: skip
+    return group(*cells, class_="shade")
+
+
+def _magnification(residual_px: Array, scale: float) -> int:
+    if not len(residual_px):
+        return 1
+    ordinary = float(np.quantile(np.linalg.norm(residual_px, axis=1), 0.9)) * scale
+    fitting = [factor for factor in _NICE if factor * ordinary <= _LONGEST]
+    return fitting[-1] if fitting else 1
+
+
+def _vector(pixel: Array, residual: Array, scale: float) -> str:
+    x, y = (pixel + 0.5) * scale
+    end_x, end_y = (pixel + 0.5 + residual) * scale
+    return line(x, y, end_x, end_y) + circle(x, y, 1.3)
+
+
+def _cross(pixel: Array, scale: float) -> str:
+    x, y = (pixel + 0.5) * scale
+    return line(x - 3, y - 3, x + 3, y + 3) + line(x - 3, y + 3, x + 3, y - 3)
+
+
+def _bar(axes: Axes, start: float, end: float, count: int) -> str:
+    x0, x1 = float(axes.across(start)), float(axes.across(end))
+    y = float(axes.up(count))
+    return element(
+        "rect", x=x0 + 0.5, y=y, width=x1 - x0 - 1, height=axes.up.start - y, class_="bar"
+    )
+
+
+def _spread(indices: np.ndarray, most: int) -> np.ndarray:
+    if len(indices) <= most:
+        return indices
+    return indices[np.linspace(0, len(indices) - 1, most).round().astype(int)]
