@@ -14,9 +14,9 @@ from trigpoint.geometry.rotation import Array
 
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
-# Bounds of the blur's variances, pixel²; the upper is that of 5 pixels of motion.
+# Bounds of the blur's variances, pixel²; the upper is that of 6 pixels of motion.
 LEAST_BLUR = 0.12
-MOST_BLUR = 2.5
+MOST_BLUR = 3.0
 # A pixel this far off the drawing, of the face's contrast, shows something else.
 FOREIGN_SHARE = 0.25
 # Of a corner's pixels, how many must show the pattern, and how many there must be;
@@ -186,7 +186,7 @@ def _blur_change(drawing: _Drawing, match: _Match, clear: np.ndarray) -> Array:
     normal = (flat.T @ weighted).astype(float)
     right = (weighted.T @ match.residual.reshape(-1)).astype(float)
     normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(3)
-    return np.clip(np.linalg.solve(normal, right), -0.5, 0.5)
+    return np.clip(np.linalg.solve(normal, right), -1.0, 1.0)
 
 
 def _blurred(drawn: np.ndarray, blur: Array) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""From a picture to the faces in it. `DETECTORS` says which class finds which pattern."""
+"""From a picture to the faces in it. `DETECTORS` says which FaceFinder finds which pattern."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from trigpoint.messages import FaceSighting
 from trigpoint.target import Face, Pattern, Target
 
 from .picture import as_grey
+
+if TYPE_CHECKING:
+    from .measurement import Located
+    from .planar_fit import PlanarFit
 
 DETECTORS: dict[Pattern, str] = {
     Pattern.CHECKERBOARD: "detector_checkerboard:CheckerboardDetector",
@@ -28,6 +32,27 @@ class TargetDetector(Protocol):
         Raises InputError where the array is no such picture.
         """
         ...
+
+
+class FaceFinder(Protocol):
+    """Finds the faces of one pattern in grey pictures, (height, width) uint8."""
+
+    def locate(self, grey: np.ndarray, is_over: "IsOver") -> "list[Located]":
+        """The faces in a picture; those found so far where `is_over` becomes true."""
+        ...
+
+    def follow(self, grey: np.ndarray, last: "Located", fit: "PlanarFit") -> "Located | None":
+        """A face that was found before and now lies about where `fit` has it; None where not."""
+        ...
+
+
+IsOver = Callable[[], bool]
+"""Whether the time for a picture is used up."""
+
+
+def never() -> bool:
+    """Of a search that may take its time; its work is bounded by counts."""
+    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,25 +90,29 @@ def appearances(targets: Sequence[Target]) -> tuple[Appearance, ...]:
 
 def detector_for(targets: Sequence[Target]) -> TargetDetector:
     """One detector for all faces of all robots' targets, one target a robot."""
+    return _AllDetectors(finders_for(targets))
+
+
+def finders_for(targets: Sequence[Target]) -> "dict[Pattern, FaceFinder]":
+    """A finder for every pattern that the robots' targets have."""
     looks = appearances(targets)
-    return _AllDetectors(
-        tuple(
-            _open(path)([look for look in looks if look.face.pattern is pattern])
-            for pattern, path in DETECTORS.items()
-            if any(look.face.pattern is pattern for look in looks)
-        )
-    )
+    return {
+        pattern: _open(path)([look for look in looks if look.face.pattern is pattern])
+        for pattern, path in DETECTORS.items()
+        if any(look.face.pattern is pattern for look in looks)
+    }
 
 
 class _AllDetectors:
-    """The detectors of every pattern that a site has, one after the other."""
+    """The finders of every pattern that a site has, one after the other."""
 
-    def __init__(self, detectors: tuple[TargetDetector, ...]) -> None:
-        self._detectors = detectors
+    def __init__(self, finders: "dict[Pattern, FaceFinder]") -> None:
+        self._finders = finders
 
     def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
         grey = as_grey(picture)
-        return tuple(face for detector in self._detectors for face in detector.detect(grey))
+        finders = self._finders.values()
+        return tuple(face.sighting for finder in finders for face in finder.locate(grey, never))
 
 
 def _appearance(same: list[tuple[int, Target, Face]]) -> Appearance:
@@ -98,6 +127,6 @@ def _appearance(same: list[tuple[int, Target, Face]]) -> Appearance:
     )
 
 
-def _open(path: str) -> Callable[[Sequence[Appearance]], TargetDetector]:
+def _open(path: str) -> Callable[[Sequence[Appearance]], FaceFinder]:
     module, _, name = path.partition(":")
     return getattr(import_module(f".{module}", __package__), name)

@@ -6,18 +6,13 @@ markers, says where every corner must be; each is registered with what is printe
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from trigpoint.messages import FaceSighting
-
 from .detector import Appearance
 from .marked_board import MarkedBoard
 from .marked_search import MarkedSearch
-from .picture import as_grey
 from .sheet import charuco_layout
 
 
-class CharucoDetector:
+class CharucoDetector(MarkedSearch):
     """Finds every ChArUco board of the given looks.
 
     Raises TargetError for an unknown dictionary.
@@ -25,8 +20,4 @@ class CharucoDetector:
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
         boards = [MarkedBoard.of(look, charuco_layout(look.face)) for look in looks]
-        self._search = MarkedSearch(boards)
-
-    def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
-        """The boards in a picture."""
-        return self._search.search(as_grey(picture))
+        super().__init__(boards)

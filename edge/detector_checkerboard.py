@@ -12,20 +12,20 @@ import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
 from trigpoint.target import Face
 
-from .detector import Appearance
+from .detector import Appearance, FaceFinder, IsOver
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown, largest_flat
-from .measurement import measured
+from .measurement import Located, measured
 from .patches import CornerPattern
-from .picture import as_grey
 from .planar_fit import PlanarFit, fit_plane
 from .saddles import Curvature, find_saddles, sampled
 
 # Of a board's corners, how many must be seen.
 LEAST_SHARE = 0.75
+# Of the corners that were seen last, how many must be seen where a board is followed.
+LEAST_AGAIN = 0.85
 # Of a grid as it was joined, how many corners must lie on one plane; chance grids of noise do not.
 LEAST_KEPT = 0.6
 # Of the places of its extent, how many a joined grid must fill; chance grids wander.
@@ -37,7 +37,7 @@ MOST_GRIDS = 16
 LEAST_ALTERNATING = 0.85
 
 
-class CheckerboardDetector:
+class CheckerboardDetector(FaceFinder):
     """Finds every checkerboard of the given looks."""
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
@@ -46,24 +46,36 @@ class CheckerboardDetector:
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
         self._least = min(LEAST_SHARE * width * height for width, height in extents)
 
-    def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
+    def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
         """The boards in a picture; a second look at half the size is for blurred ones."""
-        grey = as_grey(picture)
-        found = self._search(grey, grey, 1)
-        if not found and min(grey.shape) >= 64:
-            found = self._search(cv2.pyrDown(grey), grey, 2)
+        found = self._search(grey, grey, 1, is_over)
+        if not found and min(grey.shape) >= 64 and not is_over():
+            found = self._search(cv2.pyrDown(grey), grey, 2, is_over)
         return found
 
-    def _search(self, small: np.ndarray, grey: np.ndarray, step: int) -> tuple[FaceSighting, ...]:
+    def follow(self, grey: np.ndarray, last: Located, fit: PlanarFit) -> Located | None:
+        """A board that was found before and now lies about where `fit` has it.
+
+        All but a few of its corners must be there again, since moved by two squares it fits too.
+        """
+        face = last.look.face
+        found = measured(grey, CornerPattern.of(face), fit, blur=last.found.blur, is_rough=True)
+        if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
+            return None
+        return Located(last.look, found) if alternates(grey, face, found.fit) else None
+
+    def _search(
+        self, small: np.ndarray, grey: np.ndarray, step: int, is_over: IsOver
+    ) -> list[Located]:
         """The boards found in a picture `step` times smaller, measured in the full one."""
         curvature = Curvature.of(small)
         saddles = find_saddles(curvature)
         if len(saddles) < min(self._least, LEAST_SEED):
-            return ()
-        found: list[FaceSighting] = []
+            return []
+        found: list[Located] = []
         waiting = deque(find_grids(saddles)[:MOST_GRIDS])
         for _ in range(MOST_GRIDS):
-            if not waiting:
+            if not waiting or is_over():
                 break
             grid = waiting.popleft()
             sighting = self._match(grid, curvature, grey, step)
@@ -71,7 +83,7 @@ class CheckerboardDetector:
                 waiting.extend(self._parts(grid, small))
             elif not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
-        return tuple(found)
+        return found
 
     def _parts(self, grid: Grid, small: np.ndarray) -> list[Grid]:
         """A grid that is no board, taken apart where it runs over two planes."""
@@ -84,7 +96,7 @@ class CheckerboardDetector:
 
     def _match(
         self, grid: Grid, curvature: Curvature, grey: np.ndarray, step: int
-    ) -> FaceSighting | None:
+    ) -> Located | None:
         """The sighting that a grid is, grown where it is not whole; None where it is none."""
         size = (curvature.smooth.shape[1], curvature.smooth.shape[0])
         least = min(self._least, LEAST_SEED)
@@ -163,7 +175,7 @@ def _uprightness(places: np.ndarray, pixels: Array) -> float:
     return float(across[0] / np.linalg.norm(across) + down[1] / np.linalg.norm(down))
 
 
-def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> FaceSighting | None:
+def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Located | None:
     """The sighting with sub-pixel corners of the full picture, wild ones dropped."""
     ids = _numbered(grid, look)
     if ids is None:
@@ -176,7 +188,7 @@ def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Face
         return None
     if not alternates(grey, look.face, found.fit):
         return None
-    return look.sighting(found.corners, found.pixels, found.sigma)
+    return Located(look, found)
 
 
 def alternates(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
@@ -191,8 +203,8 @@ def alternates(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     return bool(right.mean() >= LEAST_ALTERNATING) if len(right) else True
 
 
-def _same_place(first: FaceSighting, second: FaceSighting) -> bool:
+def _same_place(first: Located, second: Located) -> bool:
     """Whether two sightings are the same board, found from two grids."""
-    centre = first.pixels.mean(axis=0) - second.pixels.mean(axis=0)
-    spread = np.ptp(second.pixels, axis=0)
+    centre = first.found.pixels.mean(axis=0) - second.found.pixels.mean(axis=0)
+    spread = np.ptp(second.found.pixels, axis=0)
     return bool(np.all(np.abs(centre) < 0.25 * spread))

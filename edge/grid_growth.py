@@ -22,7 +22,7 @@ REACH = 0.3
 
 def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
     """The grid without corners that lie off its plane; `size`: width and height of the picture."""
-    keep = sound_corners(grid.places.astype(float), grid.pixels, size)
+    keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
     return grid.only(keep)
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
 from trigpoint.target import Face
 
 from .detector import Appearance
@@ -47,13 +46,24 @@ class MarkedBoard:
             return None
         return found if self.agrees(grey, found.fit, group.numbers, reader) else None
 
+    def follow(
+        self, grey: np.ndarray, last: Measured, fit: PlanarFit, reader: MarkerReader
+    ) -> Measured | None:
+        """The corners of a board that lies about where `fit` has it."""
+        found = measured(grey, self.pattern, fit, blur=last.blur, is_rough=True)
+        if found is None or len(found.corners) < LEAST_CORNERS:
+            return None
+        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
+        inside = np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
+        numbers = np.flatnonzero(inside)
+        if len(numbers) == 0:
+            return None
+        scores = reader.agreement(grey, self.face, quads[numbers], numbers)
+        return found if np.median(scores) >= LEAST_AGREEMENT else None
+
     def agrees(
         self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
     ) -> bool:
         """Whether the markers `numbers`, where a fit puts them, are the board's."""
         quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
         return bool(reader.agreement(grey, self.face, quads, numbers).mean() >= LEAST_AGREEMENT)
-
-    def sighting(self, found: Measured) -> FaceSighting:
-        """What was measured, as a sighting of this look."""
-        return self.look.sighting(found.corners, found.pixels, found.sigma)

@@ -5,15 +5,16 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from trigpoint.messages import FaceSighting
-
+from .detector import FaceFinder, IsOver
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import reader_key, readers_for
+from .measurement import Located
+from .planar_fit import PlanarFit
 from .quads import QuadFinder
 
 
-class MarkedSearch:
+class MarkedSearch(FaceFinder):
     """Finds boards with markers; one pass over the picture serves them all."""
 
     def __init__(self, boards: Sequence[MarkedBoard]) -> None:
@@ -22,16 +23,25 @@ class MarkedSearch:
         self._readers = readers_for([board.look.face for board in boards])
         self._finder = QuadFinder()
 
-    def search(self, grey: np.ndarray) -> tuple[FaceSighting, ...]:
+    def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
         """The boards in a grey picture; inverted ones are looked for in its negative."""
-        found: list[FaceSighting] = []
+        found: list[Located] = []
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
-            if boards:
-                found += self._search(cv2.bitwise_not(grey) if inverted else grey, boards)
-        return tuple(found)
+            if boards and not is_over():
+                found += self._search(cv2.bitwise_not(grey) if inverted else grey, boards, is_over)
+        return found
 
-    def _search(self, grey: np.ndarray, boards: list[MarkedBoard]) -> list[FaceSighting]:
+    def follow(self, grey: np.ndarray, last: Located, fit: PlanarFit) -> Located | None:
+        """A board that was found before and now lies about where `fit` has it."""
+        board = next(board for board in self._boards if board.look is last.look)
+        shown = cv2.bitwise_not(grey) if board.face.inverted else grey
+        found = board.follow(shown, last.found, fit, self._readers[reader_key(board.face)])
+        return Located(board.look, found) if found else None
+
+    def _search(
+        self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver
+    ) -> list[Located]:
         quads = self._finder.find(grey)
         if len(quads) == 0:
             return []
@@ -41,23 +51,26 @@ class MarkedSearch:
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
             claims += [(group, board) for group in group_markers(markers, board.layout)]
-        return self._settled(grey, claims)
+        return self._settled(grey, claims, is_over)
 
     def _settled(
-        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, MarkedBoard]]
-    ) -> list[FaceSighting]:
+        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, MarkedBoard]], is_over: IsOver
+    ) -> list[Located]:
         """The claims that hold, heaviest first.
 
         A quadrilateral belongs to one board, and a look that is one face's alone is seen once.
         """
-        found, taken, seen = [], set[int](), set[int]()
+        found: list[Located] = []
+        taken, seen = set[int](), set[int]()
         for group, board in sorted(claims, key=lambda claim: -claim[0].weight):
+            if is_over():
+                break
             if id(board) in seen or not taken.isdisjoint(group.quads.tolist()):
                 continue
             reader = self._readers[reader_key(board.look.face)]
             measured = board.locate(grey, group, reader)
             if measured is not None:
-                found.append(board.sighting(measured))
+                found.append(Located(board.look, measured))
                 taken.update(group.quads.tolist())
                 seen.update([id(board)] if board.look.is_unique else [])
         return found

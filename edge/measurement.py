@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.messages import FaceSighting
 
+from .detector import Appearance
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, fit_plane, sound_corners
+from .planar_fit import PlanarFit, sound_corners
 from .registration import registered
 
 LEAST_CORNERS = 4
@@ -39,6 +41,19 @@ class Measured:
     fit: PlanarFit
 
 
+@dataclass(frozen=True, slots=True)
+class Located:
+    """A face that was found: its look, and where its corners are."""
+
+    look: Appearance
+    found: Measured
+
+    @property
+    def sighting(self) -> FaceSighting:
+        """What is sent of it."""
+        return self.look.sighting(self.found.corners, self.found.pixels, self.found.sigma)
+
+
 def measured(
     grey: np.ndarray,
     pattern: CornerPattern,
@@ -61,12 +76,9 @@ def measured(
     ids, pixels, sigma = ids[clear], found.pixels[clear], found.sigma[clear]
     if 0 < len(ids) < LEAST_CORNERS:
         return Measured(ids, pixels, FEW_CORNERS_SIGMA_PX, found.blur, found.fit)
-    keep = sound_corners(
+    keep, plane = sound_corners(
         pattern.points[ids], pixels, size, least_px=LEAST_WILD_PX, least_share=LEAST_WILD_SHARE
     )
-    if keep.sum() < LEAST_CORNERS:
-        return None
-    plane = fit_plane(pattern.points[ids[keep]], pixels[keep], size)
     if plane is None:
         return None
     distances = plane.residuals(pattern.points[ids[keep]], pixels[keep])

@@ -20,7 +20,9 @@ SCATTER_SHARE = 0.1
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
-_SMALL_STEP = 1e-7
+# Steps and gains that move no corner by a thousandth of a pixel.
+_SMALL_STEP = 2e-6
+_SMALL_GAIN = 1e-4
 _LEAST_DAMPING = 1e-7
 _DAMPING_STEP = 10.0
 _TINY = 1e-12 * np.eye(11)
@@ -43,6 +45,10 @@ class PlanarFit:
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of face points (n, 2)."""
         return self._project(points)[0]
+
+    def straight(self, points: Array) -> Array:
+        """Where a lens without distortion would have face points (n, 2); pixels (n, 2)."""
+        return self.centre + self.scale * self._project(points)[1]
 
     def residuals(self, points: Array, pixels: Array) -> Array:
         """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""
@@ -83,6 +89,7 @@ class PlanarFit:
             gain = 1 + square * (self.radial[0] + square * self.radial[1])
             slope = 1 + square * (3 * self.radial[0] + 5 * square * self.radial[1])
             straight -= (straight * gain - bent) / np.maximum(slope, 0.1)
+            straight = np.clip(straight, 0.0, 3 * bent)  # beyond the lens's fold nothing is found
         share = np.divide(straight, bent, out=np.ones(9), where=bent > 1e-9)
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
         cubic = np.polyfit((nodes - middle) / half, share, 3).astype(np.float32)
@@ -138,8 +145,8 @@ def sound_corners(
     *,
     least_px: float = LEAST_WILD_PX,
     least_share: float = LEAST_WILD_SHARE,
-) -> np.ndarray:
-    """Which corners (n,) lie where a flat face has them.
+) -> tuple[np.ndarray, PlanarFit | None]:
+    """Which corners (n,) lie where a flat face has them, and the fit to those.
 
     `least_px` and `least_share` (of the spacing): what is never called wild. Drops the worst beyond
     WILD_SIGMAS of the others' spread, again and again; no corner is sound where fewer than four
@@ -159,9 +166,9 @@ def sound_corners(
         limit = max(least, WILD_SIGMAS * usual)
         worst = np.where(keep, distances, 0.0)
         if worst.max() <= limit:
-            return keep
+            return keep, fit
         keep &= distances < max(limit, 0.7 * float(worst.max()))
-    return np.zeros(len(points), dtype=bool)
+    return np.zeros(len(points), dtype=bool), None
 
 
 def _spacing(pixels: Array) -> float:
@@ -199,9 +206,10 @@ def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit | None:
         if not cost_there <= cost:
             damping *= _DAMPING_STEP
             continue
+        gained = cost - cost_there
         now, error, jacobian, cost = moved, error_there, jacobian_there, cost_there
         damping = max(_LEAST_DAMPING, damping / _DAMPING_STEP)
-        if np.max(np.abs(step)) < _SMALL_STEP:
+        if gained < _SMALL_GAIN * cost or np.max(np.abs(step)) < _SMALL_STEP:
             break
     return PlanarFit(now.homography, now.radial, fit.centre, fit.scale)
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .alignment import aligned
+from .alignment import Alignment, aligned
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
-from .planar_fit import PlanarFit, fit_plane, sound_corners
+from .planar_fit import PlanarFit, sound_corners
 
-ROUNDS = 2
+ROUNDS = 3
 ROUGH_ROUNDS = 2
 # Variances xx and yy and covariance of the picture's blur to start from, pixel²: that of a sharp
 # lens and of the pixel's own width.
@@ -27,6 +27,10 @@ SOFTENING = np.array([1.6, 1.6, 0.0])
 # A step is trusted so far, pixels.
 LONGEST_STEP_PX = 1.0
 LONGEST_ROUGH_STEP_PX = 2.5
+# Where most steps are shorter, what is left of them is of no account.
+NEAR_STEP_PX = 0.5
+SMALL_STEP_PX = 0.03
+SMALL_BLUR_CHANGE = 0.3
 _AROUND_PX = MOST_HALF_PX + 6
 
 
@@ -59,21 +63,42 @@ def registered(
     sharp = START_BLUR if blur is None else blur
     pixels = fit.project(points)
     clear, sigma = np.zeros(len(ids), dtype=bool), np.zeros(len(ids))
-    rough = ROUGH_ROUNDS if is_rough else 0
-    for turn in range(rough + ROUNDS):
+    if is_rough:
+        fit, pixels = _approached(grey, pattern, fit, ids)
+    for turn in range(ROUNDS):
         if turn > 0:
             fit, pixels = _refitted(fit, points, pixels, clear, size)
-        if turn < rough:
-            soft = _softened(grey, pixels)
-            patches = patches_around(soft, pattern, fit, ids, pixels)
-            found = aligned(patches, START_BLUR + SOFTENING, LONGEST_ROUGH_STEP_PX)
-        else:
-            patches = patches_around(grey, pattern, fit, ids, pixels)
-            found = aligned(patches, sharp, LONGEST_STEP_PX)
-            sigma, sharp = found.sigma, found.blur
-        clear = found.is_clear
+        found = aligned(patches_around(grey, pattern, fit, ids, pixels), sharp, LONGEST_STEP_PX)
+        change = float(np.abs(found.blur - sharp).max())
+        clear, sigma, sharp = found.is_clear, found.sigma, found.blur
         pixels = pixels + np.where(clear[:, None], found.step, 0.0)
+        if _usual_length(found) < SMALL_STEP_PX and change < SMALL_BLUR_CHANGE:
+            break
     return Registration(pixels, clear, sigma, sharp, fit)
+
+
+def _approached(
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray
+) -> tuple[PlanarFit, Array]:
+    """A fit that is off by a pixel at most, and its pixels, found in the softened picture."""
+    points, size = pattern.points[ids], (grey.shape[1], grey.shape[0])
+    pixels = fit.project(points)
+    soft = _softened(grey, pixels)
+    for _ in range(ROUGH_ROUNDS):
+        patches = patches_around(soft, pattern, fit, ids, pixels)
+        found = aligned(patches, START_BLUR + SOFTENING, LONGEST_ROUGH_STEP_PX)
+        pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
+        fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
+        if _usual_length(found) < NEAR_STEP_PX:
+            break
+    return fit, pixels
+
+
+def _usual_length(found: Alignment) -> float:
+    """The length of most clear corners' steps, pixels; infinite where none is clear."""
+    if not found.is_clear.any():
+        return np.inf
+    return float(np.median(np.linalg.norm(found.step[found.is_clear], axis=1)))
 
 
 def _softened(grey: np.ndarray, pixels: Array) -> np.ndarray:
@@ -91,8 +116,7 @@ def _refitted(
     fit: PlanarFit, points: Array, pixels: Array, clear: np.ndarray, size: tuple[int, int]
 ) -> tuple[PlanarFit, Array]:
     """The plane through the clear corners, and all of them, the others where it has them."""
-    usable = sound_corners(points[clear], pixels[clear], size)
-    better = fit_plane(points[clear][usable], pixels[clear][usable], size)
+    usable, better = sound_corners(points[clear], pixels[clear], size)
     if better is None:
         return fit, pixels
     kept = clear.copy()

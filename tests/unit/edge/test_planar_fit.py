@@ -27,27 +27,27 @@ def test_exact_corners_are_predicted_through_the_lens() -> None:
 @pytest.mark.parametrize("k1", [-0.35, 0.0, 0.2])
 def test_no_corner_is_wild_for_the_lens(k1: float) -> None:
     camera = CameraModel(640, 480, 400.0, 400.0, 325.0, 235.0, (k1, 0.08, 0, 0, 0))
-    keep = sound_corners(POINTS, seen(0.1, camera=camera), SIZE)
+    keep, _ = sound_corners(POINTS, seen(0.1, camera=camera), SIZE)
     assert keep.all()
 
 
 def test_wild_corners_are_dropped_and_no_others() -> None:
     pixels = seen(0.1)
     pixels[[5, 20, 21]] += [[4.0, 0.0], [0.0, -9.0], [15.0, 15.0]]
-    keep = sound_corners(POINTS, pixels, SIZE)
+    keep, _ = sound_corners(POINTS, pixels, SIZE)
     assert np.flatnonzero(~keep).tolist() == [5, 20, 21]
 
 
 def test_scattered_points_are_no_face() -> None:
     pixels = np.random.default_rng(0).uniform(0, 480, (48, 2))
-    keep = sound_corners(POINTS, pixels, SIZE)
+    keep, _ = sound_corners(POINTS, pixels, SIZE)
     assert keep.sum() < 12
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_too_few_points_fix_no_plane(count: int) -> None:
     assert fit_plane(POINTS[:count], seen(0.0)[:count], SIZE) is None
-    assert not sound_corners(POINTS[:count], seen(0.0)[:count], SIZE).any()
+    assert not sound_corners(POINTS[:count], seen(0.0)[:count], SIZE)[0].any()
 
 
 def test_points_on_a_line_fix_no_plane_that_lies() -> None:
@@ -70,10 +70,10 @@ def test_few_corners_at_the_edge_of_a_picture_do_not_run_away() -> None:
             [42.62961, 344.8857],
         ]
     )
-    keep = sound_corners(points, pixels, SIZE)
+    keep, _ = sound_corners(points, pixels, SIZE)
     assert keep.sum() >= 5
 
 
 def test_corners_that_all_scatter_are_none() -> None:
     pixels = seen(0.0) + np.random.default_rng(3).normal(0, 8.0, (48, 2))
-    assert not sound_corners(POINTS, pixels, SIZE).any()
+    assert not sound_corners(POINTS, pixels, SIZE)[0].any()
