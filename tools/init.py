@@ -1,31 +1,47 @@
-"""`trigpoint init`: a first site.toml and target.toml."""
+"""`trigpoint init`: a first site.toml and target.toml, and units for systemd."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from trigpoint.config import load_site
 from trigpoint.errors import InputError, OperationError
 
 from .site_file import first_site_text, first_target_text, full_site_text
+from .systemd_units import unit_files
+
+_UNIT_FOLDER = "/etc/systemd/system"
 
 
 def main(
     full: Annotated[bool, typer.Option("--full", help="Every key, with its default.")] = False,
+    systemd: Annotated[
+        bool, typer.Option("--systemd", help="Units for systemd; a site that exists is kept.")
+    ] = False,
     directory: Annotated[Path, typer.Option(help="Where to write them.")] = Path(),
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
     """Write a first site.toml and target.toml that work, to be filled in."""
-    texts = {
-        directory / "site.toml": full_site_text() if full else first_site_text(),
-        directory / "target.toml": first_target_text(),
-    }
+    site = directory / "site.toml"
+    texts: dict[Path, str] = {}
+    if not (systemd and site.exists()):
+        texts[site] = full_site_text() if full else first_site_text()
+        texts[directory / "target.toml"] = first_target_text()
+    if systemd:
+        texts |= unit_files(directory / "systemd", site)
+    _write(texts, directory, force=force)
+    typer.echo(_next_step(site, has_units=systemd))
+
+
+def _write(texts: dict[Path, str], directory: Path, *, force: bool) -> None:
+    """Write every file or none; raises InputError where one exists that is not to be replaced."""
     for path in texts:
         if path.exists() and not force:
             raise InputError(f"{path} exists already; add --force to replace it")
     try:
-        directory.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
     except OSError as reason:
         raise OperationError(
@@ -33,4 +49,17 @@ def main(
         ) from None
     for path in texts:
         typer.echo(f"wrote {path}")
-    typer.echo(f"next: edit them, then trigpoint doctor --site {directory / 'site.toml'}")
+
+
+def _next_step(site: Path, *, has_units: bool) -> str:
+    look = f"next: edit them, then trigpoint doctor --site {site}"
+    if not has_units:
+        return look
+    loaded = load_site(site)
+    units = [f"trigpoint-edge@{name}" for name in loaded.cameras]
+    units += [f"trigpoint-robot@{name}" for name in loaded.robots]
+    return (
+        f"{look}\non each machine: sudo cp {site.parent / 'systemd'}/* {_UNIT_FOLDER}/ && "
+        "sudo systemctl daemon-reload,\nthen sudo systemctl enable --now what it is to run, of: "
+        f"{' '.join([*units, 'trigpoint-fusion', 'trigpoint-recorder'])}"
+    )

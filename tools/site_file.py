@@ -27,7 +27,7 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (CameraConfig, "width"): "pixels",
     (CameraConfig, "height"): "pixels",
     (CameraConfig, "rate"): "pictures a second that are looked at",
-    (CameraConfig, "intrinsics"): 'ROS camera_info YAML, taken as known; or "estimate"',
+    (CameraConfig, "intrinsics"): "or a camera_info YAML (trigpoint intrinsics), taken as known",
     (CameraConfig, "horizontal_fov"): "degrees; the start where nothing else is known of the lens",
     (CameraConfig, "focal_sigma"): "prior sigmas where estimated: focal length, relative",
     (CameraConfig, "centre_sigma"): "principal point, of the width",
@@ -67,11 +67,14 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
 
 _EXAMPLES = {
     (CameraConfig, "source"): "v4l2:///dev/video0",
-    (CameraConfig, "intrinsics"): "c1.yaml",
     (RobotConfig, "port"): "/dev/ttyUSB0",
     (RobotConfig, "target"): "target.toml",
 }
 """Values of the keys that have no default; those that may be absent are written as comments."""
+
+_WRITTEN = {(CameraConfig, "intrinsics"): "estimate"}
+"""Values in place of a default that a first site cannot start with: nothing announces a lens that
+nobody has measured."""
 
 _COMMENT_COLUMN = 32
 
@@ -83,10 +86,13 @@ target = "target.toml"          # default for every robot
 """
 
 
+_FIRST_KEYS = ("source", "width", "height", "rate", "intrinsics", "horizontal_fov")
+
+
 def first_site_text() -> str:
     """The shortest site file: one camera, one robot, this machine alone."""
     tables = [
-        _table("cameras.c1", CameraConfig, only=("source", "width", "height", "rate")),
+        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS),
         _table("robots.r1", RobotConfig, only=("port", "baud")),
     ]
     return "\n".join([_HEAD, *tables])
@@ -117,8 +123,8 @@ def _rows(struct: type[Struct]) -> Iterator[str]:
         if isinstance(default, Struct):
             continue  # a table of its own
         place = (struct, field.name)
-        value = _EXAMPLES[place] if default in (None, msgspec.NODEFAULT) else default
-        sign = "# " if default is None else ""
+        value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)
+        sign = "# " if default is None and place in _EXAMPLES else ""
         row = f"{sign}{field.name} = {toml_value(value)}"
         yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"
 

@@ -1,7 +1,9 @@
+from configparser import ConfigParser
 from pathlib import Path
 
 import msgspec
 import pytest
+from builders import site_text
 from msgspec import Struct
 
 from trigpoint.cli import run
@@ -30,10 +32,11 @@ STRUCTS = (
 )
 
 
-@pytest.mark.parametrize("options", [[], ["--full"]])
+@pytest.mark.parametrize("options", [[], ["--full"], ["--systemd"]])
 def test_written_files_load(tmp_path: Path, options: list[str]) -> None:
     assert run(["init", "--directory", str(tmp_path), *options]) == 0
     site = load_site(tmp_path / "site.toml")
+    assert site.camera("c1").estimates_intrinsics
     target = load_target(site.path(site.target_name("r1")))
     assert [face.id for face in target.faces] == [0, 1, 2]
 
@@ -41,7 +44,8 @@ def test_written_files_load(tmp_path: Path, options: list[str]) -> None:
 def test_full_file_holds_the_defaults_of_every_struct() -> None:
     site = parse_site(full_site_text(), directory=Path())
     camera, robot = site.camera("c1"), site.robot("r1")
-    assert camera == CameraConfig(source=camera.source)
+    # No lens is announced that nobody has measured, so a first site has its lenses estimated.
+    assert camera == CameraConfig(source=camera.source, intrinsics="estimate")
     assert robot == RobotConfig(port=robot.port)
     assert (site.bus, site.fusion, site.recorder) == (
         BusConfig(),
@@ -92,3 +96,38 @@ def test_folder_that_cannot_be_made_is_one_line(
     (tmp_path / "file").write_text("")
     assert run(["init", "--directory", str(tmp_path / "file")]) == 1
     assert "nothing can be written there" in capsys.readouterr().err
+
+
+def service_of(file: Path) -> dict[str, str]:
+    """The [Service] keys of a unit."""
+    parser = ConfigParser(strict=False, interpolation=None)
+    parser.read_string(file.read_text())
+    assert parser["Install"]["WantedBy"] == "multi-user.target"
+    return dict(parser["Service"])
+
+
+def test_units_are_watched_and_started_again(tmp_path: Path) -> None:
+    folder = tmp_path / "a site 100%"
+    assert run(["init", "--systemd", "--directory", str(folder)]) == 0
+    names = {"trigpoint-edge@", "trigpoint-robot@", "trigpoint-fusion", "trigpoint-recorder"}
+    files = {file.stem: file for file in (folder / "systemd").iterdir()}
+    assert files.keys() == names
+    for file in files.values():
+        service = service_of(file)
+        assert (service["type"], service["restart"]) == ("notify", "always")
+        assert int(service["watchdogsec"]) == 30
+        assert f'--site "{tmp_path}/a site 100%%/site.toml"' in service["execstart"]
+    assert "-m trigpoint edge --camera %i" in service_of(files["trigpoint-edge@"])["execstart"]
+
+
+def test_units_are_written_for_a_site_that_exists_and_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text(site_text(cameras=2))
+    words = ["init", "--systemd", "--directory", str(tmp_path)]
+    assert run(words) == 0
+    assert site.read_text() == site_text(cameras=2)
+    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in capsys.readouterr().out
+    assert run(words) == 2
+    assert "exists already; add --force" in capsys.readouterr().err
