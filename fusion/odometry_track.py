@@ -6,6 +6,7 @@ twist, and its variance the same part of the increment's.
 """
 
 import bisect
+import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -132,23 +133,56 @@ class OdometryTrack:
         """Append a message; one that is not newer than the last is refused."""
         if self._count and stamp_ns <= self.last_ns:
             return Added.STALE
-        if self.planar:
-            x, y, _ = odom_from_base.translation
-            odom_from_base = Pose.planar(x, y, odom_from_base.heading)
         self._grow()
         row = self._count
         self._stamps[row] = stamp_ns
-        self._rotations[row] = odom_from_base.rotation
-        self._translations[row] = odom_from_base.translation
+        if self.planar:
+            self._write_planar(row, odom_from_base)
+        else:
+            self._rotations[row] = odom_from_base.rotation
+            self._translations[row] = odom_from_base.translation
         self._count += 1
         if row == 0:
             return Added.TAKEN
         return self._add_twist(row)
 
-    def _add_twist(self, row: int) -> Added:
+    def _write_planar(self, row: int, pose: Pose) -> None:
+        """The pose in the plane; by plain numbers, since there are many messages a second."""
+        forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
+        length = math.hypot(forward, left)
+        cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)
+        self._rotations[row] = ((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
+        self._translations[row, :2] = pose.translation[:2]
+        self._translations[row, 2] = 0.0
+
+    def _twist(self, row: int) -> tuple[float, float, Array]:
+        """Length (m) and angle (rad) of the increment that ends at a row, and its twist (6,)."""
+        if self.planar:
+            return self._planar_twist(row)
         before = Pose(self._rotations[row - 1], self._translations[row - 1])
         step = before.inverse() @ Pose(self._rotations[row], self._translations[row])
         turn = so3.log(step.rotation)
+        straight = np.linalg.solve(so3.left_jacobian(turn), step.translation)
+        length, angle = np.linalg.norm(step.translation), np.linalg.norm(turn)
+        return float(length), float(angle), np.concatenate([straight, turn])
+
+    def _planar_twist(self, row: int) -> tuple[float, float, Array]:
+        """The same in the plane: t = V v, V = [a -b; b a], a = sin θ/θ, b = (1 - cos θ)/θ."""
+        (cosine, _, _), (sine, _, _), _ = self._rotations[row - 1].tolist()
+        (forward, _, _), (left, _, _), _ = self._rotations[row].tolist()
+        here, there = self._translations[row - 1].tolist(), self._translations[row].tolist()
+        dx, dy = there[0] - here[0], there[1] - here[1]
+        x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+        turn = math.atan2(cosine * left - sine * forward, cosine * forward + sine * left)
+        a, b = 1.0 - turn**2 / 6, turn / 2
+        if abs(turn) > 1e-4:
+            a, b = math.sin(turn) / turn, (1 - math.cos(turn)) / turn
+        square = a * a + b * b
+        twist = np.array([(a * x + b * y) / square, (a * y - b * x) / square, 0, 0, 0, turn])
+        return math.hypot(x, y), abs(turn), twist
+
+    def _add_twist(self, row: int) -> Added:
+        length, angle, twist = self._twist(row)
         seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
         if row > 1:
             usual = (self._stamps[row - 1] - self._stamps[row - 2]) / NANOSECONDS
@@ -156,14 +190,13 @@ class OdometryTrack:
                 # Where it went on as before, the ends are known but not the way between them;
                 # where it came much less far, its counters missed some or it drove about.
                 reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
-                self._gaps[row] = max(reach, float(np.linalg.norm(step.translation)), _ALLOWANCE)
-                if np.linalg.norm(step.translation) < _GAP_SHARE * reach - _ALLOWANCE:
+                self._gaps[row] = max(reach, length, _ALLOWANCE)
+                if length < _GAP_SHARE * reach - _ALLOWANCE:
                     return self._jumped(row)
-        far = np.linalg.norm(step.translation) > MAXIMUM_SPEED * seconds + _ALLOWANCE
-        if far or np.linalg.norm(turn) > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
+        far = length > MAXIMUM_SPEED * seconds + _ALLOWANCE
+        if far or angle > MAXIMUM_TURN_RATE * seconds + _ALLOWANCE:
             return self._jumped(row)
-        self._twists[row, :3] = np.linalg.solve(so3.left_jacobian(turn), step.translation)
-        self._twists[row, 3:] = turn
+        self._twists[row] = twist
         return Added.TAKEN
 
     def _jumped(self, row: int) -> Added:
