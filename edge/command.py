@@ -12,7 +12,6 @@ from trigpoint.config import load_site
 from trigpoint.node import Node, stop_on_signals
 from trigpoint.watchdog import Watchdog
 
-from .detector import detector_for
 from .node import KIND, EdgeNode, load_targets
 from .quiet import quieten_opencv
 
@@ -40,7 +39,7 @@ def main(
             Node(bus, site=loaded.name, kind=KIND, name=name, watchdog=watchdog) for name in names
         ]
         agents = [
-            EdgeNode(bus, node, loaded, name, detector_for(targets), targets)
+            EdgeNode(bus, node, loaded, name, targets)
             for node, name in zip(nodes, names, strict=True)
         ]
         stop_on_signals(nodes)

@@ -1,4 +1,4 @@
-"""The agent of one camera as a node: source -> detector -> bus."""
+"""The agent of one camera as a node: source -> tracker -> bus."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -15,10 +15,10 @@ from trigpoint.target import Target, load_target
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
 from .calibration_service import CalibrationService
-from .detector import TargetDetector
 from .frames import Frame, FrameSource, open_source
 from .intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
+from .tracker import TargetTracker
 
 KIND = "edge"
 _FIRST_PAUSE_S = 1.0
@@ -43,16 +43,15 @@ class EdgeNode:
         node: Node,
         site: Site,
         camera: str,
-        detector: TargetDetector,
         targets: Sequence[Target],
         *,
         clock: Clock | None = None,
     ) -> None:
-        """Raises InputError where the intrinsics file is wrong."""
+        """`targets`: one a robot. Raises InputError where the intrinsics file is wrong."""
         self._bus, self._node, self._site, self._camera = bus, node, site, camera
-        self._detector = detector
         self._clock = clock or SystemClock()
         self._config = site.camera(camera)
+        self._tracker = TargetTracker(targets, budget_s=1 / self._config.rate, clock=self._clock)
         self._calibrated = calibrated_lens(site, camera)
         self._calibration = CalibrationService(camera, targets)
         self._lens: CameraModel | None = None
@@ -159,8 +158,8 @@ class EdgeNode:
 
     def _publish(self, frame: Frame) -> None:
         """Find the faces and send them, also where there are none."""
-        began_ns = self._clock.elapsed_ns()
-        faces = self._detector.detect(frame.picture)
+        began_ns, given_up = self._clock.elapsed_ns(), self._tracker.given_up
+        faces = self._tracker.detect(frame.picture, frame.captured_ns)
         self._detection_ms = to_seconds(self._clock.elapsed_ns() - began_ns) * 1e3
         height, width = frame.picture.shape[:2]
         message = Sightings(frame.captured_ns, self._frame_id, width, height, faces)
@@ -168,6 +167,7 @@ class EdgeNode:
         self._delay_ms = to_seconds(self._clock.now_ns() - frame.captured_ns) * 1e3
         self._node.health.count(f"sent {self._key(SIGHTINGS)}")
         self._node.health.count("faces", len(faces))
+        self._node.health.lose("given_up", self._tracker.given_up - given_up)
         self._calibration.offer(faces, (width, height))
 
     def _say(self, state: str) -> None:

@@ -17,7 +17,6 @@ from trigpoint.camera_info import write_camera_info
 from trigpoint.cdr import decode
 from trigpoint.config import CameraConfig, parse_site
 from trigpoint.edge import frames as frames_module
-from trigpoint.edge.detector import detector_for
 from trigpoint.edge.frames import Frame, Stamp
 from trigpoint.edge.node import EdgeNode
 from trigpoint.errors import ConfigError, FrameError, InputError
@@ -83,8 +82,7 @@ class Desk:
         text = f'site = "lab"\ntarget = "t.toml"\n[cameras.c1]\nsource = "script://"\n{camera}\n'
         site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
         node = Node(self.bus, site="lab", kind="edge", name="c1")
-        targets = [target_of(BOARD)]
-        agent = EdgeNode(self.bus, node, site, "c1", detector_for(targets), targets)
+        agent = EdgeNode(self.bus, node, site, "c1", [target_of(BOARD)])
         self._stack.enter_context(node)
         agent.start()
         return node
@@ -129,6 +127,14 @@ def test_every_picture_gives_sightings_also_where_there_are_none(desk: Desk) -> 
     assert worst_error(face.pixels, face.corners, VIEW) < 0.3
     assert node.health.total("sent lab/camera/c1/sightings") == 3
     assert node.health.total("faces") == 1
+
+
+def test_picture_that_takes_longer_than_a_period_is_given_up_and_counted(desk: Desk) -> None:
+    ears = desk.listen(SIGHTINGS)
+    node = desk.start((1000, SEEN), (2000, SEEN), camera="rate = 1e6")
+    node.wait()
+    assert len(taken(ears)) == 2
+    assert node.health.lost("given_up") == 2
 
 
 def test_end_of_the_source_ends_the_node(desk: Desk) -> None:
