@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from .dance import kept_equal_times
 from .measure import Measure, measured
 from .runs import ESTIMATORS, Done, jobs_of, open_jobs
 from .runs import run as run_jobs
@@ -73,7 +74,7 @@ def report(
     if not any(measures.values()):
         typer.echo(f"{folder}: nothing was measured yet with these sources; say run", err=True)
         raise typer.Exit(2)
-    typer.echo(f"written: {write_report(measures, docs)}")
+    typer.echo(f"written: {write_report(measures, kept_equal_times(folder), docs)}")
 
 
 def _checked(names: list[str] | None) -> list[str]:

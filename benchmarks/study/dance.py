@@ -1,5 +1,7 @@
 """Dance against loop in equal time, the open question of the paper: what the bound says of both."""
 
+from pathlib import Path
+
 import msgspec
 
 from trigpoint.tools.simulation.disturbance import Disturbance
@@ -8,6 +10,7 @@ from trigpoint.tools.simulation.world import World
 
 from .oracle import bound_of
 from .session import plain_inputs
+from .store import sources
 from .worlds import around
 
 MOST_CIRCLES = 5
@@ -20,6 +23,24 @@ class Point(msgspec.Struct, frozen=True):
     seconds: float
     dance: float
     loop: float
+
+
+class _Kept(msgspec.Struct, frozen=True):
+    sources: str
+    points: list[Point]
+
+
+def kept_equal_times(folder: Path) -> list[Point]:
+    """`equal_times`, kept in a folder for as long as the sources are the same."""
+    path = folder / "equal_times.json"
+    if path.exists():
+        kept = msgspec.json.decode(path.read_bytes(), type=_Kept)
+        if kept.sources == sources():
+            return kept.points
+    points = equal_times()
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(msgspec.json.encode(_Kept(sources(), points)))
+    return points
 
 
 def equal_times() -> list[Point]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.machine import machine
 
-from .dance import Point, equal_times
+from .dance import Point
 from .figures import draw_dance, draw_distances, draw_ratios
 from .measure import DECIDED_M, GROSS, Measure
 from .runs import ESTIMATORS
@@ -44,14 +44,13 @@ and 0.9 to 1.1) by more than two standard errors.
 """
 
 
-def write_report(measures: Mapping[str, list[Measure]], docs: Path) -> Path:
-    """Write the page and its figures; return its path."""
+def write_report(measures: Mapping[str, list[Measure]], points: list[Point], docs: Path) -> Path:
+    """Write the page and its figures; return its path. `points`: dance and loop in equal time."""
     docs.mkdir(parents=True, exist_ok=True)
     of_smoother = {
         n: [m for m in found if m.estimator == "smoother"] for n, found in measures.items()
     }
     summaries = {name: summary_of(found) for name, found in of_smoother.items() if found}
-    points = equal_times()
     draw_ratios(docs / "accuracy-situations.svg", summaries)
     draw_dance(docs / "accuracy-dance.svg", points)
     most = max(summary.sessions for summary in summaries.values())
@@ -86,7 +85,7 @@ def _situations(summaries: Mapping[str, Summary]) -> str:
             f"{s.seconds:.2f}",
         ]
         rows.append("| " + " | ".join(cells) + " |")
-    total, wrong = sum(s.sessions for s in summaries.values()), 0
+    total = sum(s.sessions for s in summaries.values())
     wrong = sum(s.wrong + s.made_up for s in summaries.values())
     undetermined = sum(s.undetermined for s in summaries.values())
     rows += [

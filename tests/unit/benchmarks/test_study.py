@@ -1,0 +1,139 @@
+"""Sessions of the study: what is wrong in them, what an oracle knows, and what is kept of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.study.dance import Point
+from benchmarks.study.measure import Measure, measure_of
+from benchmarks.study.oracle import known_to_oracle
+from benchmarks.study.runs import Job, jobs_of, open_jobs
+from benchmarks.study.session import StudySession, simulated_session, worked_out
+from benchmarks.study.situations import SITUATIONS
+from benchmarks.study.store import Store
+from benchmarks.study.summary import summary_of
+from trigpoint.fusion.bound import oracle_problem
+from trigpoint.fusion.equations import linearise
+from trigpoint.fusion.solver import solve
+
+MEASURE = Measure(
+    situation="drive",
+    seed=3,
+    estimator="smoother",
+    efficiency=1.21,
+    honesty=1.0,
+    distance=0.01,
+    distance_bound=0.01,
+    seconds=2.0,
+    located=["c1"],
+    wrong=[],
+    undetermined=[],
+    made_up=[],
+    earlier=[],
+    rejected=0,
+    chi2_per_dof=1.0,
+)
+
+
+@pytest.fixture(scope="module")
+def session() -> StudySession:
+    return simulated_session("one_picture", 1)
+
+
+def test_the_bound_is_the_smoothers_covariance_at_the_truth(session: StudySession) -> None:
+    assembled = oracle_problem(*known_to_oracle(session.inputs, session.simulated))
+    at_truth = solve(assembled.problem, assembled.start, most_iterations=0)
+    layout = at_truth.reduced.layout
+    columns = np.concatenate([np.arange(layout.size)[s] for s in layout.pose.values()])
+    own = at_truth.reduced.covariance()[np.ix_(columns, columns)]
+    np.testing.assert_allclose(session.bound.covariance, own, rtol=1e-9)
+
+
+def test_the_truth_costs_what_the_noise_is_worth(session: StudySession) -> None:
+    """χ² at the truth is that of as many normal draws as there are residuals."""
+    assembled = oracle_problem(*known_to_oracle(session.inputs, session.simulated))
+    corners = sum(int((batch.weights > 0).sum()) for batch in assembled.problem.batches)
+    steps = sum(len(chain) - 1 for chain in assembled.problem.chains.values())
+    count = 2 * corners + 3 * steps
+    cost = linearise(assembled.problem, assembled.start).cost
+    assert abs(cost - count) < 5 * np.sqrt(2 * count)
+
+
+def test_the_smoothers_errors_are_of_the_bounds_size(session: StudySession) -> None:
+    measure = measure_of(session, worked_out(session).results(), 0.0)
+    assert measure.located == sorted(session.simulated.truth.cameras)
+    assert measure.efficiency is not None
+    assert 0.5 < measure.efficiency < 2.0  # 36 degrees of freedom: six sigmas
+    assert not measure.wrong
+
+
+def test_a_session_is_the_same_for_the_same_seed_and_differs_for_another() -> None:
+    first, again, other = (simulated_session("one_picture", seed) for seed in (1, 1, 2))
+    assert [repr(m) for m in first.messages[-50:]] == [repr(m) for m in again.messages[-50:]]
+    last = max(stamp_ns for _, stamp_ns in first.simulated.truth.sighted)
+    end_ns = np.array([last])
+    truths = [s.simulated.truth.map_from_base("r1", end_ns) for s in (first, other)]
+    assert np.linalg.norm(truths[0].difference(truths[1])) > 1e-6
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_every_situation_has_a_world(name: str) -> None:
+    from benchmarks.study.worlds import world_of
+
+    situation = SITUATIONS[name]
+    assert world_of(situation.world, seed=0, target=situation.target).duration_s > 30
+
+
+def test_only_sessions_that_are_not_kept_yet_are_open(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.add(MEASURE)
+    jobs = jobs_of(["drive"], 5, ("smoother", "ekf"))
+    assert len(jobs) == 10
+    assert set(jobs) - set(open_jobs(store, jobs)) == {Job("drive", 3)}
+
+
+def test_a_torn_line_and_lines_of_other_sources_do_not_count(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.add(MEASURE)
+    path = tmp_path / "drive.jsonl"
+    line = path.read_bytes()
+    path.write_bytes(line + line[:40])
+    assert store.measures("drive") == [MEASURE]
+    path.write_bytes(line.replace(b'"sources":"', b'"sources":"x'))
+    assert store.measures("drive") == []
+    assert store.measures("drive", of_any_sources=True) == [MEASURE]
+
+
+def test_a_summary_is_the_root_of_the_mean_square() -> None:
+    measures = [
+        _with(MEASURE, efficiency=1.0, wrong=["c1"]),
+        _with(MEASURE, efficiency=1.42),
+        _with(MEASURE, efficiency=None, undetermined=["c1"]),
+    ]
+    summary = summary_of(measures)
+    assert summary.efficiency.value == pytest.approx(1.1)
+    assert (summary.sessions, summary.wrong, summary.undetermined) == (3, 1, 1)
+
+
+def test_the_report_shows_what_misses_its_goal(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from benchmarks.study.report import write_report
+
+    good = [_with(MEASURE, seed=s, efficiency=1.0 + 0.01 * s) for s in range(3)]
+    bad = [_with(MEASURE, seed=s, situation="wild", efficiency=4.0 + 0.01 * s) for s in range(3)]
+    points = [Point(60.0, 0.01, 0.01), Point(120.0, 0.01, 0.005)]
+    path = write_report({"drive": good, "wild": bad}, points, tmp_path)
+    text = path.read_text(encoding="utf-8")
+    lines = {line.split(" | ")[0]: line for line in text.splitlines() if line.startswith("| ")}
+    assert "**" not in lines["| " + SITUATIONS["drive"].title]
+    assert "**2.0" in lines["| " + SITUATIONS["wild"].title]
+    for figure in ("accuracy-situations.svg", "accuracy-distances.svg", "accuracy-dance.svg"):
+        assert figure in text
+        assert (tmp_path / figure).stat().st_size < 100_000
+
+
+def _with(measure: Measure, **changes: object) -> Measure:
+    from msgspec import structs
+
+    return structs.replace(measure, **changes)
