@@ -13,6 +13,7 @@ map of walls. What cameras see on the way there is not counted.
 Pure and on immutable inputs, so it may run beside the estimator.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,9 +68,10 @@ class Belief:
     def position_rows(self, camera: str) -> np.ndarray:
         return np.arange(self.layout.size)[self.layout.pose[camera]][:3]
 
-    def worst(self) -> str | None:
-        """The camera with the largest position sigma of those that are located."""
-        placed = [n for n, c in self.layout.pose.items() if is_placed(self.covariance[c, c])]
+    def worst(self, cameras: Iterable[str]) -> str | None:
+        """The one of these cameras with the largest position sigma; None where none is located."""
+        columns = {name: self.layout.pose[name] for name in cameras}
+        placed = [n for n, c in columns.items() if is_placed(self.covariance[c, c])]
         return max(placed, key=self.sigma_m, default=None)
 
     def columns(self, robot: str) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +157,7 @@ def options(
 ) -> Options | None:
     """What every visit that can be thought of from `here` is expected to do for the worst camera;
     None where there is none."""
-    worst = belief.worst()
+    worst = belief.worst(world.views)
     if worst is None:
         return None
     reach = ground.paths_from(here)

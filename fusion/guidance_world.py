@@ -23,7 +23,8 @@ class CameraViews:
 
 @dataclass(frozen=True, slots=True)
 class GuidanceWorld:
-    """`information`: of the dense part by `layout`; `ways`: each robot's solved poses in order."""
+    """`information`: of the dense part by `layout`; `ways`: each robot's solved poses in order;
+    `views`: of the located cameras, each at its last place."""
 
     layout: Layout
     information: Array
@@ -41,7 +42,8 @@ class GuidanceWorld:
             if known.has_robot(name) and len(data.tracks[name])
         }
         ways = {name: state.robots[name].map_from_base for name in problem.chains}
-        views = {name: _views(problem, state, name) for name in problem.layout.pose}
+        here = [name for name in data.site.cameras if name in known.reduced.layout.pose]
+        views = {name: _views(problem, state, name) for name in here}
         return cls(
             known.reduced.layout, known.reduced.information, known.state, robots, ways, views
         )

@@ -6,21 +6,21 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .dataset import DataSet
+from .dataset import DataSet, Entry
 from .models import batch_jacobian
-from .observations import Observation, Verdict
+from .observations import Observation
 from .problem import Batch, Problem, State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResiduals:
-    """One camera's corners in its used observations.
+    """One camera's corners in its used observations, at all places where it hung.
 
     `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
     `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
     (n,): of a coordinate, as the detector said it; `used` (n,) bool: False for the wild ones that
-    were left out. `sightings`: observations used; `rejected`: those that contradict the rest;
-    `pending`: those that could not be read or whose camera is not located.
+    were left out. `used_sightings`, `rejected`: the sightings (faces) that a located camera rests
+    on, and those that it does not; `pending`: those of a camera that is not located.
     """
 
     places: Array
@@ -28,7 +28,7 @@ class CameraResiduals:
     residual_px: Array
     sigma_px: Array
     used: np.ndarray
-    sightings: int
+    used_sightings: int
     rejected: int
     pending: int
 
@@ -42,21 +42,25 @@ def camera_residuals(
     data: DataSet, problem: Problem | None, state: State, camera: str
 ) -> CameraResiduals:
     """The residuals at a solution; `problem` None: nothing was solved yet."""
-    batches = [b for b in problem.batches if b.camera == camera] if problem is not None else []
+    names = data.places_of(camera)
+    batches = [b for b in problem.batches if b.camera in names] if problem is not None else []
     parts = [_corners(data, problem, batch, state) for batch in batches if problem is not None]
-    verdicts = [entry.observation.verdict for entry in data.of_camera(camera)]
+    entries = [entry for name in names for entry in data.of_camera(name)]
+    sightings = sum(len(entry.observation.views) for entry in entries)
+    used = sum(entry.observation.used_views for entry in entries)
+    is_located = camera in state.cameras
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)] if parts else _none()
     return CameraResiduals(
-        _places(data, camera),
+        _places(entries),
         *joined,
-        sightings=verdicts.count(Verdict.ACCEPTED),
-        rejected=verdicts.count(Verdict.REJECTED),
-        pending=verdicts.count(Verdict.PENDING),
+        used_sightings=used,
+        rejected=sightings - used if is_located else 0,
+        pending=0 if is_located else sightings - used,
     )
 
 
-def _places(data: DataSet, camera: str) -> Array:
-    poses = [entry.map_from_base for entry in data.of_camera(camera)]
+def _places(entries: list[Entry]) -> Array:
+    poses = [entry.map_from_base for entry in entries]
     return np.array([pose.translation for pose in poses if pose is not None]).reshape(-1, 3)
 
 

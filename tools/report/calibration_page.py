@@ -89,9 +89,8 @@ def _why(results: CalibrationResults, name: str) -> str:
     residuals = results.residuals.get(name)
     if residuals is not None and len(residuals.places):
         x, y, _ = residuals.places[len(residuals.places) // 2]
-        words += (
-            f". It saw the robot {_counted(camera.sightings, 'time')}, as near ({x:.1f}, {y:.1f}) m"
-        )
+        times = _counted(camera.sightings, "time")
+        words += f". It saw the target {times}, once with the robot near ({x:.1f}, {y:.1f}) m"
     return words
 
 
@@ -140,7 +139,7 @@ def _guidance(results: CalibrationResults) -> str:
 def _cameras(results: CalibrationResults) -> str:
     words = (
         "A camera's sigma is the root of the trace of its covariance: the size of error to expect "
-        "of its place, and of its direction. A sighting is one robot in one picture. A direction "
+        "of its place, and of its direction. A sighting is one face in one picture. A direction "
         "is given from the map's x axis towards y, and then down from the horizontal."
     )
     if results.error is not None:
@@ -230,9 +229,9 @@ _CODE = "<code>trigpoint distances --measured</code>"
 
 def _rejected(results: CalibrationResults) -> str:
     words = (
-        "A sighting is rejected where more than a quarter of its corners lie beyond three sigmas "
-        "of what everything else says; single corners beyond that are left out. A sighting is "
-        "not read where it is not clear which face it shows, or its camera is not located."
+        "A sighting is rejected where it contradicts what everything else says; of the others, "
+        "single corners beyond three sigmas are left out. Sightings of a camera that is not "
+        "located are not read."
     )
     parts = [element("h2", "What was used and what was not")]
     if results.residuals:

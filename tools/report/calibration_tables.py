@@ -163,7 +163,7 @@ def used_table(results: CalibrationResults) -> str:
     rows = []
     for index, (name, found) in enumerate(results.residuals.items()):
         wild = int((~found.used).sum())
-        numbers = (found.sightings, found.rejected, found.pending, int(found.used.sum()), wild)
+        numbers = (found.used_sightings, found.rejected, found.pending, int(found.used.sum()), wild)
         cells = [element("td", '<span class="disc"></span>', escape(name))]
         cells += [element("td", str(number)) for number in numbers]
         rows.append(element("tr", *cells, class_=f"k{index % PALETTE}"))

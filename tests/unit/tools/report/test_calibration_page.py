@@ -165,7 +165,10 @@ def test_undetermined_camera_tells_why_and_where_the_robot_stood() -> None:
     cameras = {"c1": located(), "c2": UNDETERMINED, "c3": CameraRecord("unseen")}
     text = words(calibration_page(make_results(cameras=cameras)))
     assert "1 of 3 cameras located" in text
-    assert "which face it saw. It saw the robot 4 times, as near (0.0, 0.0) m" in text
+    assert (
+        "which face it saw. It saw the target 4 times, once with the robot near (0.0, 0.0) m"
+        in text
+    )
     assert "c3 : it never saw a robot's target" in text
 
 
