@@ -117,6 +117,7 @@ def _robot(
         believed=_believed(folder.journal(name), record.epoch_ns).until(end_s),
         smoothed=_tum(folder.path / f"{name}.tum", record.epoch_ns),
         corrections=tracks.corrections(name),
+        suggestion=tracks.suggestion(name),
     )
 
 

@@ -100,7 +100,9 @@ class FinalError:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotResult:
     """One robot's ways: true; by odometry alone; as fusion said it live; as the robot itself
-    believed it, once a second; and as the whole session gives it afterwards."""
+    believed it, once a second; and as the whole session gives it afterwards.
+
+    `suggestion`: where it was last told to go next."""
 
     name: str
     truth: Track
@@ -109,6 +111,7 @@ class RobotResult:
     believed: Track
     smoothed: Track
     corrections: int = 0
+    suggestion: Pose | None = None
 
     def final_error(self, track: Track) -> FinalError | None:
         """A way's last row beside the truth; None where it has no row."""

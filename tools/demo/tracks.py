@@ -11,13 +11,21 @@ from trigpoint.clock import NANOSECONDS
 from trigpoint.errors import RecordingError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.messages import Odometry, PoseEstimate, PoseStamped
 from trigpoint.recorder.recording import Recording, open_recording
-from trigpoint.topics import CAMERA_POSE, CORRECTION, ODOMETRY, ROBOT_POSE, Topic, node_of
+from trigpoint.topics import (
+    CAMERA_POSE,
+    CORRECTION,
+    ODOMETRY,
+    ROBOT_POSE,
+    SUGGESTION,
+    Topic,
+    node_of,
+)
 
 from .results import Series, Track
 
-_TOPICS = (ODOMETRY, ROBOT_POSE, CAMERA_POSE, CORRECTION)
+_TOPICS = (ODOMETRY, ROBOT_POSE, CAMERA_POSE, CORRECTION, SUGGESTION)
 
 
 class Tracks:
@@ -43,6 +51,11 @@ class Tracks:
         """How many corrections the robot was sent."""
         return len(self._poses[CORRECTION, robot])
 
+    def suggestion(self, robot: str) -> Pose | None:
+        """Where the robot was last told to go next."""
+        rows = self._poses[SUGGESTION, robot]
+        return rows[max(rows)][0] if rows else None
+
     @property
     def latencies_s(self) -> Array:
         """Of every correction: from the middle of the exposure to its sending, seconds."""
@@ -67,7 +80,7 @@ class Tracks:
             node = node_of(sample.key)
             if isinstance(message, PoseEstimate):
                 self._poses[sample.topic, node][message.stamp_ns] = message.pose, message.covariance
-            elif isinstance(message, Odometry):
+            elif isinstance(message, (Odometry, PoseStamped)):
                 self._poses[sample.topic, node][message.stamp_ns] = message.pose, np.zeros((6, 6))
             if sample.topic is CORRECTION and isinstance(message, PoseEstimate):
                 delay_s = (sample.published_ns - message.stamp_ns) / NANOSECONDS

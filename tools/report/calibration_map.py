@@ -7,7 +7,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.network import CameraRecord
 
 from .calibration import CalibrationResults
-from .plan import MARGIN, Plan
+from .plan import MARGIN, Plan, suggestion_mark
 from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
 
@@ -50,7 +50,10 @@ def map_drawing(results: CalibrationResults, *, width: float, upright: bool) -> 
     for index, (name, camera) in enumerate(results.network.cameras.items()):
         if camera.map_from_camera is not None and camera.covariance is not None:
             parts.append(_camera(name, camera, index, plan, factor))
-    parts += [_suggestion(i, s.map_from_base, plan) for i, s in enumerate(results.suggestions)]
+    parts += [
+        suggestion_mark(s.map_from_base, plan, number=str(i + 1))
+        for i, s in enumerate(results.suggestions)
+    ]
     parts.append(_scale_bar(plan))
     label = "Map from above with the cameras, their uncertainty and the robots' ways"
     return drawing(plan.width, plan.height + 22, *parts, label=label, class_="map")
@@ -119,18 +122,6 @@ def _arrow(map_from_base: Pose, plan: Plan, kind: str) -> str:
     outline = np.array([[1.6, 0.0], [-1.0, 1.1], [-0.4, 0.0], [-1.0, -1.1]]) * unit
     turned = outline @ map_from_base.rotation[:2, :2].T
     return polygon(plan(map_from_base.translation[:2] + turned), class_=kind)
-
-
-def _suggestion(index: int, map_from_base: Pose, plan: Plan) -> str:
-    """A numbered disc with a nose that points where the robot should."""
-    x, y = plan(map_from_base.translation[:2])
-    nose = np.array([[17.0, 0.0], [6.0, 6.5], [6.0, -6.5]]) / plan.scale
-    turned = nose @ map_from_base.rotation[:2, :2].T + map_from_base.translation[:2]
-    return group(
-        polygon(plan(turned), class_="next"),
-        circle(x, y, 9, class_="next"),
-        text(x, y + 4.5, str(index + 1), class_="next-text"),
-    )
 
 
 def _scale_bar(plan: Plan) -> str:

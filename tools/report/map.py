@@ -5,10 +5,11 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.demo.results import CameraResult, DemoResults, Track
 
-from .plan import MARGIN, Plan
+from .plan import MARGIN, Plan, suggestion_mark
 from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
 
+_NEXT = "where it was last told to go next, to improve the worst camera most"
 _VIEW_M = 1.15
 _NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _LARGEST_ELLIPSE = 30.0
@@ -43,6 +44,8 @@ def map_drawing(results: DemoResults, *, width: float, upright: bool) -> str:
         parts.append(_way(robot.odometry, plan, "way reckoned"))
         parts.append(_way(robot.live, plan, "way corrected"))
         parts.append(_ends(robot.truth, plan))
+        if robot.suggestion is not None:
+            parts.append(suggestion_mark(robot.suggestion, plan))
     parts += [_found(camera, index, plan, factor) for index, camera in enumerate(results.cameras)]
     parts.append(_scale_bar(plan))
     label = "Map of the rooms from above with the cameras and the robot's ways"
@@ -128,8 +131,8 @@ def _scale_bar(plan: Plan) -> str:
     return group(bar, words, class_="scale")
 
 
-def legend(factor: int) -> str:
-    """What the marks on the map mean, as a list."""
+def legend(factor: int, *, suggests: bool) -> str:
+    """What the marks on the map mean, as a list; `suggests`: whether there is a next pose."""
     larger = f" (errors and ellipses are drawn {factor} times larger)" if factor > 1 else ""
     ring = circle(17, 7, 5, class_="true-place")
     found = element("ellipse", cx=17, cy=7, rx=14, ry=6, class_="ellipse")
@@ -141,6 +144,7 @@ def legend(factor: int) -> str:
         _entry(_sample("way reckoned"), "its way by odometry alone"),
         _entry(ring, "where a camera truly is; the wedge shows where it looks"),
         _entry(found, f"where it was found, with its standard deviation{larger}"),
+        _entry(circle(17, 7, 6, class_="next"), _NEXT) if suggests else "",
         class_="legend",
     )
 

@@ -69,8 +69,17 @@ def _map(results: DemoResults) -> str:
     return element(
         "section",
         element("h2", "The map"),
-        element("figure", *drawings, legend(magnification(results, wide)), class_="card"),
+        element(
+            "figure",
+            *drawings,
+            legend(magnification(results, wide), suggests=_suggests(results)),
+            class_="card",
+        ),
     )
+
+
+def _suggests(results: DemoResults) -> bool:
+    return any(robot.suggestion is not None for robot in results.robots)
 
 
 def _cameras(results: DemoResults) -> str:

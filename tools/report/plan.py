@@ -1,8 +1,11 @@
-"""From metres in the map to a drawing of it from above."""
+"""From metres in the map to a drawing of it from above, and marks that maps share."""
 
 import numpy as np
 
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+
+from .svg import circle, group, polygon, text
 
 MARGIN = 26.0
 
@@ -32,3 +35,15 @@ class Plan:
         """Directions (…, 2) of the map in the drawing, whose y points down; their lengths stay."""
         x, y = np.moveaxis(np.asarray(vectors, dtype=float), -1, 0)
         return np.stack([y, x] if self._is_turned else [x, -y], axis=-1)
+
+
+def suggestion_mark(map_from_base: Pose, plan: Plan, *, number: str = "") -> str:
+    """A disc, numbered, with a nose that points where the robot should."""
+    place = map_from_base.translation[:2]
+    x, y = plan(place)
+    nose = np.array([[17.0, 0.0], [6.0, 6.5], [6.0, -6.5]]) / plan.scale
+    parts = [polygon(plan(nose @ map_from_base.rotation[:2, :2].T + place), class_="next")]
+    parts.append(circle(x, y, 9, class_="next"))
+    if number:
+        parts.append(text(x, y + 4.5, number, class_="next-text"))
+    return group(*parts)

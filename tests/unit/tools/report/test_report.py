@@ -13,6 +13,7 @@ from builders_demo import (
     make_unlocated,
 )
 
+from trigpoint.geometry import Pose
 from trigpoint.tools.demo.results import DemoResults, Track
 from trigpoint.tools.report.map import magnification, map_drawing, plan_of
 from trigpoint.tools.report.page import report_page
@@ -159,3 +160,10 @@ def test_small_errors_are_drawn_larger_so_that_they_show():
     assert magnification(small, plan) > 1
     assert magnification(large, plan) == 1
     assert f"drawn {magnification(small, plan)} times larger" in " ".join(read(small).words)
+
+
+def test_last_suggestion_is_on_the_map_where_there_was_one() -> None:
+    robot = make_robot(suggestion=Pose.planar(3.0, 0.5, 1.0))
+    assert 'class="next"' in map_drawing(make_results(robots=(robot,)), width=400.0, upright=False)
+    assert "last told to go next" in " ".join(read(make_results(robots=(robot,))).words)
+    assert "last told to go next" not in " ".join(read(make_results()).words)
