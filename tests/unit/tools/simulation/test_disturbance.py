@@ -121,7 +121,7 @@ def test_odometry_shows_nothing_of_a_lift(world: World) -> None:
 
 def test_messages_come_twice_and_late_and_odometry_is_lost(world: World, plain: Simulated) -> None:
     session = simulated(
-        world, Disturbance(twice_share=0.3, late_share=0.3, late_s=9.0, gaps_s=((20.0, 22.0),))
+        world, Disturbance(twice_share=0.3, late_share=0.3, late_s=40.0, gaps_s=((20.0, 22.0),))
     )
     counts = Counter((node, m.stamp_ns) for node, m in sightings(session))
     assert set(counts) == {(node, m.stamp_ns) for node, m in sightings(plain)}
