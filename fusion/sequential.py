@@ -28,7 +28,7 @@ from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict, base_from_faces
 from .odometry_track import Added
 from .problem import Chain, State
-from .relative_view import without_wild_corners
+from .relative_view import relative_view, without_wild_corners
 from .survey import is_placed
 from .trajectory import interpolated
 
@@ -256,7 +256,9 @@ class SequentialEstimator:
         pose = found.camera.map_from_camera.inverse() @ map_from_base
         target = self.data.targets[observation.robot]
         sound = without_wild_corners(observation, target, lens, pose)
-        if sound is None:
+        view = relative_view(sound, target, lens, pose) if sound is not None else None
+        # One that the camera's other sightings contradict must not be the one that places it.
+        if sound is None or view is None or not _is_noise(float(view.residual @ view.residual), 6):
             return None
         entry.observation = sound
         return belief.with_camera(self.data, Sight(sound, map_from_base), found.camera)
@@ -299,6 +301,7 @@ class SequentialEstimator:
         assert self._belief is not None
         if camera not in self._belief.cameras:
             self._forget(camera, _LOOSE)
+            self._waiting[camera] = (place, belief)
             return Update()
         return Update(located=(camera,))
 
@@ -517,9 +520,11 @@ class SequentialEstimator:
 
 def _is_expected(surprise: Surprise) -> bool:
     """Whether an innovation is one that noise makes (normalised innovation squared)."""
-    if surprise.freedom == 0:
-        return True
-    return bool(surprise.chi2 <= chdtri(surprise.freedom, _GATE))
+    return surprise.freedom == 0 or _is_noise(surprise.chi2, surprise.freedom)
+
+
+def _is_noise(chi2: float, freedom: int) -> bool:
+    return bool(chi2 <= chdtri(freedom, _GATE))
 
 
 def _camera_sigma_px(camera: CameraEstimate, distance_m: float) -> float:

@@ -1,0 +1,48 @@
+"""`calibrate` by each recursive filter, over a recorded session, as a user runs it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import lab_plan, make_session, write_session
+
+from trigpoint.cli import run
+from trigpoint.network import load_network
+from trigpoint.tools.truth import load_truth, network_error
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_session(
+        make_session(lab_plan(picture_rate=0.6)), tmp_path_factory.mktemp("session")
+    )
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "particle"])
+def test_network_covariance_and_way_are_written(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], estimator: str
+) -> None:
+    arguments = ["calibrate", str(session), "--estimator", estimator, "--out", str(tmp_path)]
+    assert run(arguments) == 0
+    assert "errors against the joint covariance" in capsys.readouterr().out
+    network = load_network(tmp_path / "network.json")
+    assert network.estimator == estimator
+    assert network.located == ["c1", "c2", "c3"]
+    with np.load(tmp_path / "covariance.npz") as archive:
+        joint = archive["covariance"]
+    assert joint.shape == (18, 18)
+    error = network_error(network, joint, load_truth(session / "truth.json"))
+    assert max(camera.sigmas for camera in error.cameras.values()) < 4
+    assert (tmp_path / "r1.tum").read_text().count("\n") == 441
+
+
+def test_what_a_filter_does_not_work_out_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_session(
+        make_session(lab_plan(seconds=2.0, more="[fusion]\ntarget_rotation = 0.01")), tmp_path
+    )
+    assert run(["calibrate", str(folder), "--estimator", "ekf"]) == 2
+    text = capsys.readouterr().err.strip()
+    assert "the estimator «ekf» does not work out the faces' places" in text
+    assert len(text.splitlines()) == 1
