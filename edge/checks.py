@@ -2,9 +2,12 @@
 
 import importlib.util
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from trigpoint.checks import Check
+
+from .v4l2_formats import Offer, offers_of
 
 
 def checks() -> list[Check]:
@@ -36,7 +39,23 @@ def _cameras() -> list[Check]:
 
 
 def _access(device: Path) -> Check:
-    if os.access(device, os.R_OK | os.W_OK):
-        return Check("camera", "ok", f"{device} can be opened by this user")
-    remedy = "add this user to the group «video» (usermod -aG video) and log in again"
-    return Check("camera", "error", f"{device} may not be opened by this user", remedy)
+    if not os.access(device, os.R_OK | os.W_OK):
+        remedy = "add this user to the group «video» (usermod -aG video) and log in again"
+        return Check("camera", "error", f"{device} may not be opened by this user", remedy)
+    try:
+        offers = offers_of(device)
+    except OSError as reason:
+        remedy = "see which program uses it (fuser -v), or plug it in again"
+        return Check("camera", "warning", f"{device} cannot be asked ({reason.strerror})", remedy)
+    if not offers:
+        return Check("camera", "ok", f"{device} gives no pictures (a camera's second device)")
+    return Check("camera", "ok", f"{device} gives {described(offers)}")
+
+
+def described(offers: Sequence[Offer]) -> str:
+    """Formats with their sizes and highest rates, in a line."""
+    sizes: dict[str, list[str]] = {}
+    for offer in offers:
+        rate = f" at {offer.rate:.0f} Hz" if offer.rate else ""
+        sizes.setdefault(offer.format, []).append(f"{offer.width} × {offer.height}{rate}")
+    return "; ".join(f"{name}: {', '.join(known)}" for name, known in sizes.items())

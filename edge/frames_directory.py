@@ -5,7 +5,6 @@ from collections.abc import Iterator
 
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.config import CameraConfig
-from trigpoint.errors import FrameError, InputError
 from trigpoint.geometry import CameraModel
 
 from .frames import Frame, local_path
@@ -35,17 +34,14 @@ class DirectoryFrames:
         return 0
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """Pictures until the folder's end; raises FrameError for one that cannot be read."""
+        """Pictures until the folder's end; raises InputError for one that cannot be read, which it
+        could not either if the folder were opened again."""
         due_ns = self._clock.elapsed_ns()
         for file in self._files:
             wait_ns = due_ns - self._clock.elapsed_ns()
             if self._clock.wait(stopping, max(0.0, to_seconds(wait_ns))):
                 return
-            try:
-                picture = read_picture(file)
-            except InputError as reason:
-                raise FrameError(str(reason)) from None
-            yield Frame(picture, self._clock.now_ns())
+            yield Frame(read_picture(file), self._clock.now_ns())
             due_ns = max(due_ns + self._period_ns, self._clock.elapsed_ns())
 
     def close(self) -> None:

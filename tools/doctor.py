@@ -78,10 +78,22 @@ def _check_target(site: Site, robot: str) -> Check:
 
 
 def _check_camera(site: Site, name: str) -> list[Check]:
+    findings = [] if site.camera(name).intrinsics else [_no_lens(name)]
     scheme, _, place = site.camera(name).source.partition("://")
-    if scheme != "v4l2":
-        return []
-    return [_check_device(f"camera {name}", Path(place), "video")]
+    if scheme == "v4l2":
+        device = _device(place.partition("?")[0])
+        findings.append(_check_device(f"camera {name}", device, "video"))
+    return findings
+
+
+def _device(place: str) -> Path:
+    return Path(f"/dev/video{place}" if place.isdigit() else place)
+
+
+def _no_lens(name: str) -> Check:
+    remedy = 'make them with `trigpoint intrinsics`, or write intrinsics = "estimate"'
+    text = "no intrinsics; what it sees is not used unless its source itself knows its lens"
+    return Check(f"lens of {name}", "warning", text, remedy)
 
 
 def _check_port(site: Site, name: str) -> list[Check]:

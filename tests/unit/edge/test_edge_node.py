@@ -183,6 +183,33 @@ def test_lens_for_another_size_ends_the_node_with_one_line(desk: Desk) -> None:
         node.wait()
 
 
+@pytest.mark.parametrize(
+    ("picture", "said"),
+    [
+        (np.zeros((480, 640), np.uint16), "values are uint16"),
+        (np.zeros((480, 640, 4), np.uint8), "has 4 channels"),
+        (np.zeros((0, 0), np.uint8), "pictures are 0 × 0"),
+        (np.zeros((1, 1), np.uint8), "pictures are 1 × 1"),
+    ],
+)
+def test_pictures_of_a_bad_kind_end_the_node_with_one_line(
+    desk: Desk, picture: np.ndarray, said: str
+) -> None:
+    node = desk.start((1000, picture))
+    with pytest.raises(InputError, match=said) as caught:
+        node.wait()
+    assert "\n" not in str(caught.value)
+
+
+def test_camera_of_one_pixel_sees_nothing(desk: Desk) -> None:
+    ears = desk.listen(SIGHTINGS)
+    tiny = (1000, np.zeros((1, 1), np.uint8))
+    desk.start(tiny, camera="width = 1\nheight = 1").wait()
+    (message,) = taken(ears)
+    assert isinstance(message, Sightings)
+    assert (message.width, message.height, message.faces) == (1, 1, ())
+
+
 def test_missing_intrinsics_file_is_told_before_anything_starts(desk: Desk) -> None:
     with pytest.raises(InputError, match=r"none\.yaml"):
         desk.start((1000, EMPTY), camera='intrinsics = "none.yaml"')

@@ -11,7 +11,7 @@ from trigpoint.clock import ManualClock, to_ns
 from trigpoint.config import CameraConfig
 from trigpoint.edge.frames import SOURCES, Frame, open_source, source_class
 from trigpoint.edge.frames_video import Video
-from trigpoint.errors import FrameError, InputError
+from trigpoint.errors import InputError
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -137,7 +137,7 @@ def test_source_that_cannot_be_is_said_in_one_line(tmp_path: Path, url: str, sai
 def test_damaged_picture_in_a_folder_is_named(tmp_path: Path) -> None:
     write_pictures(tmp_path)
     (tmp_path / "02.png").write_bytes((tmp_path / "02.png").read_bytes()[:40])
-    with pytest.raises(FrameError, match=r"02\.png: the picture is cut short"):
+    with pytest.raises(InputError, match=r"02\.png: the picture is cut short"):
         frames_of(f"dir://{tmp_path}", clock=ManualClock())
 
 

@@ -104,6 +104,7 @@ def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) ->
     assert findings["target of r9"].level == "error"
     assert "lost.toml" in findings["target of r9"].message
     assert findings["camera c9"].message == "/dev/no_camera is not on this machine"
+    assert findings["lens of c9"].message.startswith("no intrinsics")
     assert findings["robot r9"].level == "warning"
 
 
