@@ -11,15 +11,14 @@ from typing import Annotated
 import typer
 
 from trigpoint.errors import OperationError
+from trigpoint.tools.demo.evidence import load_results
+from trigpoint.tools.demo.folder import DemoFolder
+from trigpoint.tools.demo.progress import Progress
+from trigpoint.tools.demo.run import Run, has_display
+from trigpoint.tools.demo.table import table
 from trigpoint.tools.report.page import report_page
 from trigpoint.tools.simulation.world import load_world
 from trigpoint.tools.simulation.world_file import TargetChoice
-
-from .evidence import load_results
-from .folder import DemoFolder
-from .progress import Progress
-from .run import Run, has_display
-from .table import table
 
 _WORLD = "lab"
 _SHORTEST_S = 10.0
