@@ -12,23 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
-from scipy.special import chdtri
 
 from trigpoint.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .alignment import PosePrior, align
-from .belief import Belief, Sight, Surprise
+from .belief import Belief, Surprise
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import RobotEstimate, carried_on
-from .judge import DECISIVE
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict, base_from_faces
 from .odometry_track import Added
 from .problem import Chain, State
-from .relative_view import relative_view, without_wild_corners
+from .sighting_use import first_sight, is_expected, predicted_at, sight_of
 from .survey import is_placed
 from .trajectory import interpolated
 
@@ -36,8 +33,6 @@ _HISTORY = 64
 # A camera's pictures wait for it to be located while so many others are used.
 _MOST_REPLAYED = 256
 _LEAST_PICTURES_LIVE = 3
-# A good sighting lies beyond the gate once in 100,000 times.
-_GATE = 1e-5
 # So many sightings in a row by two cameras or more that contradict where the robot is believed to
 # be: it was carried.
 _CARRIED = 4
@@ -190,78 +185,31 @@ class SequentialEstimator:
     def _used(self, before: Belief, entry: Entry, time_ns: int) -> tuple[Belief, Surprise] | None:
         """With a sighting by a camera of the belief, where it does not contradict it."""
         robot = entry.observation.robot
-        belief, predicted = self._predicted(before, robot, time_ns)
+        belief, predicted = predicted_at(self.data, before, robot, time_ns)
         if predicted is not None:
             entry.map_from_base = predicted.map_from_base
-        sight = self._sight(belief, entry.observation, predicted)
+        sight = sight_of(self.data, belief, entry.observation, predicted)
         if sight is None:
             return None
         entry.observation = sight.observation
         updated = belief.updated(self.data, sight)
-        if updated is None or not _is_expected(updated[1]):
+        if updated is None or not is_expected(updated[1]):
             return None
         return updated
-
-    def _predicted(
-        self, before: Belief, robot: str, time_ns: int
-    ) -> tuple[Belief, RobotEstimate | None]:
-        """The belief at a later time, and the robot there; None where it may be anywhere."""
-        if robot not in before.stamps_ns:
-            return before, None
-        belief = before.advanced(self.data, robot, time_ns)
-        predicted = belief.robot(robot)
-        if not is_placed(predicted.covariance):
-            return before.without_robot(robot), None
-        return belief, predicted
-
-    def _sight(
-        self, belief: Belief, observation: Observation, predicted: RobotEstimate | None
-    ) -> Sight | None:
-        """The observation as it is read best; None where that is not clear or nothing fits."""
-        estimate = belief.estimate(observation.camera)
-        lens, map_from_camera = estimate.lens, estimate.map_from_camera
-        target = self.data.targets[observation.robot]
-        prior, distance = None, 3.0
-        if predicted is not None:
-            prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
-            apart = predicted.map_from_base.translation - map_from_camera.translation
-            distance = float(np.linalg.norm(apart))
-        alignment = align(
-            observation,
-            target,
-            lens,
-            map_from_camera,
-            tangent=self.data.tracks[observation.robot].tangent,
-            prior=prior,
-            extra_sigma_px=_camera_sigma_px(estimate, distance),
-        )
-        if alignment is None or alignment.margin < DECISIVE:
-            return None
-        read = alignment.read(observation)
-        pose = map_from_camera.inverse() @ alignment.map_from_base
-        sound = without_wild_corners(read, target, lens, pose)
-        if sound is None:
-            return None
-        return Sight(sound, alignment.map_from_base, is_tie=predicted is None)
 
     def _begun(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
         """With the first sighting of a camera that was located by all of its sightings."""
         entry = self.data.entries[index]
         observation = entry.observation
         found = self._located[observation.camera]
-        belief, predicted = self._predicted(before, observation.robot, time_ns)
+        belief, predicted = predicted_at(self.data, before, observation.robot, time_ns)
         if predicted is None or index not in found.map_from_base or observation.chosen is None:
             return None
-        map_from_base, lens = found.map_from_base[index], found.camera.lens
-        pose = found.camera.map_from_camera.inverse() @ map_from_base
-        target = self.data.targets[observation.robot]
-        sound = without_wild_corners(observation, target, lens, pose)
-        view = relative_view(sound, target, lens, pose) if sound is not None else None
-        # One that the camera's other sightings contradict must not be the one that places it.
-        if sound is None or view is None or not _is_noise(float(view.residual @ view.residual), 6):
+        sight = first_sight(self.data, observation, found, found.map_from_base[index])
+        if sight is None:
             return None
-        entry.observation = sound
-        return belief.with_camera(self.data, Sight(sound, map_from_base), found.camera)
+        entry.observation = sight.observation
+        return belief.with_camera(self.data, sight, found.camera)
 
     def _unless_carried(self, belief: Belief, robot: str) -> Belief:
         """Without the robot, where its last sightings say that it is somewhere else."""
@@ -516,19 +464,3 @@ class SequentialEstimator:
         used = [step.surprise for step in self._steps if step.surprise is not None]
         freedom = sum(surprise.total_freedom for surprise in used)
         return sum(surprise.total for surprise in used) / freedom if freedom > 0 else None
-
-
-def _is_expected(surprise: Surprise) -> bool:
-    """Whether an innovation is one that noise makes (normalised innovation squared)."""
-    return surprise.freedom == 0 or _is_noise(surprise.chi2, surprise.freedom)
-
-
-def _is_noise(chi2: float, freedom: int) -> bool:
-    return bool(chi2 <= chdtri(freedom, _GATE))
-
-
-def _camera_sigma_px(camera: CameraEstimate, distance_m: float) -> float:
-    """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
-    variances = np.diagonal(camera.covariance)
-    turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
-    return float(camera.lens.fx * np.sqrt(turn + shift))
