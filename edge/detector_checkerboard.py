@@ -24,6 +24,10 @@ from .saddles import Curvature, find_saddles, sampled
 
 # Of a board's corners, how many must be seen.
 LEAST_SHARE = 0.75
+# The same along one side of the board, and how large a step from square to square must be there, of
+# the board's contrast.
+LEAST_ALTERNATING_BORDER = 0.7
+LEAST_STEP = 0.25
 # Of the corners that were seen last, how many must be seen where a board is followed.
 LEAST_AGAIN = 0.85
 # Of a grid as it was joined, how many corners must lie on one plane; chance grids of noise do not.
@@ -56,13 +60,15 @@ class CheckerboardDetector(FaceFinder):
     def follow(self, grey: np.ndarray, last: Located, fit: PlanarFit) -> Located | None:
         """A board that was found before and now lies about where `fit` has it.
 
-        All but a few of its corners must be there again, since moved by two squares it fits too.
+        Moved by a square each way, or by two, a board matches itself but for its outermost squares,
+        so those must be there.
         """
         face = last.look.face
         found = measured(grey, CornerPattern.of(face), fit, blur=last.found.blur, is_rough=True)
         if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
             return None
-        return Located(last.look, found) if alternates(grey, face, found.fit) else None
+        is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)
+        return Located(last.look, found) if is_there else None
 
     def _search(
         self, small: np.ndarray, grey: np.ndarray, step: int, is_over: IsOver
@@ -201,6 +207,19 @@ def alternates(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     across, down = rising[:, 1:] + rising[:, :-1], rising[1:] + rising[:-1]
     right = np.concatenate([across.reshape(-1), down.reshape(-1)]) < 0
     return bool(right.mean() >= LEAST_ALTERNATING) if len(right) else True
+
+
+def is_bordered(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
+    """Whether the outermost squares of all four sides are dark and light in turn."""
+    x, y = np.meshgrid(np.arange(face.columns) - 1, np.arange(face.rows) - 1)
+    centres = face.square * (np.stack([x, y], axis=-1) + 0.5)
+    values = sampled(grey, fit.project(centres.reshape(-1, 2))).reshape(x.shape)
+    is_dark = (x + y) % 2 == 0
+    contrast = values[~is_dark].mean() - values[is_dark].mean()
+    rising = np.where(is_dark, values, -values)
+    sides = (rising[0], rising[-1], rising[:, 0], rising[:, -1])
+    steps = [-(side[1:] + side[:-1]) > LEAST_STEP * contrast for side in sides]
+    return all(step.mean() >= LEAST_ALTERNATING_BORDER for step in steps)
 
 
 def _same_place(first: Located, second: Located) -> bool:

@@ -37,7 +37,8 @@ def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
         for _ in range(2):
             if keep.sum() < LEAST_SEED:
                 break
-            fit = fit_plane(grid.places[keep].astype(float), grid.pixels[keep], size)
+            places = grid.places[keep].astype(float)
+            fit = fit_plane(places, grid.pixels[keep], size, has_lens=False)
             if fit is None:
                 break
             spacing = np.median(np.linalg.norm(np.diff(grid.pixels[keep], axis=0), axis=-1))

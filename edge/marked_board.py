@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face
+from trigpoint.target import Face, Pattern
 
 from .detector import Appearance
 from .marker_groups import MarkerGroup
@@ -14,8 +14,10 @@ from .measurement import LEAST_CORNERS, Measured, measured
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, fit_plane
 
-# A board's markers, looked at where its corners put them, must match so well on the mean.
+# A board's markers, looked at where its corners put them, must match so well on the mean; one, two
+# or three alone must do better, since foreign markers match by chance.
 LEAST_AGREEMENT = 0.5
+_LEAST_OF_FEW = {1: 0.8, 2: 0.7, 3: 0.6}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,9 +44,14 @@ class MarkedBoard:
         layout = self.layout[group.numbers].reshape(-1, 2)
         fit = fit_plane(layout, group.corners.reshape(-1, 2), size)
         found = measured(grey, self.pattern, fit, is_rough=True) if fit else None
-        if found is None or (len(found.corners) < LEAST_CORNERS and len(group.numbers) < 2):
+        if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
         return found if self.agrees(grey, found.fit, group.numbers, reader) else None
+
+    def _least_corners(self, markers: int) -> int:
+        """How many corners must be seen beside so many markers: a tag alone has four."""
+        few = markers > 1 and self.face.pattern is Pattern.CHARUCO
+        return 1 if few else LEAST_CORNERS
 
     def follow(
         self, grey: np.ndarray, last: Measured, fit: PlanarFit, reader: MarkerReader
@@ -66,4 +73,5 @@ class MarkedBoard:
     ) -> bool:
         """Whether the markers `numbers`, where a fit puts them, are the board's."""
         quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
-        return bool(reader.agreement(grey, self.face, quads, numbers).mean() >= LEAST_AGREEMENT)
+        least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
+        return bool(reader.agreement(grey, self.face, quads, numbers).mean() >= least)

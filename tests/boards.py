@@ -15,7 +15,7 @@ NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
 DARK, LIGHT, GROUND = 30.0, 215.0, 110.0
 _CELL_PX = 48
 _SUPERSAMPLING = 2
-_FINER = 3
+_FINER = 2
 
 Placed = tuple[Face, Pose]
 """A face and camera_from_face."""

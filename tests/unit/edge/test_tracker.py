@@ -1,0 +1,111 @@
+"""Faces are followed from picture to picture, and found again where they come from anew."""
+
+import numpy as np
+import pytest
+from boards import (
+    aprilgrid,
+    charuco,
+    checkerboard,
+    picture_of,
+    placed,
+    plain_picture,
+    target_of,
+    true_pixels,
+)
+
+from trigpoint.clock import ManualClock
+from trigpoint.edge import tracker as tracker_module
+from trigpoint.edge.tracker import TargetTracker
+from trigpoint.target import Face
+
+FACES = [checkerboard(8, 5), charuco(), aprilgrid()]
+STEP_NS = 100_000_000
+
+
+def moving(face: Face, index: int) -> np.ndarray:
+    """A face that moves by 15 pixels a picture and turns a little."""
+    view = placed(face, distance=0.9, x=-0.2 + 0.025 * index, yaw_deg=3 * index, tilt_deg=15)
+    return picture_of([view], noise=2.0, seed=index)
+
+
+@pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
+def test_moving_face_is_found_in_every_picture(face: Face) -> None:
+    tracker = TargetTracker([target_of(face)])
+    for index in range(8):
+        (found,) = tracker.detect(moving(face, index), index * STEP_NS)
+        view = placed(face, distance=0.9, x=-0.2 + 0.025 * index, yaw_deg=3 * index, tilt_deg=15)
+        error = found.pixels - true_pixels(view)[found.corners.astype(int)]
+        assert len(found.corners) > 0.8 * face.corner_count
+        assert np.sqrt(np.mean(error**2)) < 0.06
+
+
+@pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
+def test_followed_face_costs_no_search(face: Face, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = TargetTracker([target_of(face)])
+    for index in range(3):
+        tracker.detect(moving(face, index), index * STEP_NS)
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the picture was searched")
+
+    for name in ("_searched", "_in_part"):
+        monkeypatch.setattr(tracker_module.TargetTracker, name, refuse)
+    assert len(tracker.detect(moving(face, 3), 3 * STEP_NS)) == 1
+
+
+def test_face_that_jumps_is_found_again() -> None:
+    face = checkerboard(8, 5)
+    tracker = TargetTracker([target_of(face)])
+    for index in range(3):
+        tracker.detect(moving(face, index), index * STEP_NS)
+    assert len(tracker.detect(moving(face, 16), 3 * STEP_NS)) == 1
+
+
+def test_face_that_comes_in_is_found_within_the_time_of_a_search() -> None:
+    faces = [charuco(number=0), charuco(number=1, first=10)]
+    tracker = TargetTracker([target_of(*faces)])
+    alone = [placed(faces[0], distance=1.0, x=-0.25)]
+    both = [*alone, placed(faces[1], distance=1.0, x=0.25)]
+    for index in range(3):
+        assert len(tracker.detect(picture_of(alone), index * STEP_NS)) == 1
+    seen = [len(tracker.detect(picture_of(both), index * STEP_NS)) for index in range(3, 9)]
+    assert seen[-1] == 2
+
+
+def test_face_that_leaves_is_not_made_up() -> None:
+    tracker = TargetTracker([target_of(charuco())])
+    for index in range(3):
+        tracker.detect(moving(charuco(), index), index * STEP_NS)
+    assert tracker.detect(plain_picture(noise=2.0), 3 * STEP_NS) == ()
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.06, 0.0), (0.03, 0.03), (-0.03, 0.03), (0.0, -0.06)])
+def test_checkerboard_that_moves_by_whole_squares_keeps_its_numbers(x: float, y: float) -> None:
+    """Moved so, its inner squares lie on each other; the outer ones do not."""
+    face = checkerboard(8, 5)
+    tracker = TargetTracker([target_of(face)])
+    for index in range(4):
+        view = placed(face, distance=0.9, x=x * (index == 3), y=y * (index == 3))
+        (found,) = tracker.detect(picture_of([view]), index * STEP_NS)
+        error = found.pixels - true_pixels(view)[found.corners.astype(int)]
+        assert np.abs(error).max() < 0.3
+
+
+def test_pictures_that_go_back_in_time_begin_anew() -> None:
+    face = charuco()
+    tracker = TargetTracker([target_of(face)])
+    for stamp in (5, 6, 1, 1):
+        assert len(tracker.detect(moving(face, 2), stamp * STEP_NS)) == 1
+
+
+def test_search_that_takes_too_long_is_given_up_and_counted() -> None:
+    class Slow(ManualClock):
+        def elapsed_ns(self) -> int:
+            self.advance(0.02)
+            return super().elapsed_ns()
+
+    tracker = TargetTracker([target_of(*FACES[:1])], budget_s=0.05, clock=Slow())
+    for index in range(3):
+        tracker.detect(picture_of([]), index * STEP_NS)
+        tracker.detect(moving(FACES[0], 0), index * STEP_NS + 1)
+    assert tracker.given_up > 0
