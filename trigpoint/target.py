@@ -5,6 +5,7 @@ corner 0; corner numbers and the half turn are those of the contract.
 """
 
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -97,8 +98,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
         """Corner positions in the face frame by id, (corner_count, 3), metres."""
         if self.pattern is Pattern.APRILGRID:
             return self._tag_corners()
-        x, y = np.meshgrid(np.arange(self.columns - 1), np.arange(self.rows - 1))
-        return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * self.square
+        return _grid(self.columns - 1, self.rows - 1, self.square)
 
     def _tag_corners(self) -> Array:
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
@@ -147,6 +147,16 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             self.border_bits,
         )
         return (*geometry, *marks)
+
+
+@cache
+def _grid(columns: int, rows: int, pitch: float) -> Array:
+    """Corners column by column in each row, (n, 3); one array for all who ask, so not to be written
+    to."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * pitch
+    points.flags.writeable = False
+    return points
 
 
 class Target(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,0 +1,137 @@
+"""A drive through a long corridor with many cameras, made without pictures and in little time.
+
+The corridor is a ring: a robot drives along it once, or several times, and every camera sees it for
+a few metres. Cameras do not overlap but for neighbours.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from trigpoint.config import parse_site
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.messages import CameraInfo, FaceSighting, Message, Odometry, Sightings
+from trigpoint.target import Target
+from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.visibility import seen_faces
+
+EPOCH_NS = 1_700_000_000_000_000_000
+SPEED = 0.4
+ODOMETRY_HZ = 20.0
+PICTURES_HZ = 5.0
+_SPACING_M = 3.5
+_SEES_M = 3.2
+_SIGMA_PX = 0.25
+_SITE = """site = "corridor"
+{cameras}
+[robots.r1]
+port = "sim"
+target = "target.toml"
+"""
+_CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate = 5.0\n'
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """`cameras` of them on a ring, driven along for `duration_s`."""
+
+    cameras: int
+    duration_s: float
+
+    @property
+    def radius_m(self) -> float:
+        return _SPACING_M * self.cameras / (2 * np.pi)
+
+    @property
+    def inputs(self) -> Inputs:
+        cameras = "\n".join(_CAMERA.format(i, i) for i in range(self.cameras))
+        site = parse_site(_SITE.format(cameras=cameras), directory=Path())
+        return Inputs(site, {"r1": target_of("charuco")})
+
+    def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Message]]:
+        """(camera or robot, message) in the order of their stamps."""
+        random, target = np.random.default_rng(seed), target_of("charuco")
+        lens = CameraModel.from_field_of_view(640, 480, np.radians(62.0))
+        places = [self._camera(index) for index in range(self.cameras)]
+        for index in range(self.cameras):
+            name = f"c{index}"
+            yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
+        every = round(ODOMETRY_HZ / PICTURES_HZ)
+        reported = np.zeros(3)
+        for step in range(round(self.duration_s * ODOMETRY_HZ)):
+            stamp_ns = EPOCH_NS + round(step * 1e9 / ODOMETRY_HZ)
+            reported = self._reported(reported, step, random)
+            pose = Pose.planar(*reported)
+            yield "r1", Odometry(stamp_ns, "r1/odom", "r1/base", pose, np.zeros(3), np.zeros(3))
+            if step % every == 0:
+                robot = self._robot(step / ODOMETRY_HZ)
+                for index in self._near(robot):
+                    faces = _sighted(lens, places[index], robot, target, random)
+                    if faces:
+                        name = f"c{index}"
+                        yield name, Sightings(stamp_ns, f"{name}/optical", 640, 480, faces)
+
+    def _robot(self, seconds: float) -> Pose:
+        """map_from_base: anticlockwise from the origin along x."""
+        turn = SPEED * seconds / self.radius_m
+        return Pose.planar(self.radius_m * np.sin(turn), self.radius_m * (1 - np.cos(turn)), turn)
+
+    def _reported(self, before: np.ndarray, step: int, random: np.random.Generator) -> np.ndarray:
+        """Odometry: the true increment and the contract's default noise."""
+        if step == 0:
+            return before
+        length = SPEED / ODOMETRY_HZ
+        turn = length / self.radius_m
+        along, across, heading = random.normal(size=3) * np.sqrt(length) * (0.006, 0.002, 0.004)
+        x, y, direction = before
+        middle = direction + turn / 2
+        forward, left = length + along, across
+        return np.array(
+            [
+                x + np.cos(middle) * forward - np.sin(middle) * left,
+                y + np.sin(middle) * forward + np.cos(middle) * left,
+                direction + turn + heading,
+            ]
+        )
+
+    def _camera(self, index: int) -> Pose:
+        """map_from_camera: above the outer edge, looking along the corridor and down."""
+        turn = 2 * np.pi * (index + 0.5) / self.cameras
+        outside = np.array([np.sin(turn), -np.cos(turn), 0.0])
+        ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
+        centre = np.array([0.0, self.radius_m, 0.0])
+        eye = centre + (self.radius_m + 1.2) * outside + [0.0, 0.0, 1.6]
+        look = -0.8 * outside - ahead - [0.0, 0.0, 0.55]
+        look = look / np.linalg.norm(look)
+        right = np.cross(look, [0.0, 0.0, 1.0])
+        right = right / np.linalg.norm(right)
+        return Pose(np.stack([right, np.cross(look, right), look], axis=1), eye)
+
+    def _near(self, robot: Pose) -> list[int]:
+        """The cameras that may see the robot: those around it on the ring."""
+        x, y, _ = robot.translation
+        turn = np.arctan2(x, self.radius_m - y) % (2 * np.pi)
+        here = int(turn / (2 * np.pi) * self.cameras)
+        reach = range(here - 2, here + 3)
+        return sorted({index % self.cameras for index in reach})
+
+
+def _sighted(
+    lens: CameraModel,
+    map_from_camera: Pose,
+    robot: Pose,
+    target: Target,
+    random: np.random.Generator,
+) -> tuple[FaceSighting, ...]:
+    if np.linalg.norm(robot.translation - map_from_camera.translation) > _SEES_M:
+        return ()
+    found = []
+    for seen in seen_faces(target, robot, map_from_camera, lens, ()):
+        if len(seen.corners) >= 8:
+            pixels = seen.pixels + random.normal(scale=_SIGMA_PX, size=seen.pixels.shape)
+            corners = seen.corners.astype(np.uint16)
+            found.append(FaceSighting(target.name, seen.face.id, corners, pixels, _SIGMA_PX))
+    return tuple(found)
