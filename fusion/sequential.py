@@ -8,7 +8,7 @@ session is worked out to the end. A camera that is located goes back to its firs
 
 import bisect
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -24,10 +24,10 @@ from .filter import RobotEstimate, carried_on
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict, base_from_faces
 from .odometry_track import Added
-from .problem import Chain, State
+from .problem import State
 from .sighting_use import first_sight, is_expected, predicted_at, sight_of
+from .steps import Step, nodes_of, poses_at
 from .survey import is_placed
-from .trajectory import interpolated
 
 _HISTORY = 64
 # A camera's pictures wait for it to be located while so many others are used.
@@ -43,18 +43,6 @@ _LOOSE = (
 )
 
 
-@dataclass(slots=True)
-class _Step:
-    """What became of one sighting. `before`: the belief before it, None where that is too long ago;
-    `map_from_base`: afterwards; `surprise`: None where it was set aside."""
-
-    time_ns: int
-    entry: int
-    before: Belief | None
-    map_from_base: Pose | None
-    surprise: Surprise | None
-
-
 class SequentialEstimator:
     """See `Estimator`. `origin`: the belief before any sighting."""
 
@@ -62,7 +50,7 @@ class SequentialEstimator:
         self.data = data
         self._origin = origin
         self._belief: Belief | None = None
-        self._steps: list[_Step] = []
+        self._steps: list[Step] = []
         self._located: dict[str, Located] = {}
         # The step before which each camera that is not located was first seen, and the belief then.
         self._waiting: dict[str, tuple[int, Belief]] = {}
@@ -129,7 +117,7 @@ class SequentialEstimator:
             self._drop_misplaced(self.data.entries[index].observation.camera)
         return correction
 
-    def _rewind(self, place: int) -> list[_Step] | None:
+    def _rewind(self, place: int) -> list[Step] | None:
         """Go back before a step; the steps to do again, None where that is too long ago."""
         if place == len(self._steps):
             return []
@@ -138,7 +126,7 @@ class SequentialEstimator:
             return None
         return self._back_to(place, before)
 
-    def _back_to(self, place: int, belief: Belief) -> list[_Step]:
+    def _back_to(self, place: int, belief: Belief) -> list[Step]:
         later, self._steps = self._steps[place:], self._steps[:place]
         self._belief = belief
         for camera, (first, _) in self._waiting.items():
@@ -156,7 +144,7 @@ class SequentialEstimator:
             after = self._used(before, entry, time_ns)
         else:
             after = self._begun(before, index, time_ns)
-        step = _Step(time_ns, index, before, None, None)
+        step = Step(time_ns, index, before, None, None)
         self._steps.append(step)
         if len(self._steps) > _HISTORY:
             self._steps[-_HISTORY - 1].before = None
@@ -407,37 +395,11 @@ class SequentialEstimator:
 
     def trajectory(self, robot: str) -> Trajectory | None:
         track = self.data.tracks[robot]
-        nodes = self._nodes(robot)
-        if not nodes:
+        nodes = nodes_of(self.data, self._steps, robot)
+        if not nodes or self._belief is None:
             return None
-        poses = self._interpolated(robot, nodes, track.stamps_ns)
+        poses = poses_at(self.data, self._belief, robot, nodes, track.stamps_ns)
         return Trajectory(track.stamps_ns.copy(), poses)
-
-    def _nodes(self, robot: str) -> dict[int, Pose]:
-        """The robot's poses after its sightings by their times, ascending."""
-        nodes: dict[int, Pose] = {}
-        track = self.data.tracks[robot]
-        if robot == self.data.anchored_robot and len(track):
-            nodes[track.first_ns] = track.odom_from_base[0]
-        for step in self._steps:
-            is_mine = self.data.entries[step.entry].observation.robot == robot
-            if is_mine and step.map_from_base is not None:
-                nodes[step.time_ns] = step.map_from_base
-        return nodes
-
-    def _interpolated(self, robot: str, nodes: dict[int, Pose], stamps_ns: np.ndarray) -> Pose:
-        track = self.data.tracks[robot]
-        assert self._belief is not None  # there are nodes
-        chain = Chain(
-            robot=robot,
-            stamps_ns=np.array(list(nodes)),
-            motion=None,
-            track=track,
-            scales=self._belief.scales(robot),
-            planar=track.planar,
-            is_anchored=False,
-        )
-        return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
 
     def _place(self, indices: list[int]) -> None:
         """Put where the robots stood, as far as it is known now, into entries of the data set."""
@@ -446,10 +408,12 @@ class SequentialEstimator:
             mine = [entry for entry in mine if entry.observation.robot == robot]
             if not mine:
                 continue
-            nodes = self._nodes(robot)
+            nodes = nodes_of(self.data, self._steps, robot)
             stamps = np.array([entry.observation.stamp_ns for entry in mine])
             moments = np.clip(stamps, track.first_ns, track.last_ns)
-            poses = self._interpolated(robot, nodes, moments) if nodes else None
+            poses = None
+            if nodes and self._belief is not None:
+                poses = poses_at(self.data, self._belief, robot, nodes, moments)
             for row, entry in enumerate(mine):
                 entry.map_from_base = poses[row] if poses is not None else None
 
