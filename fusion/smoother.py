@@ -16,14 +16,16 @@ from trigpoint.geometry.rotation import Array
 from . import judge
 from .assembly import true_time_ns
 from .batch import BatchSolution
-from .contradictions import Contradictions
+from .contradictions import Contradictions, is_amiss
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate, carried_on
+from .guidance_world import GuidanceWorld
 from .moved import of_its_time
-from .observations import Observation, Verdict
+from .observations import Observation, Verdict, observation_of
 from .odometry_track import Added
 from .placement import align_to
+from .residuals import CameraResiduals, camera_residuals
 from .survey import camera_estimates, is_placed, joint_covariance
 from .trajectory import interpolated
 
@@ -113,7 +115,22 @@ class Smoother:
         self._go_on_from(self._batch.solve(self._filter))
 
     def finish(self) -> None:
+        was_collected = bool(self._batch.collected)
         self._go_on_from(self._batch.finish(self._filter))
+        if was_collected and is_amiss(self._batch):
+            self._go_through()
+            self._go_on_from(self._batch.finish(self._filter))
+
+    def _go_through(self) -> None:
+        """Take everything in anew, sighting by sighting, so that it shows what happened when."""
+        entries = sorted(self.data.entries, key=lambda entry: entry.observation.stamp_ns)
+        self.data.forget_from(0)
+        self._batch = BatchSolution(self.data)
+        self._contradictions = Contradictions(self._batch)
+        self._go_on_from(Filter.at_origin(self.data))
+        for entry in entries:
+            seen = entry.observation
+            self.add_observation(observation_of(seen.camera, seen.robot, seen.stamp_ns, seen.views))
 
     def _go_on_from(self, known: Filter | None) -> None:
         if known is not self._filter:
@@ -299,6 +316,17 @@ class Smoother:
 
     def base_from_faces(self, robot: str) -> Pose:
         return self._batch.state.robots[robot].base_from_face
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        assembled = self._batch.assembled
+        if self._filter is None or assembled is None:
+            return None
+        return GuidanceWorld.of(self.data, self._filter, assembled.problem, self._batch.state)
+
+    def residuals(self, camera: str) -> CameraResiduals:
+        assembled = self._batch.assembled
+        problem = assembled.problem if assembled is not None else None
+        return camera_residuals(self.data, problem, self._batch.state, camera)
 
     @property
     def chi2_per_dof(self) -> float | None:

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.linalg import block_diag
 
 from trigpoint.errors import InputError, read_text
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network, PoseRecord
 
@@ -36,6 +39,8 @@ class NetworkError:
 
     `distance`: mean absolute error of the distances between cameras, metres; `nees`: eᵀP⁻¹e over
     all 6n errors and the joint covariance, per degree of freedom; None with fewer than two cameras.
+    Errors and covariance are taken about the map's origin: a map that is turned by degrees as a
+    whole moves its cameras on arcs, which in metres and radians of each camera fit no covariance.
     """
 
     cameras: dict[str, CameraError]
@@ -55,12 +60,14 @@ def load_truth(path: Path) -> TruthFile:
 def network_error(network: Network, covariance: Array, truth: TruthFile) -> NetworkError:
     """Errors of the located cameras that the truth knows; `covariance`: joint, (6n, 6n)."""
     names = [name for name in network.located if name in truth.cameras]
-    cameras, errors = {}, []
+    cameras, errors, about_origin = {}, [], []
     for name in names:
         record = network.cameras[name]
         assert record.map_from_camera is not None  # it is located
         error = record.map_from_camera.pose.difference(truth.cameras[name].pose)
-        errors.append(error)
+        true = truth.cameras[name].pose
+        errors.append(_twist(record.map_from_camera.pose @ true.inverse()))
+        about_origin.append(_about_origin(record.map_from_camera.pose))
         position = record.covariance_matrix[:3, :3]
         cameras[name] = CameraError(
             float(np.linalg.norm(error[:3])),
@@ -70,9 +77,23 @@ def network_error(network: Network, covariance: Array, truth: TruthFile) -> Netw
     if len(names) < 2:
         return NetworkError(cameras, None, None)
     rows = np.concatenate([np.arange(6) + 6 * network.located.index(name) for name in names])
-    joint = np.concatenate(errors)
-    nees = joint @ np.linalg.solve(covariance[np.ix_(rows, rows)], joint) / len(joint)
+    joint, turned = np.concatenate(errors), np.asarray(block_diag(*about_origin), dtype=float)
+    spread = turned @ covariance[np.ix_(rows, rows)] @ turned.T
+    nees = joint @ np.linalg.solve(spread, joint) / len(joint)
     return NetworkError(cameras, _distance_error(network, truth, names), float(nees))
+
+
+def _twist(motion: Pose) -> Array:
+    """The twist (6,) whose exponential a motion is (Barfoot, «State Estimation for Robotics»)."""
+    turn = so3.log(motion.rotation)
+    return np.concatenate([np.linalg.solve(so3.left_jacobian(turn), motion.translation), turn])
+
+
+def _about_origin(map_from_camera: Pose) -> Array:
+    """(6, 6): a disturbance of a camera as one about the map's origin, δt + [t]× δθ and δθ."""
+    turned = np.eye(6)
+    turned[:3, 3:] = so3.hat(map_from_camera.translation)
+    return turned
 
 
 def _distance_error(network: Network, truth: TruthFile, names: list[str]) -> float:

@@ -43,7 +43,20 @@ def test_errors_are_distances_angles_and_sigmas() -> None:
     assert error.cameras["c1"].sigmas == pytest.approx(2.5)
     assert error.cameras["c2"].position == pytest.approx(0.0, abs=1e-12)
     squares = (0.03**2 + 0.04**2 + 0.1**2) / SIGMA**2
-    assert error.nees == pytest.approx(squares / 12)
+    assert error.nees == pytest.approx(squares / 12, rel=0.01)
+
+
+def test_map_that_is_turned_as_a_whole_fits_a_covariance_that_knows_the_rest_well() -> None:
+    """0.3 rad about the origin, where the cameras among each other are known to 0.1 mm."""
+    turned = {name: Pose.planar(0.0, 0.0, 0.3) @ pose for name, pose in TRUE.items()}
+    errors = {name: list(pose.difference(TRUE[name])) for name, pose in turned.items()}
+    network, _ = network_of(dict(errors))
+    by_turn = np.concatenate(
+        [[-p.translation[1], p.translation[0], 0, 0, 0, 1.0] for p in turned.values()]
+    )
+    covariance = 0.3**2 * np.outer(by_turn, by_turn) + 1e-8 * np.eye(18)
+    error = network_error(network, covariance, TRUTH)
+    assert error.nees == pytest.approx(1 / 18, rel=0.01)
 
 
 def test_distance_error_is_the_mean_over_all_pairs() -> None:
