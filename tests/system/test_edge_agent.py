@@ -57,6 +57,13 @@ def agent(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
+def resident_megabytes(process: int) -> float:
+    """What a process keeps in memory; 0 where the system does not tell."""
+    status = Path(f"/proc/{process}/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return sum(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS:"))
+
+
 def taken(ears: Subscription, timeout_s: float) -> Sightings | CameraInfo | None:
     sample = ears.take(timeout_s)
     if sample is None:
@@ -128,6 +135,7 @@ def test_snapshot_is_answered_and_sigint_ends_orderly(tmp_path: Path, free_port)
         assert eventually(is_answered, 30.0)
         assert replies[0].payload[:2] == b"\xff\xd8"
         assert bus.alive(token) == [token]
+        assert resident_megabytes(process.pid) < 150
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
         assert eventually(lambda: not bus.alive(token))
