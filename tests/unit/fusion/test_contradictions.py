@@ -60,7 +60,8 @@ def with_lifted_robot(seed: int, at_s: float = 30.0) -> Session:
         np.concatenate([way.rotation[:step], lifted.rotation]),
         np.concatenate([way.translation[:step], lifted.translation]),
     )
-    messages = [(n, m) for n, m in session.messages if not isinstance(m, Sightings)]
+    messages: list[tuple[str, Sent]] = []
+    messages += [(n, m) for n, m in session.messages if not isinstance(m, Sightings)]
     messages += pictures_of(session.plan, {"r1": truth})
     return in_order(replace(session, truth={"r1": truth}), messages)
 
@@ -138,7 +139,7 @@ def test_wrong_sightings_of_one_picture_move_nothing() -> None:
         node, message = item
         if isinstance(message, Sightings) and message.faces and number % 17 == 0:
             wrong += 1
-            shift = np.float32([9.0, -12.0])
+            shift = np.array([9.0, -12.0], np.float32)
             faces = tuple(replace(f, pixels=f.pixels + shift) for f in message.faces)
             return node, replace(message, faces=faces)
         return item
