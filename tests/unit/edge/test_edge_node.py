@@ -318,19 +318,21 @@ def test_state_of_the_source_is_in_the_diagnostics(desk: Desk) -> None:
     assert {"detection_ms", "delay_ms", "calibration_views"} <= node.health.report().values.keys()
 
 
-def test_hung_camera_is_not_hidden_by_another_of_the_agent(desk: Desk) -> None:
+def test_camera_that_hangs_silences_the_watchdog_and_is_named(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trigpoint.edge.node._PATIENCE_S", 0.3)
+    monkeypatch.setattr("trigpoint.edge.node._PATIENT_PERIODS", 0.0)
     may_end = threading.Event()
 
     def script() -> Iterator[tuple[int, np.ndarray]]:
         yield 1000, EMPTY
-        may_end.wait(10.0)
+        may_end.wait(10.0)  # a driver that does not return
 
     node = desk.start(script=script())
-    assert eventually(lambda: node.health.total("pictures") == 1)
-    assert node.watchdog.hung == ()
-    hung = node.watchdog.pulse("another", within_s=-1.0)
-    assert node.watchdog.hung == ("another",)
-    node.watchdog.forget(hung)
+    assert eventually(lambda: node.watchdog.hung == ("edge/c1 sees",))
+    (status,) = node.diagnostics().statuses
+    assert status.message == "no sign of life of: edge/c1 sees"
     may_end.set()
     node.wait()
     assert eventually(lambda: node.watchdog.hung == ())
