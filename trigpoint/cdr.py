@@ -13,6 +13,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from . import cdr_layout
+from .cdr_layout import FURTHEST_PX, LEAST_SIGMA_PX, MOST_SIGMA_PX, UNIT_TOLERANCE
 from .errors import MessageError
 from .geometry import CameraModel, Pose
 from .geometry.camera import LensModel
@@ -44,10 +46,6 @@ from .messages import (
     Transforms,
 )
 
-# No corner is placed better or worse than this, nor so far away; outside, arithmetic would suffer.
-_LEAST_SIGMA_PX, _MOST_SIGMA_PX = 1e-3, 1e3
-_FURTHEST_PX = 1e5
-
 _SIGHTINGS_DEFINITION = """std_msgs/Header header
 uint32 width
 uint32 height
@@ -71,6 +69,13 @@ def encode(message: Message) -> bytes:
 
 def decode(type_name: str, payload: bytes) -> Message:
     """The message in CDR bytes; raise MessageError where they are no sound message of the type."""
+    quickly = _LAYOUTS.get(type_name)
+    message = quickly(payload) if quickly else None
+    return message if message is not None else decode_by_definition(type_name, payload)
+
+
+def decode_by_definition(type_name: str, payload: bytes) -> Message:
+    """`decode` by the type's definition alone; it says what is wrong where something is."""
     codec = _CODECS_BY_TYPE[type_name]
     try:
         return codec.from_ros(_store().deserialize_cdr(payload, type_name))
@@ -180,7 +185,7 @@ def _xyz(vector: Any, what: str) -> Array:
 def _pose(pose: Any) -> Pose:
     q = pose.orientation
     quaternion = _finite([q.x, q.y, q.z, q.w], "an orientation")
-    if abs(np.linalg.norm(quaternion) - 1) > 0.01:
+    if abs(np.linalg.norm(quaternion) - 1) > UNIT_TOLERANCE:
         raise MessageError("an orientation is no unit quaternion")
     return Pose.from_quaternion(_xyz(pose.position, "a position"), quaternion)
 
@@ -228,13 +233,13 @@ def _face_from_ros(face: Any) -> FaceSighting:
     if len(set(face.corners.tolist())) != len(face.corners):
         raise MessageError("a face names a corner twice")
     _finite(face.pixels, "a face")
-    if not _LEAST_SIGMA_PX <= face.sigma <= _MOST_SIGMA_PX:
+    if not LEAST_SIGMA_PX <= face.sigma <= MOST_SIGMA_PX:
         raise MessageError(
             f"a face has a sigma of {face.sigma} px; "
-            f"it must lie between {_LEAST_SIGMA_PX} and {_MOST_SIGMA_PX}"
+            f"it must lie between {LEAST_SIGMA_PX} and {MOST_SIGMA_PX}"
         )
-    if np.abs(face.pixels).max() > _FURTHEST_PX:
-        raise MessageError(f"a face has a corner beyond {_FURTHEST_PX} pixels")
+    if np.abs(face.pixels).max() > FURTHEST_PX:
+        raise MessageError(f"a face has a corner beyond {FURTHEST_PX} pixels")
     pixels = face.pixels.reshape(-1, 2)
     return FaceSighting(face.target, face.face, face.corners, pixels, float(face.sigma))
 
@@ -463,3 +468,7 @@ _CODECS = (
 )
 _CODECS_BY_CLASS = {codec.message: codec for codec in _CODECS}
 _CODECS_BY_TYPE = {codec.type_name: codec for codec in _CODECS}
+_LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
+    ODOMETRY: cdr_layout.odometry,
+    SIGHTINGS: cdr_layout.sightings,
+}

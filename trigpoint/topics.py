@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 from . import messages
 
@@ -143,11 +144,13 @@ TOPICS = (
 )
 
 
+@lru_cache(maxsize=4096)
 def topic_of(key: str) -> Topic | None:
     """The row of a key, or None where the contract has none."""
     return next((topic for topic in TOPICS if topic.match(key)), None)
 
 
+@lru_cache(maxsize=4096)
 def node_of(key: str) -> str:
     """The camera or robot that a key names, "" where it names none."""
     topic = topic_of(key)

