@@ -1,10 +1,11 @@
 """The extended Kalman filter: robots and cameras in one state, as the 2005 paper announced.
 
-The state is an error about nominal poses, in the contract's disturbances: each robot's last pose
-(x, y and heading where it is planar), every camera, and where the site file gives them a prior
-sigma the cameras' time offsets and the robots' odometry scales. After each update the error is put
-into the nominal state, which is then linearised about anew (iterated: Bell and Cathey, «The
-iterated Kalman filter update as a Gauss-Newton method», 1993).
+The state is an error about nominal values: each robot's last pose (x, y and heading where it is
+planar), every camera, and where the site file gives them a prior sigma the cameras' time offsets
+and the robots' odometry scales. After each update the error is put into the nominal values, which
+are then linearised about anew (iterated: Bell and Cathey, «The iterated Kalman filter update as a
+Gauss-Newton method», 1993). Errors of poses are left twists, which is what keeps the filter honest
+where the heading drifts (`twists`, decision 0643).
 
 A new camera enters with its full cross covariance: its first sighting, solved for the camera alone,
 makes the camera's error a linear function of everything else's (Smith, Self and Cheeseman, 1990).
@@ -15,25 +16,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from trigpoint.clock import to_seconds
+from trigpoint.clock import to_ns, to_seconds
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
 from .belief import Sight, Surprise, carry, velocity
 from .dataset import DataSet
-from .estimator import CameraEstimate
-from .filter import RobotEstimate
+from .kalman_state import KalmanState, Part
 from .problem import CameraState
 from .relative_view import RelativeView, relative_jacobians, relative_view
 from .sequential import SequentialEstimator
+from .twists import disturbance_by_twist, twist_between, twist_by_disturbance
 
-_MOST_ITERATIONS = 4
+_MOST_ITERATIONS = 5
 # An iteration that moves nothing by more than this many of its sigmas is the last.
 _SETTLED = 0.02
-# A sighting determines a camera where the weakest direction is known at least this much, relative
-# to the best known one.
-_DETERMINED = 1e-7
 
 
 def extended_kalman_filter(data: DataSet) -> SequentialEstimator:
@@ -42,138 +40,95 @@ def extended_kalman_filter(data: DataSet) -> SequentialEstimator:
 
 
 @dataclass(frozen=True, slots=True)
-class KalmanBelief:
-    """See `Belief`. `columns`: where each part of the error is in `covariance`, by kind and name;
-    `tangents`: which of a robot's six disturbances are free."""
-
-    stamps_ns: dict[str, int]
-    poses: dict[str, Pose]
-    tangents: dict[str, list[int]]
-    scale_errors: dict[str, Array]
-    states: dict[str, CameraState]
-    columns: dict[tuple[str, str], slice]
-    covariance: Array
+class KalmanBelief(KalmanState):
+    """See `Belief`."""
 
     @classmethod
     def at_origin(cls, data: DataSet) -> "KalmanBelief":
         """Before any sighting: the first robot where its odometry begins, or the known cameras."""
         belief = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
         if data.known.poses:
-            joint = np.linalg.inv(data.known.information)
-            for index, (name, pose) in enumerate(data.known.poses.items()):
-                rows = slice(6 * index, 6 * index + 6)
-                belief = belief._with_part(("pose", name), joint[rows, rows])
-                state = CameraState(pose, data.lenses[name])
-                belief = belief._with_camera_priors(data, name, state)
-            every = belief._of([("pose", name) for name in data.known.poses])
-            covariance = belief.covariance.copy()
-            covariance[np.ix_(every, every)] = joint
-            return replace(belief, covariance=covariance)
+            return belief.with_known_cameras(data)
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
-        belief = belief._with_robot_priors(data, robot, track.odom_from_base[0], track.first_ns)
+        belief = belief.with_robot_priors(data, robot, track.odom_from_base[0], track.first_ns)
         d = len(track.tangent)
-        return belief._with_part(("last", robot), np.zeros((d, d)))
-
-    # -- what is believed -------------------------------------------------------------------------
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        return tuple(self.states)
-
-    def camera(self, camera: str) -> CameraState:
-        return self.states[camera]
-
-    def estimate(self, camera: str) -> CameraEstimate:
-        state, part = self.states[camera], self.columns["pose", camera]
-        sigmas = np.sqrt(np.diagonal(self.covariance))
-        offset_sigma = 0.0
-        if ("offset", camera) in self.columns:
-            offset_sigma = float(sigmas[self.columns["offset", camera]][0])
-        return CameraEstimate(
-            state.map_from_camera,
-            self.covariance[part, part].copy(),
-            state.lens,
-            np.zeros(len(state.lens.parameters)),
-            state.time_offset_s,
-            offset_sigma,
-        )
-
-    def robot(self, robot: str) -> RobotEstimate:
-        part, tangent = self.columns["last", robot], self.tangents[robot]
-        full = np.zeros((6, 6))
-        full[np.ix_(tangent, tangent)] = self.covariance[part, part]
-        return RobotEstimate(self.stamps_ns[robot], self.poses[robot], full)
-
-    def scales(self, robot: str) -> Array:
-        return self.scale_errors.get(robot, np.zeros(2))
-
-    def joint_covariance(self, cameras: list[str]) -> Array:
-        every = self._of([("pose", name) for name in cameras])
-        return self.covariance[np.ix_(every, every)]
-
-    def particles(self, robot: str) -> None:  # noqa: ARG002 - it has none
-        return None
-
-    # -- odometry ---------------------------------------------------------------------------------
+        return belief.with_part(("last", robot), np.zeros((d, d)))
 
     def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "KalmanBelief":
         if stamp_ns <= self.stamps_ns[robot]:
             return self
-        moments = np.array([self.stamps_ns[robot], stamp_ns])
-        motion = data.tracks[robot].motion(moments, self.scales(robot))
+        moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
+        motion = data.tracks[robot].motion(moments_ns, self.scales(robot))
         step = carry(self.poses[robot], motion)
         part, tangent = self.columns["last", robot], self.tangents[robot]
-        size = len(self.covariance)
-        transition, noise = np.eye(size), np.zeros((size, size))
-        transition[part, part] = step.by_start[np.ix_(tangent, tangent)]
+        # The start's twist is the end's; only what the motion itself does wrong is added.
+        by_end = twist_by_disturbance(step.end)[np.ix_(tangent, tangent)]
+        covariance = self.covariance.copy()
         if ("scales", robot) in self.columns:
-            transition[part, self.columns["scales", robot]] = step.by_scales[tangent]
-        spread = step.by_motion @ motion.covariance[0] @ step.by_motion.T
-        noise[part, part] = spread[np.ix_(tangent, tangent)]
-        kalman = self._kalman(1)
-        kalman.F, kalman.Q = transition, noise
-        kalman.predict()
+            scales = self.columns["scales", robot]
+            by_scales = by_end @ step.by_scales[tangent]
+            covariance[part] += by_scales @ covariance[scales]
+            covariance[:, part] += covariance[:, scales] @ by_scales.T
+        by_motion = by_end @ step.by_motion[tangent]
+        covariance[part, part] += by_motion @ motion.covariance[0] @ by_motion.T
         return replace(
             self,
             stamps_ns=self.stamps_ns | {robot: stamp_ns},
             poses=self.poses | {robot: step.end},
-            covariance=symmetric(kalman.P),
+            covariance=covariance,
         )
 
     # -- sightings --------------------------------------------------------------------------------
 
     def updated(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
-        robot = sight.observation.robot
+        """Iterated over what the sighting bears on; all the rest follows by its covariance."""
         if sight.is_tie:
             return self._tied(data, sight)
+        parts = _parts_of(sight)
+        near = self.only(parts)
         # The first linearisation is where the sighting puts the robot, not where odometry does.
-        error = np.zeros(len(self.covariance))
-        apart = sight.map_from_base.difference(self.poses[robot])
-        error[self.columns["last", robot]] = apart[self.tangents[robot]]
-        kalman, view = self._kalman(1), None
+        error = near._error_at(sight)
+        kalman = view = jacobian = None
         for _ in range(_MOST_ITERATIONS):
-            there = self._moved(error)
+            there = near.moved(error)
             view = there._view(data, sight)
             if view is None:
                 return None
             jacobian = there._jacobian(data, sight, view)
-            kalman = self._kalman(len(view.residual))
-            _update(kalman, jacobian, view.residual - jacobian @ error)
+            kalman = _kalman(near.covariance, jacobian, view.residual - jacobian @ error)
             step, error = kalman.x - error, kalman.x
             if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.abs(np.diagonal(kalman.P))) + 1e-9):
                 break
+        assert kalman is not None
         assert view is not None
-        after = replace(self._moved(error), covariance=symmetric(kalman.P))
+        assert jacobian is not None
+        after = self._followed(kalman, jacobian, self.of(parts))
         chi2 = float(kalman.mahalanobis) ** 2
         return after, _surprise(after._view(data, sight), view, chi2, len(view.residual))
+
+    def _followed(
+        self, kalman: ExtendedKalmanFilter, jacobian: Array, columns: np.ndarray
+    ) -> "KalmanBelief":
+        """All of the state after an update (k equations) of some of its columns."""
+        gain = self.covariance[:, columns] @ jacobian.T @ kalman.SI
+        covariance = self.covariance - gain @ kalman.S @ gain.T
+        return replace(self.moved(gain @ kalman.y), covariance=symmetric(covariance))
+
+    def _error_at(self, sight: Sight) -> Array:
+        """The error (n,) that puts the robot where the sighting does."""
+        robot = sight.observation.robot
+        error = np.zeros(len(self.covariance))
+        twist = twist_between(self.poses[robot], sight.map_from_base)
+        error[self.columns["last", robot]] = twist[self.tangents[robot]]
+        return error
 
     def _tied(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
         """A robot enters by its first sighting by a camera of the state."""
         robot, camera = sight.observation.robot, sight.observation.camera
-        stamp_ns = _true_ns(sight, self.states[camera])
-        ready = self._with_robot_priors(data, robot, sight.map_from_base, stamp_ns)
+        stamp_ns = sight.observation.stamp_ns - to_ns(self.states[camera].time_offset_s)
+        ready = self.with_robot_priors(data, robot, sight.map_from_base, stamp_ns)
         return ready._entered(data, sight, ("last", robot))
 
     def with_camera(
@@ -184,47 +139,50 @@ class KalmanBelief:
         # What is known of its time offset before any sighting is that it is about nothing.
         map_from_camera = self.poses[robot] @ camera_from_base.inverse()
         placed = CameraState(map_from_camera, data.lenses[name])
-        return self._with_camera_priors(data, name, placed)._entered(data, sight, ("pose", name))
+        return self.with_camera_priors(data, name, placed)._entered(data, sight, ("pose", name))
 
     def _entered(
-        self, data: DataSet, sight: Sight, part: tuple[str, str]
+        self, data: DataSet, sight: Sight, part: Part
     ) -> tuple["KalmanBelief", Surprise] | None:
         """With a new part that this sighting alone determines, given everything else.
 
         The sighting's equations ρ + A δ + B ν = noise are turned by B's full factorisation: the
         upper rows give the part ν from the rest δ, the lower ones, free of ν, update the rest.
         """
-        tangent = self.tangents[part[1]] if part[0] == "last" else list(range(6))
-        ready = self._with_part(part, np.zeros((len(tangent), len(tangent))))
+        count = len(self.tangents[part[1]]) if part[0] == "last" else 6
+        ready = self.with_part(part, np.zeros((count, count)))
         view = ready._view(data, sight)
-        if view is None:
+        if view is None or not view.determines_pose:
             return None
-        jacobian = ready._jacobian(data, sight, view)
-        new = ready._of([part])
+        rest = ready.of([other for other in _parts_of(sight) if other != part])
+        near = ready.only(_parts_of(sight))
+        jacobian = near._jacobian(data, sight, view)
+        new = near.columns[part]
         basis, root = np.linalg.qr(jacobian[:, new], mode="complete")
-        count = len(new)
-        strength = np.linalg.svd(root[:count], compute_uv=False)
-        if strength[-1] < _DETERMINED * strength[0]:
-            return None
-        rest = jacobian.copy()
-        rest[:, new] = 0.0
-        turned, residual = basis.T @ rest, basis.T @ view.residual
-        inverse = np.linalg.inv(root[:count])
-        follows = np.eye(len(ready.covariance))
-        follows[new] = -inverse @ turned[:count]
-        covariance = follows @ ready.covariance @ follows.T
-        covariance[np.ix_(new, new)] += inverse @ inverse.T
-        error = np.zeros(len(covariance))
-        error[new] = -inverse @ residual[:count]
-        after = replace(ready._moved(error), covariance=symmetric(covariance))
+        turned = basis.T @ np.delete(jacobian, new, axis=1)
+        residual, inverse = basis.T @ view.residual, np.linalg.inv(root[:count])
+        placed = ready._placed(part, rest, -inverse @ turned[:count], -inverse @ residual[:count])
+        placed.covariance[ready.columns[part], ready.columns[part]] += inverse @ inverse.T
         lower = len(residual) - count
         if lower == 0:
-            return after, _surprise(after._view(data, sight), view, 0.0, 0)
-        kalman = after._kalman(lower)
-        _update(kalman, turned[count:], residual[count:])
+            return placed, _surprise(placed._view(data, sight), view, 0.0, 0)
+        prior = placed.covariance[np.ix_(rest, rest)]
+        kalman = _kalman(prior, turned[count:], residual[count:])
+        after = placed._followed(kalman, turned[count:], rest)
         chi2 = float(kalman.mahalanobis) ** 2
-        after = replace(after._moved(kalman.x), covariance=symmetric(kalman.P))
         return after, _surprise(after._view(data, sight), view, chi2, lower)
+
+    def _placed(self, part: Part, rest: np.ndarray, by_rest: Array, error: Array) -> "KalmanBelief":
+        """A part whose error is `error` (k,) and by_rest (k, m) times that of some columns (m,)."""
+        columns, covariance = self.columns[part], self.covariance.copy()
+        whole = np.zeros(len(covariance))
+        whole[columns] = error
+        rows = by_rest @ covariance[rest]
+        covariance[columns], covariance[:, columns] = rows, rows.T
+        covariance[columns, columns] = rows[:, rest] @ by_rest.T
+        return replace(self.moved(whole), covariance=symmetric(covariance))
+
+    # -- how a sighting follows the state ---------------------------------------------------------
 
     def _seen(self, data: DataSet, sight: Sight) -> tuple[Pose, Array]:
         """Where the robot was when it was seen, and its disturbance per second then, (6,).
@@ -248,110 +206,39 @@ class KalmanBelief:
     def _jacobian(self, data: DataSet, sight: Sight, view: RelativeView) -> Array:
         """The compressed residual by the whole error, (k, n)."""
         camera, robot = sight.observation.camera, sight.observation.robot
+        map_from_camera = self.states[camera].map_from_camera
         pose, moving = self._seen(data, sight)
-        by_camera, by_base = relative_jacobians(self.states[camera].map_from_camera, pose)
-        by_base = view.root @ by_base
+        by_camera, by_base = relative_jacobians(map_from_camera, pose)
+        by_camera, by_base = view.root @ by_camera, view.root @ by_base
         jacobian = np.zeros((len(view.residual), len(self.covariance)))
-        jacobian[:, self.columns["pose", camera]] = view.root @ by_camera
-        jacobian[:, self.columns["last", robot]] = by_base[:, self.tangents[robot]]
+        jacobian[:, self.columns["pose", camera]] = by_camera @ disturbance_by_twist(
+            map_from_camera
+        )
+        jacobian[:, self.columns["last", robot]] = (by_base @ disturbance_by_twist(pose))[
+            :, self.tangents[robot]
+        ]
         if ("offset", camera) in self.columns:
             # True time = stamp - offset: a larger one looks at the robot earlier on its way.
             jacobian[:, self.columns["offset", camera]] = -(by_base @ moving)[:, None]
         return jacobian
 
-    # -- the state's parts ------------------------------------------------------------------------
 
-    def _with_camera_priors(self, data: DataSet, camera: str, state: CameraState) -> "KalmanBelief":
-        config = data.site.cameras[camera]
-        belief = replace(self, states=self.states | {camera: state})
-        if config.time_offset_sigma > 0:
-            variance = np.array([[config.time_offset_sigma**2]])
-            belief = belief._with_part(("offset", camera), variance)
-        return belief
-
-    def _with_robot_priors(
-        self, data: DataSet, robot: str, map_from_base: Pose, stamp_ns: int
-    ) -> "KalmanBelief":
-        track = data.tracks[robot]
-        belief = replace(
-            self,
-            stamps_ns=self.stamps_ns | {robot: stamp_ns},
-            poses=self.poses | {robot: map_from_base},
-            tangents=self.tangents | {robot: track.tangent},
-            scale_errors={robot: np.zeros(2)} | self.scale_errors,
-        )
-        noise = data.site.robots[robot].odometry
-        sigmas = np.array([noise.distance_scale, noise.heading_scale])
-        if np.any(sigmas > 0) and ("scales", robot) not in self.columns:
-            belief = belief._with_part(("scales", robot), np.diag(sigmas**2))
-        return belief
-
-    def _with_part(self, part: tuple[str, str], covariance: Array) -> "KalmanBelief":
-        """With a part that is independent of the rest so far."""
-        size, more = len(self.covariance), len(covariance)
-        whole = np.zeros((size + more, size + more))
-        whole[:size, :size], whole[size:, size:] = self.covariance, covariance
-        columns = self.columns | {part: slice(size, size + more)}
-        return replace(self, columns=columns, covariance=whole)
-
-    def without_camera(self, camera: str) -> "KalmanBelief":
-        states = {name: state for name, state in self.states.items() if name != camera}
-        gone = [("pose", camera), ("offset", camera)]
-        return replace(self, states=states)._without(gone)
-
-    def without_robot(self, robot: str) -> "KalmanBelief":
-        stamps = {name: stamp for name, stamp in self.stamps_ns.items() if name != robot}
-        return replace(self, stamps_ns=stamps)._without([("last", robot)])
-
-    def _without(self, parts: list[tuple[str, str]]) -> "KalmanBelief":
-        """Without some parts: what is known of the rest stays as it is."""
-        kept = [part for part in self.columns if part not in parts]
-        every, columns, size = self._of(kept), {}, 0
-        for part in kept:
-            length = self.columns[part].stop - self.columns[part].start
-            columns[part] = slice(size, size + length)
-            size += length
-        return replace(self, columns=columns, covariance=self.covariance[np.ix_(every, every)])
-
-    def _of(self, parts: list[tuple[str, str]]) -> np.ndarray:
-        every = np.arange(len(self.covariance))
-        return np.concatenate([np.zeros(0, dtype=int), *[every[self.columns[p]] for p in parts]])
-
-    def _moved(self, error: Array) -> "KalmanBelief":
-        """The nominal state moved by an error."""
-        poses, states, scales = dict(self.poses), dict(self.states), dict(self.scale_errors)
-        for (kind, name), part in self.columns.items():
-            if kind == "last":
-                disturbance = np.zeros(6)
-                disturbance[self.tangents[name]] = error[part]
-                poses[name] = poses[name].moved(disturbance)
-            elif kind == "pose":
-                pose = states[name].map_from_camera.moved(error[part])
-                states[name] = replace(states[name], map_from_camera=pose)
-            elif kind == "offset":
-                offset_s = states[name].time_offset_s + float(error[part][0])
-                states[name] = replace(states[name], time_offset_s=offset_s)
-            else:
-                scales[name] = scales[name] + error[part]
-        return replace(self, poses=poses, states=states, scale_errors=scales)
-
-    def _kalman(self, measured: int) -> ExtendedKalmanFilter:
-        """filterpy's filter over the error, which is zero now."""
-        kalman = ExtendedKalmanFilter(dim_x=len(self.covariance), dim_z=measured)
-        kalman.x, kalman.P = np.zeros(len(self.covariance)), self.covariance
-        return kalman
+def _parts_of(sight: Sight) -> list[Part]:
+    """The parts of the error that a sighting bears on."""
+    camera, robot = sight.observation.camera, sight.observation.robot
+    return [("last", robot), ("pose", camera), ("offset", camera)]
 
 
-def _update(kalman: ExtendedKalmanFilter, jacobian: Array, residual: Array) -> None:
-    """Update by equations residual + jacobian · error = noise of unit variance."""
+def _kalman(covariance: Array, jacobian: Array, residual: Array) -> ExtendedKalmanFilter:
+    """filterpy's filter over an error that was zero with a covariance (m, m), after an update by
+    equations residual (k,) + jacobian (k, m) · error = noise of unit variance."""
+    kalman = ExtendedKalmanFilter(dim_x=len(covariance), dim_z=len(residual))
+    kalman.x, kalman.P = np.zeros(len(covariance)), covariance
     kalman.R = np.eye(len(residual))
     kalman.update(
         np.zeros(len(residual)), lambda _: jacobian, lambda error: residual + jacobian @ error
     )
-
-
-def _true_ns(sight: Sight, camera: CameraState) -> int:
-    return sight.observation.stamp_ns - round(camera.time_offset_s * 1e9)
+    return kalman
 
 
 def _surprise(

@@ -35,9 +35,6 @@ from .sequential import SequentialEstimator
 
 _MOST_SHARES = 200
 _MOST_LINEARISATIONS = 3
-# A sighting determines a camera where the weakest direction is known at least this much, relative
-# to the best known one.
-_DETERMINED = 1e-7
 # Weights as even as this say nothing: less than a hundredth of a sigma.
 _ALIKE = 0.9999
 
@@ -155,10 +152,7 @@ class ParticleBelief(Particles):
         camera_from_base = camera.map_from_camera.inverse() @ sight.map_from_base
         target = data.targets[robot]
         view = relative_view(sight.observation, target, camera.lens, camera_from_base)
-        if view is None or len(view.root) < 6:
-            return None
-        strength = np.linalg.svd(view.root, compute_uv=False)
-        if strength[-1] < _DETERMINED * strength[0]:
+        if view is None or not view.determines_pose:
             return None
         belief = self.with_drawn([robot])
         pose = belief.poses[robot]

@@ -21,6 +21,9 @@ _WILD_SIGMAS = 4.0
 # With more wild corners than this the whole sighting is wrong.
 _WILD_SHARE = 0.25
 _LEAST_CORNERS = 4
+# A sighting determines a pose where the weakest direction is known at least this much, relative to
+# the best known one.
+_DETERMINED = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,12 @@ class RelativeView:
     left_over: float
     freedom: int
     rms_px: float
+
+    @property
+    def determines_pose(self) -> bool:
+        """Whether the sighting alone says where the robot is from the camera."""
+        strength = np.linalg.svd(self.root, compute_uv=False)
+        return len(self.root) == 6 and bool(strength[-1] >= _DETERMINED * strength[0])
 
 
 def relative_view(
