@@ -11,7 +11,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .body import body_of
-from .faces import candidates, corners_of, pixels_of, readings_rms_px
+from .faces import candidates, corners_of, is_same_pose, pixels_of, readings_rms_px
 from .observations import Observation, Reading
 from .planar_pose import least_squares_steps
 
@@ -25,6 +25,8 @@ _HOPELESS = 100.0
 # wild ones than this share, or that moves the robot by so many of the prior's sigmas, is wrong.
 _FITS_SIGMAS = 6.0
 _WILD_SHARE = 0.25
+# A place from which all corners are this far off is none: what one flat face leaves open is less.
+_FAR_RMS_SIGMAS = 100.0
 _MOST_STEPS = 12
 _SMALLEST_STEP = 1e-6
 
@@ -87,6 +89,28 @@ def align(
         return None
     sound = search.without(wild)
     return sound.near(prior) or sound.everywhere()
+
+
+def placements(
+    observation: Observation,
+    target: Target,
+    lens: CameraModel,
+    map_from_camera: Pose,
+    *,
+    tangent: list[int],
+) -> list[Pose]:
+    """Everywhere that a robot may stand before a located camera by one observation, best first."""
+    search = _Search(observation, target, lens, map_from_camera, tangent, None, 0.0)
+    starts, readings = search._starts()
+    if not starts:
+        return []
+    poses, costs = search._solved(Pose.stack(starts), np.stack(readings))
+    found: list[Pose] = []
+    for index in np.argsort(costs, kind="stable"):
+        is_near = bool(costs[index] < _FAR_RMS_SIGMAS**2 * 2 * len(search.pixels))
+        if is_near and not any(is_same_pose(poses[index], other) for other in found):
+            found.append(poses[index])
+    return found
 
 
 class _Search:

@@ -18,6 +18,7 @@ from .filter import Filter, RobotEstimate
 from .judge import DECISIVE
 from .observations import Observation, Verdict
 from .odometry_track import composed
+from .tie import Tie, Untied, tie
 
 # What a robot's place by odometry is taken to be uncertain by at the least, m² and rad².
 _FLOOR_M2 = 0.05**2
@@ -45,11 +46,12 @@ class _Anchor:
     map_from_base: Pose
 
 
-def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> None:
+def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Untied | None:
     """Put into these entries of the data set, in the order of their times, where the robot stood;
     those of located cameras are read and accepted where they fit.
 
-    Entries are left without a place where nothing ties the robot to the map.
+    A robot that nothing ties to the map yet is tied by them; where that fails they are left without
+    a place, and why is returned.
     """
     track = data.tracks[robot]
     entries = [data.entries[index] for index in indices]
@@ -59,19 +61,34 @@ def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> None:
     moments = np.unique(stamps if start_ns is None else np.append(stamps, start_ns))
     way = _way(data, known, robot, moments)
     rows = np.searchsorted(moments, stamps).tolist()
-    anchor = None
+    there: set[int] = set()
     if start_ns is not None:
         row = int(np.searchsorted(moments, start_ns))
         anchor = _Anchor(row, known.robot(data, robot).map_from_base)
-    homeless: list[tuple[Entry, int]] = []
+    else:
+        tied = tie(data, known, robot, indices)
+        if isinstance(tied, Untied):
+            return tied
+        anchor = _take(data, tied, dict(zip(indices, rows, strict=True)))
+        there = {id(data.entries[index]) for index in tied.map_from_base}
     for entry, row in zip(entries, rows, strict=True):
-        anchor = _placed(data, known, way, entry, row, anchor)
-        if anchor is None:
-            homeless.append((entry, row))
-            continue
-        for earlier, earlier_row in homeless:
-            earlier.map_from_base = _carried(way, anchor, earlier_row)
-        homeless.clear()
+        if id(entry) in there:
+            assert entry.map_from_base is not None  # just taken
+            anchor = _Anchor(row, entry.map_from_base)
+        else:
+            anchor = _placed(data, known, way, entry, row, anchor)
+    return None
+
+
+def _take(data: DataSet, tied: Tie, rows: dict[int, int]) -> _Anchor:
+    """Put what tied the robot into the data set; the first of it."""
+    for index, map_from_base in tied.map_from_base.items():
+        entry = data.entries[index]
+        entry.observation = entry.observation.read_as(tied.readings[index])
+        entry.observation = entry.observation.judged(Verdict.ACCEPTED)
+        entry.map_from_base = map_from_base
+    first = min(tied.map_from_base, key=lambda index: rows[index])
+    return _Anchor(rows[first], tied.map_from_base[first])
 
 
 def _way(data: DataSet, known: Filter, robot: str, moments: np.ndarray) -> _Way:
@@ -91,24 +108,21 @@ def _carried(way: _Way, anchor: _Anchor, row: int) -> Pose:
 
 
 def _placed(
-    data: DataSet, known: Filter, way: _Way, entry: Entry, row: int, anchor: _Anchor | None
-) -> _Anchor | None:
+    data: DataSet, known: Filter, way: _Way, entry: Entry, row: int, anchor: _Anchor
+) -> _Anchor:
     """Place one entry; where the robot is known best then."""
-    observation, prior = entry.observation, None
-    if anchor is not None:
-        entry.map_from_base = _carried(way, anchor, row)
-        between = way.path.translation[row] - way.path.translation[anchor.row]
-        turned = abs(way.drift_rad2[row] - way.drift_rad2[anchor.row])
-        moved = abs(way.drift_m2[row] - way.drift_m2[anchor.row]) + between @ between * turned
-        if not known.has_camera(observation.camera):
-            return anchor
-        if observation.chosen and moved < _STEADY_M2 and turned < _STEADY_RAD2:
-            entry.observation = observation.judged(Verdict.ACCEPTED)
-            return anchor
-        covariance = np.diag(np.repeat([_FLOOR_M2 + moved, _FLOOR_RAD2 + turned], 3))
-        prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, covariance)
+    observation = entry.observation
+    entry.map_from_base = _carried(way, anchor, row)
     if not known.has_camera(observation.camera):
         return anchor
+    between = way.path.translation[row] - way.path.translation[anchor.row]
+    turned = abs(way.drift_rad2[row] - way.drift_rad2[anchor.row])
+    moved = abs(way.drift_m2[row] - way.drift_m2[anchor.row]) + between @ between * turned
+    if observation.chosen and moved < _STEADY_M2 and turned < _STEADY_RAD2:
+        entry.observation = observation.judged(Verdict.ACCEPTED)
+        return anchor
+    covariance = np.diag(np.repeat([_FLOOR_M2 + moved, _FLOOR_RAD2 + turned], 3))
+    prior = RobotEstimate(observation.stamp_ns, entry.map_from_base, covariance)
     aligned = align_to(data, known, observation, prior)
     if aligned is None:
         return anchor
