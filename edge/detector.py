@@ -41,8 +41,11 @@ class FaceFinder(Protocol):
         """The faces in a picture; those found so far where `is_over` becomes true."""
         ...
 
-    def follow(self, grey: np.ndarray, last: "Located", fit: "PlanarFit") -> "Located | None":
-        """A face that was found before and now lies about where `fit` has it; None where not."""
+    def follow(
+        self, grey: np.ndarray, last: "Located", fit: "PlanarFit", *, is_rough: bool
+    ) -> "Located | None":
+        """A face that was found before and now lies about where `fit` has it, within a pixel or,
+        where `is_rough`, a few; None where not."""
         ...
 
 

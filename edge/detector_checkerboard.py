@@ -57,14 +57,17 @@ class CheckerboardDetector(FaceFinder):
             found = self._search(cv2.pyrDown(grey), grey, 2, is_over)
         return found
 
-    def follow(self, grey: np.ndarray, last: Located, fit: PlanarFit) -> Located | None:
+    def follow(
+        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, is_rough: bool
+    ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it.
 
         Moved by a square each way, or by two, a board matches itself but for its outermost squares,
         so those must be there.
         """
         face = last.look.face
-        found = measured(grey, CornerPattern.of(face), fit, blur=last.found.blur, is_rough=True)
+        pattern = CornerPattern.of(face)
+        found = measured(grey, pattern, fit, blur=last.found.blur, is_rough=is_rough)
         if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
             return None
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)

@@ -54,19 +54,26 @@ class MarkedBoard:
         return 1 if few else LEAST_CORNERS
 
     def follow(
-        self, grey: np.ndarray, last: Measured, fit: PlanarFit, reader: MarkerReader
+        self,
+        grey: np.ndarray,
+        last: Measured,
+        fit: PlanarFit,
+        reader: MarkerReader,
+        *,
+        is_rough: bool,
     ) -> Measured | None:
         """The corners of a board that lies about where `fit` has it."""
-        found = measured(grey, self.pattern, fit, blur=last.blur, is_rough=True)
-        if found is None or len(found.corners) < LEAST_CORNERS:
+        found = measured(grey, self.pattern, fit, blur=last.blur, is_rough=is_rough)
+        if found is None:
             return None
         quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
         inside = np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
         numbers = np.flatnonzero(inside)
-        if len(numbers) == 0:
+        if len(numbers) == 0 or len(found.corners) < self._least_corners(len(numbers)):
             return None
         scores = reader.agreement(grey, self.face, quads[numbers], numbers)
-        return found if np.median(scores) >= LEAST_AGREEMENT else None
+        least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
+        return found if np.median(scores) >= least else None
 
     def agrees(
         self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader

@@ -32,11 +32,14 @@ class MarkedSearch(FaceFinder):
                 found += self._search(cv2.bitwise_not(grey) if inverted else grey, boards, is_over)
         return found
 
-    def follow(self, grey: np.ndarray, last: Located, fit: PlanarFit) -> Located | None:
+    def follow(
+        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, is_rough: bool
+    ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it."""
         board = next(board for board in self._boards if board.look is last.look)
         shown = cv2.bitwise_not(grey) if board.face.inverted else grey
-        found = board.follow(shown, last.found, fit, self._readers[reader_key(board.face)])
+        reader = self._readers[reader_key(board.face)]
+        found = board.follow(shown, last.found, fit, reader, is_rough=is_rough)
         return Located(board.look, found) if found else None
 
     def _search(

@@ -8,6 +8,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .markers import Markers
+from .quads import mapped, square_to_quads
 
 # Correlations of a marker's cells: to start a board, to join one, and to be one all alone. Dark
 # clutter reaches 0.6 with the best of a few hundred markers, never twice at agreeing places.
@@ -41,12 +42,14 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
     """
     groups: list[MarkerGroup] = []
     free = np.ones(len(markers), dtype=bool)
-    for seed in range(len(markers)):
-        if markers.scores[seed] < LEAST_SEED or len(groups) == MOST_GROUPS:
+    seeds = int(np.count_nonzero(markers.scores >= LEAST_SEED))
+    has_company = _has_company(seeds, markers, layout)
+    for seed in range(seeds):
+        if len(groups) == MOST_GROUPS:
             break
         if not free[seed]:
             continue
-        members = _gathered(seed, markers, layout, free)
+        members = _gathered(seed, markers, layout, free) if has_company[seed] else np.array([seed])
         free[members] = False
         scores = markers.scores[members]
         if scores.mean() >= (LEAST_MEAN if len(members) > 1 else LEAST_ALONE):
@@ -59,6 +62,30 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
                 )
             )
     return sorted(groups, key=lambda group: -group.weight)
+
+
+def _has_company(seeds: int, markers: Markers, layout: Array) -> np.ndarray:
+    """Whether any other marker lies where each of the first `seeds` has it, (seeds,) bool."""
+    if seeds == 0:
+        return np.zeros(0, dtype=bool)
+    own = layout[markers.numbers[:seeds]]
+    side = np.linalg.norm(layout[0, 1] - layout[0, 0])
+    # Markers are printed square, along the face's axes: others in this one's units, its corner 0.
+    places = (layout[markers.numbers][None] - own[:, None, None, 0]) / side
+    expected = mapped(square_to_quads(markers.corners[:seeds]), places.reshape(seeds, -1, 2))
+    expected = expected.reshape(seeds, -1, 4, 2)
+    off = np.linalg.norm(markers.corners - expected, axis=-1).mean(axis=-1)
+    near = off < NEAR * _sides(expected)
+    near &= np.linalg.norm(places.mean(axis=2) - 0.5, axis=-1) < STEP
+    near &= markers.numbers[:seeds, None] != markers.numbers
+    return near.any(axis=1)
+
+
+def _sides(quads: Array) -> Array:
+    """How large quads (…, 4, 2) are, (…,): never 0, whatever became of them."""
+    return np.maximum(np.linalg.norm(quads[..., 2, :] - quads[..., 0, :], axis=-1), 1e-9) / np.sqrt(
+        2
+    )
 
 
 def _gathered(seed: int, markers: Markers, layout: Array, free: np.ndarray) -> np.ndarray:
@@ -87,8 +114,8 @@ def _agreeing(others: np.ndarray, markers: Markers, layout: Array, fit: Array) -
     if len(others) == 0:
         return []
     expected = cv2.perspectiveTransform(layout[markers.numbers[others]], fit)
-    size = np.linalg.norm(expected[:, 2] - expected[:, 0], axis=-1) / np.sqrt(2)
-    off = np.linalg.norm(markers.corners[others] - expected, axis=-1).mean(axis=1) / size
+    off = np.linalg.norm(markers.corners[others] - expected, axis=-1).mean(axis=1)
+    off = off / _sides(expected)
     best: dict[int, tuple[float, int]] = {}
     for index, distance in zip(others.tolist(), off.tolist(), strict=True):
         number = int(markers.numbers[index])

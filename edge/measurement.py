@@ -77,7 +77,12 @@ def measured(
     if 0 < len(ids) < LEAST_CORNERS:
         return Measured(ids, pixels, FEW_CORNERS_SIGMA_PX, found.blur, found.fit)
     keep, plane = sound_corners(
-        pattern.points[ids], pixels, size, least_px=LEAST_WILD_PX, least_share=LEAST_WILD_SHARE
+        pattern.points[ids],
+        pixels,
+        size,
+        least_px=LEAST_WILD_PX,
+        least_share=LEAST_WILD_SHARE,
+        start=found.fit,
     )
     if plane is None:
         return None

@@ -61,51 +61,56 @@ def patches_around(
     grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, pixels: Array
 ) -> Patches:
     """Patches about `pixels` (n, 2), the pattern moved from where `fit` has it to there."""
+    n, reach = len(ids), pattern.reach
     points = pattern.points[ids]
-    expected = fit.project(points)
-    across = fit.project(points + np.array([pattern.reach, 0.0])) - expected
-    down = fit.project(points + np.array([0.0, pattern.reach])) - expected
+    along = np.array([[0.0, 0.0], [reach, 0.0], [0.0, reach]])
+    beside = (along[:, None] + points).reshape(-1, 2)
+    expected, across, down = fit.project(beside).reshape(3, n, 2)
+    across, down = across - expected, down - expected
     longest = float(np.max(np.abs(across) + np.abs(down), initial=0.0))
     half = int(np.clip(np.ceil(longest), LEAST_HALF_PX, MOST_HALF_PX))
-    nearest = np.rint(pixels)
-    face_x, face_y = fit.points(*_lattice(nearest, pixels - expected, half + MARGIN_PX))
-    seen, inside = _gathered(grey, nearest.astype(int), half)
-    weight = inside & _near(pattern, ids, face_x, face_y)
     reach_px = float(np.median(np.hypot(*across.T) + np.hypot(*down.T))) / 2
-    sheet = sheet_of(pattern.face, reach_px / pattern.reach * pattern.face.square)
-    n = len(ids)
+    sheet = sheet_of(pattern.face, reach_px / reach * pattern.face.square)
+    nearest = np.rint(pixels)
+    lattice = _lattice(nearest, pixels - expected, half + MARGIN_PX)
+    texel_x, texel_y = fit.points(*lattice, sheet.texel_from_face)
+    seen, inside = _gathered(grey, nearest.astype(int), half)
+    weight = inside & _near(pattern, ids, sheet, texel_x, texel_y)
     return Patches(
         seen.reshape(n, -1),
         weight.reshape(n, -1).astype(np.float32),
-        _drawn(sheet, face_x, face_y),
+        _drawn(sheet, texel_x, texel_y),
     )
 
 
 def _near(
-    pattern: CornerPattern, ids: np.ndarray, face_x: np.ndarray, face_y: np.ndarray
+    pattern: CornerPattern,
+    ids: np.ndarray,
+    sheet: Sheet,
+    texel_x: np.ndarray,
+    texel_y: np.ndarray,
 ) -> np.ndarray:
     """Whether whole pixels of the lattice (n, l, l) show what is known about the corner;
     (n, k, k)."""
     whole = slice(STEP * MARGIN_PX, -STEP * MARGIN_PX, STEP)
-    corner = pattern.points[ids].astype(np.float32)[:, :, None, None]
-    off_x, off_y = face_x[:, whole, whole] - corner[:, 0], face_y[:, whole, whole] - corner[:, 1]
-    near = (np.abs(off_x) < pattern.reach) & (np.abs(off_y) < pattern.reach)
+    corner = (pattern.points[ids] * sheet.scale + sheet.offset).astype(np.float32)
+    reach = np.float32(pattern.reach * sheet.scale)
+    off_x = texel_x[:, whole, whole] - corner[:, 0, None, None]
+    off_y = texel_y[:, whole, whole] - corner[:, 1, None, None]
+    near = np.maximum(np.abs(off_x), np.abs(off_y)) < reach
     if pattern.outward.any():
         out = pattern.outward[ids].astype(np.float32)[:, :, None, None]
-        slack = -_SLACK * pattern.reach
+        slack = -_SLACK * reach
         near &= ~((off_x * out[:, 0] > slack) & (off_y * out[:, 1] > slack))
     return near
 
 
 def _lattice(nearest: Array, offset: Array, half: int) -> tuple[np.ndarray, np.ndarray]:
-    """x and y (n, l, l) of the half pixels about each whole pixel `nearest` (n, 2), seen as though
-    the corner were where the fit has it, `offset` (n, 2) less."""
+    """x (n, 1, l) and y (n, l, 1) of the half pixels about each whole pixel `nearest` (n, 2), seen
+    as though the corner were where the fit has it, `offset` (n, 2) less."""
     places = np.arange(-STEP * half, STEP * half + 1, dtype=np.float32) / STEP
-    start = (nearest - offset).astype(np.float32)
-    shape = (len(nearest), len(places), len(places))
-    x = np.broadcast_to(start[:, 0, None, None] + places[None, None, :], shape)
-    y = np.broadcast_to(start[:, 1, None, None] + places[None, :, None], shape)
-    return x, y
+    x, y = (nearest - offset).astype(np.float32).T[:, :, None] + places
+    return x[:, None, :], y[:, :, None]
 
 
 def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
@@ -119,15 +124,14 @@ def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndar
     return seen, in_rows[:, :, None] & in_columns[:, None, :]
 
 
-def _drawn(sheet: Sheet, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The sheet at face points, (n, l, l) float32."""
-    n, side, _ = x.shape
-    scale, offset = np.float32(sheet.scale), np.float32(sheet.offset)
-    texel_x, texel_y = (
-        (x * scale + offset).reshape(-1, side),
-        (y * scale + offset).reshape(-1, side),
-    )
+def _drawn(sheet: Sheet, texel_x: np.ndarray, texel_y: np.ndarray) -> np.ndarray:
+    """The sheet at texels (n, l, l), as many float32."""
+    n, side, _ = texel_x.shape
     drawn = cv2.remap(
-        sheet.texels, texel_x, texel_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        sheet.texels,
+        texel_x.reshape(-1, side),
+        texel_y.reshape(-1, side),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     return drawn.astype(np.float32).reshape(n, side, side)

@@ -22,13 +22,18 @@ CHAOS_SHARE = 0.4
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
-# Steps and gains that move no corner by a thousandth of a pixel.
-_SMALL_STEP = 2e-6
+# After a step that moves every corner by less, the next one moves none by a thousandth of a pixel.
+_SMALL_STEP_PX = 0.02
 _SMALL_GAIN = 1e-4
 _LEAST_DAMPING = 1e-7
 _DAMPING_STEP = 10.0
-_TINY = 1e-12 * np.eye(11)
+_TINY = 1e-12
 _RUNAWAY = 1e4
+_MOST_RADIAL = 0.9
+# Where the lens is inverted, and the cubic (highest power first) through values there.
+_NODES = np.linspace(-1.0, 1.0, 9)
+_CUBIC = np.linalg.pinv(np.vander(_NODES, 4))
+_NEWTON_STEPS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,52 +61,56 @@ class PlanarFit:
         """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""
         return np.linalg.norm(self.project(points) - pixels, axis=-1)
 
-    def moved(self, offset_px: Array) -> "PlanarFit":
-        """The fit of a face that is `offset_px` (2,) further in a picture without distortion."""
-        shift = np.eye(3)
-        shift[:2, 2] = offset_px / self.scale
-        return PlanarFit(shift @ self.homography, self.radial, self.centre, self.scale)
-
-    def points(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Face points x and y of pixels x and y (any one shape, float32), by way of the lens."""
+    def points(
+        self, x: np.ndarray, y: np.ndarray, then: Array | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Face points x and y of pixels x and y (float32, shapes that broadcast), by way of the
+        lens; `then` (3, 3): moved on by that."""
         flat_x = (x - np.float32(self.centre[0])) * np.float32(1 / self.scale)
         flat_y = (y - np.float32(self.centre[1])) * np.float32(1 / self.scale)
-        if self.radial.any():
-            squared = flat_x * flat_x + flat_y * flat_y
-            factor = self._straightening(float(squared.min()), float(squared.max()), squared)
-            flat_x, flat_y = flat_x * factor, flat_y * factor
         inverse = np.linalg.inv(self.homography)
+        inverse = inverse if then is None else then @ inverse
         m = (inverse / np.abs(inverse).max()).astype(np.float32)
-        depth = m[2, 0] * flat_x + m[2, 1] * flat_y + m[2, 2]
-        return (
-            (m[0, 0] * flat_x + m[0, 1] * flat_y + m[0, 2]) / depth,
-            (m[1, 0] * flat_x + m[1, 1] * flat_y + m[1, 2]) / depth,
-        )
+        factor = self._straightening(flat_x, flat_y) if self.radial.any() else np.float32(1)
+        above_x, above_y, depth = (row[0] * flat_x + row[1] * flat_y for row in m)
+        for part, row in zip((above_x, above_y, depth), m, strict=True):
+            part *= factor
+            part += row[2]
+        above_x /= depth
+        above_y /= depth
+        return above_x, above_y
 
-    def _straightening(self, low: float, high: float, squared: np.ndarray) -> np.ndarray:
-        """Undistorted over distorted radius for squared distorted radii between low and high.
+    def _straightening(self, flat_x: np.ndarray, flat_y: np.ndarray) -> np.ndarray:
+        """Undistorted over distorted radius at distorted coordinates (float32, they broadcast).
 
         The inverse is smooth over one face: a cubic through nine Newton solutions meets it to 1e-5.
         """
-        nodes = np.linspace(low, high, 9)
-        bent = np.sqrt(nodes)
+        squared_x, squared_y = flat_x * flat_x, flat_y * flat_y
+        low = float(squared_x.min()) + float(squared_y.min())
+        high = float(squared_x.max()) + float(squared_y.max())
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
+        bent = np.sqrt(middle + half * _NODES)
         straight = bent.copy()
-        for _ in range(8):
+        for _ in range(_NEWTON_STEPS):
             square = straight * straight
             gain = 1 + square * (self.radial[0] + square * self.radial[1])
             slope = 1 + square * (3 * self.radial[0] + 5 * square * self.radial[1])
             straight -= (straight * gain - bent) / np.maximum(slope, 0.1)
             straight = np.clip(straight, 0.0, 3 * bent)  # beyond the lens's fold nothing is found
-        share = np.divide(straight, bent, out=np.ones(9), where=bent > 1e-9)
-        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
-        cubic = np.polyfit((nodes - middle) / half, share, 3).astype(np.float32)
-        place = (squared - np.float32(middle)) * np.float32(1 / half)
-        return ((cubic[0] * place + cubic[1]) * place + cubic[2]) * place + cubic[3]
+        share = np.divide(straight, bent, out=np.ones(len(_NODES)), where=bent > 1e-9)
+        cubic = (_CUBIC @ share).astype(np.float32)
+        by_half = np.float32(1 / half)
+        place = (squared_x - np.float32(middle)) * by_half + squared_y * by_half
+        factor = cubic[0] * place
+        for number in cubic[1:3]:
+            factor += number
+            factor *= place
+        factor += cubic[3]
+        return factor
 
     def _project(self, points: Array) -> tuple[Array, Array, Array]:
         """Pixels, undistorted coordinates and the homogeneous points (n, 3) before division."""
-        homogeneous = np.column_stack([points, np.ones(len(points))])
-        mapped = homogeneous @ self.homography.T
+        mapped = points @ self.homography[:, :2].T + self.homography[:, 2]
         mapped[np.abs(mapped[:, 2]) < 1e-9, 2] = 1e-9  # a point on the horizon: far away, not NaN
         flat = mapped[:, :2] / mapped[:, 2:]
         squared = np.sum(flat * flat, axis=-1, keepdims=True)
@@ -110,12 +119,17 @@ class PlanarFit:
 
 
 def fit_plane(
-    points: Array, pixels: Array, size: tuple[int, int], *, has_lens: bool = True
+    points: Array,
+    pixels: Array,
+    size: tuple[int, int],
+    *,
+    has_lens: bool = True,
+    start: PlanarFit | None = None,
 ) -> PlanarFit | None:
     """The fit to face points (n, 2) and pixels (n, 2); None where they fix no plane (n < 4).
 
-    `size`: the picture's width and height; `has_lens` False: a homography alone, at a tenth of the
-    time.
+    `size`: the picture's width and height; `start`: one of that size to begin with, and to take the
+    lens from where `has_lens` is False; without it that gives a homography alone.
     """
     if len(points) < 4:
         return None
@@ -124,16 +138,20 @@ def fit_plane(
     target = (pixels - centre) / scale
     normal = _normalising(points)
     source = points @ normal[:2, :2].T + normal[:2, 2]
-    homography, _ = cv2.findHomography(source, target, 0)
-    if homography is None or not np.all(np.isfinite(homography)):
-        return None
-    start = homography.astype(float) / np.linalg.norm(homography)
-    fit = PlanarFit(start, np.zeros(2), centre, scale)
-    if has_lens and len(points) > 4:
-        fit = _refined(fit, source, target)
+    if start is None:
+        homography, _ = cv2.findHomography(source, target, 0)
+        if homography is None or not np.all(np.isfinite(homography)):
+            return None
+        fit = PlanarFit(homography.astype(float), np.zeros(2), centre, scale)
+    else:
+        fit = PlanarFit(start.homography @ np.linalg.inv(normal), start.radial, centre, scale)
+    is_lens_free = has_lens and len(points) > 4
+    if is_lens_free or start is not None:
+        fit = _refined(fit, source, target, is_lens_free=is_lens_free)
     if fit is None:
         return None
-    return PlanarFit(fit.homography @ normal, fit.radial, centre, scale)
+    homography = fit.homography @ normal
+    return PlanarFit(homography / np.linalg.norm(homography), fit.radial, centre, scale)
 
 
 def _normalising(points: Array) -> Array:
@@ -150,21 +168,24 @@ def sound_corners(
     *,
     least_px: float = LEAST_WILD_PX,
     least_share: float = LEAST_WILD_SHARE,
+    start: PlanarFit | None = None,
 ) -> tuple[np.ndarray, PlanarFit | None]:
     """Which corners (n,) lie where a flat face has them, and the fit to those.
 
-    `least_px` and `least_share` (of the spacing): what is never called wild. Drops the worst beyond
-    WILD_SIGMAS of the others' spread, again and again; no corner is sound where fewer than four
-    remain or all scatter.
+    `least_px` and `least_share` (of the spacing): what is never called wild; `start`: a fit that is
+    nearly right. Drops the worst beyond WILD_SIGMAS of the others' spread, again and again; no
+    corner is sound where fewer than four remain or all scatter.
     """
     keep = np.ones(len(points), dtype=bool)
+    if len(points) < 4:
+        return ~keep, None
     spacing = _spacing(pixels)
     least = max(least_px, least_share * spacing)
-    flat = fit_plane(points, pixels, size, has_lens=False)
-    if flat is None or np.median(flat.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
+    fit = start or fit_plane(points, pixels, size, has_lens=False)
+    if fit is None or np.median(fit.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
         return np.zeros(len(points), dtype=bool), None
     while keep.sum() >= 4:
-        fit = fit_plane(points[keep], pixels[keep], size)
+        fit = fit_plane(points[keep], pixels[keep], size, start=fit)
         if fit is None:
             break
         distances = fit.residuals(points, pixels)
@@ -172,10 +193,10 @@ def sound_corners(
         if usual > max(LEAST_WILD_PX, SCATTER_SHARE * spacing):
             break
         limit = max(least, WILD_SIGMAS * usual)
-        worst = np.where(keep, distances, 0.0)
-        if worst.max() <= limit:
+        worst = float(np.max(distances[keep]))
+        if worst <= limit:
             return keep, fit
-        keep &= distances < max(limit, 0.7 * float(worst.max()))
+        keep &= distances < max(limit, 0.7 * worst)
     return np.zeros(len(points), dtype=bool), None
 
 
@@ -188,63 +209,80 @@ def _spacing(pixels: Array) -> float:
     return float(np.median(np.sqrt(squared.min(axis=1))))
 
 
-def _refined(fit: PlanarFit, points: Array, target: Array) -> PlanarFit | None:
-    """Levenberg-Marquardt over the homography's nine numbers (its scale held) and the radial ones.
+def _refined(
+    fit: PlanarFit, points: Array, target: Array, *, is_lens_free: bool
+) -> PlanarFit | None:
+    """Levenberg-Marquardt over the homography (its last number held at 1: `points` lie about 0) and
+    the radial coefficients.
 
     None where it runs away, since the points lie on no plane in front of the camera.
     """
-    weight = _PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR
-    now = PlanarFit(fit.homography, fit.radial, np.zeros(2), 1.0)
-    error, jacobian = _linearised(now, points, target)
-    cost = _cost(error, weight, now)
+    if not abs(fit.homography[2, 2]) > 1e-9:
+        return None
+    weight = (_PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR) ** 2
+    small = (_SMALL_STEP_PX / fit.scale) ** 2
+    count = 10 if is_lens_free else 8
+    homogeneous = np.column_stack([points, np.ones(len(points))])
+    now = np.concatenate([(fit.homography / fit.homography[2, 2]).reshape(-1)[:8], fit.radial])
+    error, jacobian = _linearised(now, homogeneous, target)
+    cost = float(error @ error + weight * (now[8:] @ now[8:]))
     damping = _LEAST_DAMPING
     for _ in range(_ITERATIONS):
-        prior = np.zeros((3, 11))
-        prior[0, 9] = prior[1, 10] = weight
-        prior[2, :9] = now.homography.reshape(-1)
-        rows = np.vstack([jacobian, prior])
-        if not np.max(np.abs(rows)) < _RUNAWAY:
+        if not np.abs(jacobian).max() < _RUNAWAY:
             return None
-        right = rows.T @ np.concatenate([error, -weight * now.radial, [0.0]])
+        rows = jacobian[:, :count]
         normal = rows.T @ rows
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + _TINY, right)
-        moved = _moved(now, step)
-        error_there, jacobian_there = _linearised(moved, points, target)
-        cost_there = _cost(error_there, weight, moved)
+        right = rows.T @ error
+        if is_lens_free:
+            normal[8, 8] += weight
+            normal[9, 9] += weight
+            right[8:] -= weight * now[8:]
+        diagonal = normal.reshape(-1)[:: count + 1]
+        diagonal *= 1 + damping
+        diagonal += _TINY
+        step = np.linalg.solve(normal, right)
+        moved = now.copy()
+        moved[:count] += step
+        moved[8:] = moved[8:].clip(-_MOST_RADIAL, _MOST_RADIAL)
+        change = rows @ step
+        if float((change * change).max()) < small:
+            now = moved
+            break
+        error_there, jacobian_there = _linearised(moved, homogeneous, target)
+        cost_there = float(error_there @ error_there + weight * (moved[8:] @ moved[8:]))
         if not cost_there <= cost:
             damping *= _DAMPING_STEP
             continue
         gained = cost - cost_there
         now, error, jacobian, cost = moved, error_there, jacobian_there, cost_there
         damping = max(_LEAST_DAMPING, damping / _DAMPING_STEP)
-        if gained < _SMALL_GAIN * cost or np.max(np.abs(step)) < _SMALL_STEP:
+        if gained < _SMALL_GAIN * cost:
             break
-    return PlanarFit(now.homography, now.radial, fit.centre, fit.scale)
+    return PlanarFit(np.append(now[:8], 1.0).reshape(3, 3), now[8:], fit.centre, fit.scale)
 
 
-def _moved(fit: PlanarFit, step: Array) -> PlanarFit:
-    homography = fit.homography + step[:9].reshape(3, 3)
-    homography = homography / np.linalg.norm(homography)
-    return PlanarFit(homography, np.clip(fit.radial + step[9:], -0.9, 0.9), fit.centre, fit.scale)
-
-
-def _cost(error: Array, weight: float, fit: PlanarFit) -> float:
-    return float(error @ error + weight**2 * (fit.radial @ fit.radial))
-
-
-def _linearised(fit: PlanarFit, points: Array, target: Array) -> tuple[Array, Array]:
-    """Residuals (2n,) in units of the scale and their derivative (2n, 11)."""
-    pixels, flat, mapped = fit._project(points)
-    squared = np.sum(flat * flat, axis=-1)
-    k1, k2 = fit.radial
+def _linearised(numbers: Array, homogeneous: Array, target: Array) -> tuple[Array, Array]:
+    """Residuals (2n,), all x before all y, in units of the scale, and their derivative (2n, 10) by
+    the homography's first eight numbers and the radial ones; `homogeneous`: (n, 3) points."""
+    k1, k2 = numbers[8], numbers[9]
+    mapped = homogeneous @ np.append(numbers[:8], 1.0).reshape(3, 3).T
+    depth = mapped[:, 2]
+    depth[np.abs(depth) < 1e-9] = 1e-9  # a point on the horizon: far away, not NaN
+    mapped /= depth[:, None]
+    x, y = mapped[:, 0], mapped[:, 1]
+    source = homogeneous / depth[:, None]
+    squared = x * x + y * y
     gain = 1 + squared * (k1 + squared * k2)
-    slope = k1 + 2 * k2 * squared
-    by_flat = gain[:, None, None] * np.eye(2)
-    by_flat = by_flat + 2 * slope[:, None, None] * flat[:, :, None] * flat[:, None, :]
-    homogeneous = np.column_stack([points, np.ones(len(points))]) / mapped[:, 2:]
-    by_homography = np.zeros((len(points), 2, 9))
-    by_homography[:, 0, 0:3] = by_homography[:, 1, 3:6] = homogeneous
-    by_homography[:, :, 6:9] = -flat[:, :, None] * homogeneous[:, None, :]
-    by_radial = flat[:, :, None] * np.stack([squared, squared**2], axis=-1)[:, None, :]
-    jacobian = np.concatenate([by_flat @ by_homography, by_radial], axis=-1)
-    return (target - pixels).reshape(-1), jacobian.reshape(-1, 11)
+    slope = 2 * (k1 + 2 * k2 * squared)
+    outward = gain + slope * squared
+    n = len(homogeneous)
+    jacobian = np.empty((2, n, 10))
+    jacobian[0, :, 0:3] = (gain + slope * x * x)[:, None] * source
+    jacobian[1, :, 3:6] = (gain + slope * y * y)[:, None] * source
+    jacobian[0, :, 3:6] = jacobian[1, :, 0:3] = (slope * x * y)[:, None] * source
+    jacobian[0, :, 6:8] = -(outward * x)[:, None] * source[:, :2]
+    jacobian[1, :, 6:8] = -(outward * y)[:, None] * source[:, :2]
+    jacobian[0, :, 8], jacobian[1, :, 8] = squared * x, squared * y
+    jacobian[:, :, 9] = jacobian[:, :, 8] * squared
+    error = np.concatenate([target[:, 0] - gain * x, target[:, 1] - gain * y])
+    return error, jacobian.reshape(2 * n, 10)

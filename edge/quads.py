@@ -75,6 +75,11 @@ def square_to_quads(quads: Array) -> Array:
 
 
 def mapped(homographies: Array, points: Array) -> Array:
-    """Points (m, 2) through each of n homographies (n, 3, 3): (n, m, 2)."""
-    flat = np.column_stack([points, np.ones(len(points))]) @ np.swapaxes(homographies, -1, -2)
-    return flat[..., :2] / flat[..., 2:]
+    """Points (m, 2), or (n, m, 2) for each its own, through n homographies (n, 3, 3): (n, m, 2).
+
+    A point on the horizon comes out far away, never as no number.
+    """
+    turned = np.swapaxes(homographies, -1, -2)
+    flat = points @ turned[:, :2] + turned[:, 2:]
+    depth = flat[..., 2:]
+    return flat[..., :2] / np.where(np.abs(depth) < 1e-9, 1e-9, depth)

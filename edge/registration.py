@@ -19,6 +19,8 @@ from .planar_fit import PlanarFit, sound_corners
 
 ROUNDS = 3
 ROUGH_ROUNDS = 2
+# By how many corners a face is first brought near.
+ROUGH_CORNERS = 16
 # Variances xx and yy and covariance of the picture's blur to start from, pixel²: that of a sharp
 # lens and of the pixel's own width.
 START_BLUR = np.array([0.35, 0.35, 0.0])
@@ -29,6 +31,8 @@ LONGEST_STEP_PX = 1.0
 LONGEST_ROUGH_STEP_PX = 2.5
 # Where most steps are shorter, what is left of them is of no account.
 NEAR_STEP_PX = 0.5
+# Steps so short change nothing in how corners look.
+STILL_STEP_PX = 0.3
 SMALL_STEP_PX = 0.03
 SMALL_BLUR_CHANGE = 0.3
 _AROUND_PX = MOST_HALF_PX + 6
@@ -61,37 +65,45 @@ def registered(
     points = pattern.points[ids]
     size = (grey.shape[1], grey.shape[0])
     sharp = START_BLUR if blur is None else blur
+    if is_rough:
+        fit = _approached(grey, pattern, fit, _spread(ids), sharp)
     pixels = fit.project(points)
     clear, sigma = np.zeros(len(ids), dtype=bool), np.zeros(len(ids))
-    if is_rough:
-        fit, pixels = _approached(grey, pattern, fit, ids)
+    usual = np.inf
     for turn in range(ROUNDS):
-        if turn > 0:
+        if turn > 0 and (usual > STILL_STEP_PX or not clear.all()):
             fit, pixels = _refitted(fit, points, pixels, clear, size)
         found = aligned(patches_around(grey, pattern, fit, ids, pixels), sharp, LONGEST_STEP_PX)
         change = float(np.abs(found.blur - sharp).max())
         clear, sigma, sharp = found.is_clear, found.sigma, found.blur
         pixels = pixels + np.where(clear[:, None], found.step, 0.0)
-        if _usual_length(found) < SMALL_STEP_PX and change < SMALL_BLUR_CHANGE:
+        usual = _usual_length(found)
+        if usual < SMALL_STEP_PX and change < SMALL_BLUR_CHANGE:
             break
     return Registration(pixels, clear, sigma, sharp, fit)
 
 
+def _spread(ids: np.ndarray) -> np.ndarray:
+    """ROUGH_CORNERS of the corners, or so, from all over the face; the first and the last too."""
+    count = min(len(ids), ROUGH_CORNERS)
+    return ids[np.linspace(0, len(ids) - 1, count).round().astype(int)]
+
+
 def _approached(
-    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray
-) -> tuple[PlanarFit, Array]:
-    """A fit that is off by a pixel at most, and its pixels, found in the softened picture."""
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, blur: Array
+) -> PlanarFit:
+    """A fit that is off by a pixel at most, found in the softened picture."""
     points, size = pattern.points[ids], (grey.shape[1], grey.shape[0])
     pixels = fit.project(points)
     soft = _softened(grey, pixels)
     for _ in range(ROUGH_ROUNDS):
         patches = patches_around(soft, pattern, fit, ids, pixels)
-        found = aligned(patches, START_BLUR + SOFTENING, LONGEST_ROUGH_STEP_PX)
+        found = aligned(patches, blur + SOFTENING, LONGEST_ROUGH_STEP_PX)
         pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
         if _usual_length(found) < NEAR_STEP_PX:
             break
-    return fit, pixels
+    return fit
 
 
 def _usual_length(found: Alignment) -> float:
@@ -116,7 +128,7 @@ def _refitted(
     fit: PlanarFit, points: Array, pixels: Array, clear: np.ndarray, size: tuple[int, int]
 ) -> tuple[PlanarFit, Array]:
     """The plane through the clear corners, and all of them, the others where it has them."""
-    usable, better = sound_corners(points[clear], pixels[clear], size)
+    usable, better = sound_corners(points[clear], pixels[clear], size, start=fit)
     if better is None:
         return fit, pixels
     kept = clear.copy()

@@ -27,6 +27,11 @@ class Sheet:
     scale: float
     offset: float
 
+    @property
+    def texel_from_face(self) -> Array:
+        """The same as a homography (3, 3)."""
+        return np.array([[self.scale, 0, self.offset], [0, self.scale, self.offset], [0, 0, 1.0]])
+
 
 def sheet_of(face: Face, square_px: float) -> Sheet:
     """The sheet whose texels are about a pixel where a square takes `square_px` pixels."""

@@ -5,14 +5,15 @@ picture is searched where nothing is followed, and now and then for faces that c
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from trigpoint.clock import Clock, SystemClock
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
+from trigpoint.target import Pattern, Target
 
 from .detector import FaceFinder, IsOver, finders_for
 from .measurement import LEAST_CORNERS, Located, Measured
@@ -21,11 +22,17 @@ from .planar_fit import PlanarFit, fit_plane
 
 # While faces are followed, the whole picture is searched so often.
 SEARCH_EVERY_NS = 500_000_000
-# A face that was not seen for so long is not looked for any more.
+# A face that was not seen for so long, or in so many pictures, is not looked for any more.
 FORGET_NS = 400_000_000
+MOST_MISSES = 2
 # How far around a face's box it is looked for, of the box, and at least, pixels.
 AROUND_SHARE = 0.25
 LEAST_AROUND_PX = 24
+# A face that came so near its prediction is first looked for just there the next time, pixels.
+NEAR_PX = 0.4
+# An outline that reaches further was not projected in earnest, pixels.
+_FAR_PX = 10_000
+_COARSE = 8
 # Of a face's corners' spacing: a followed face that moves further from its prediction may be
 # another part of the pattern.
 MOST_OFF_SHARE = 0.4
@@ -33,12 +40,33 @@ MOST_OFF_SHARE = 0.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A face that is followed: what was last seen of it and when, and its motion across the
-    undistorted picture, pixels a second; None until it was seen twice."""
+    """A face that is followed: what was last seen of it, when, and how each of the corners seen
+    moved, (n, 2) pixels a second; None until it was seen twice. `misses`: pictures since then in
+    which it was looked for; `is_steady`: whether it was where it was expected."""
 
     located: Located
     seen_ns: int
     velocity: Array | None
+    misses: int = 0
+    is_steady: bool = False
+
+    def pixels_at(self, stamp_ns: int) -> Array:
+        """Where its corners should be by then, (n, 2)."""
+        pixels = self.located.found.pixels
+        if self.velocity is None:
+            return pixels
+        return pixels + self.velocity * ((stamp_ns - self.seen_ns) * 1e-9)
+
+    def fit_at(self, stamp_ns: int) -> PlanarFit | None:
+        """The plane that they should lie on."""
+        found = self.located.found
+        if self.velocity is None:
+            return found.fit
+        points = self.located.look.face.corners[found.corners, :2]
+        centre = found.fit.centre
+        size = (round(2 * centre[0] + 1), round(2 * centre[1] + 1))
+        pixels = found.fit.project(points) + (self.pixels_at(stamp_ns) - found.pixels)
+        return fit_plane(points, pixels, size, has_lens=False, start=found.fit)
 
 
 class TargetTracker:
@@ -70,7 +98,7 @@ class TargetTracker:
         budget = _Budget(self._clock, self._budget_ns)
         self._forget(grey.shape, stamp_ns)
         found = self._followed(grey, stamp_ns, budget.is_over)
-        if self._is_search_due(stamp_ns, all_found=len(found) == len(self._tracks)):
+        if self._is_search_due(stamp_ns) or not found:
             self._searched_ns = stamp_ns
             found = self._searched(grey, found, budget.is_over)
         self._tracks = self._renewed(found, stamp_ns)
@@ -84,10 +112,9 @@ class TargetTracker:
         self._shape = shape
         self._tracks = [t for t in self._tracks if stamp_ns - t.seen_ns <= FORGET_NS]
 
-    def _is_search_due(self, stamp_ns: int, *, all_found: bool) -> bool:
-        if not self._tracks or self._searched_ns is None or not all_found:
-            return True
-        return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
+    def _is_search_due(self, stamp_ns: int) -> bool:
+        last = self._searched_ns
+        return last is None or stamp_ns - last >= SEARCH_EVERY_NS
 
     def _followed(self, grey: np.ndarray, stamp_ns: int, is_over: IsOver) -> list[Located]:
         """The faces that are where they can be by now."""
@@ -102,39 +129,48 @@ class TargetTracker:
         for box in _boxes(missing, stamp_ns, grey.shape):
             if is_over():
                 break
-            for located in self._in_part(grey, box, is_over):
+            for located in self._in_part(grey, found, box, is_over):
                 if not _is_among(located, found):
                     found.append(located)
         return found
 
     def _where_expected(self, grey: np.ndarray, track: Track, stamp_ns: int) -> Located | None:
-        if track.velocity is None:
-            return None
         last = track.located
-        fit = last.found.fit.moved(track.velocity * (stamp_ns - track.seen_ns) * 1e-9)
-        located = self._finder(last).follow(grey, last, fit)
-        if located is None:
+        if track.velocity is None and not _has_numbers(last):
             return None
-        return located if _is_near(located, fit) else None
+        fit = track.fit_at(stamp_ns)
+        if fit is None:
+            return None
+        for is_rough in (False, True) if track.is_steady else (True,):
+            located = self._finder(last).follow(grey, last, fit, is_rough=is_rough)
+            if located is not None and _is_near(located, fit):
+                return located
+        return None
 
-    def _in_part(self, grey: np.ndarray, box: "_Box", is_over: IsOver) -> list[Located]:
-        """What any finder locates in a part of the picture, in the whole one's pixels."""
+    def _in_part(
+        self, grey: np.ndarray, found: list[Located], box: "_Box", is_over: IsOver
+    ) -> list[Located]:
+        """What any finder locates in a part of the picture besides what was found, in the whole
+        one's pixels."""
+        offset = np.array([box.left, box.top])
         part = np.ascontiguousarray(grey[box.top : box.bottom, box.left : box.right])
+        part = _covered(part, found, offset)
         size = (grey.shape[1], grey.shape[0])
-        found = []
+        new = []
         for finder in self._finders.values():
             for located in finder.locate(part, is_over):
-                whole = _in_whole(located, np.array([box.left, box.top], dtype=float), size)
-                found += [whole] if whole else []
-        return found
+                whole = _in_whole(located, offset.astype(float), size)
+                new += [whole] if whole else []
+        return new
 
     def _searched(self, grey: np.ndarray, found: list[Located], is_over: IsOver) -> list[Located]:
         """What is found and what a search of the whole picture adds."""
         found = list(found)
+        left = _covered(grey, found, np.zeros(2, dtype=int))
         for finder in self._finders.values():
             if is_over():
                 break
-            new = finder.locate(grey, is_over)
+            new = finder.locate(left, is_over)
             found += [located for located in new if not _is_among(located, found)]
         return found
 
@@ -146,8 +182,8 @@ class TargetTracker:
             last = next((t for t in left if _is_same(t, located, stamp_ns)), None)
             if last is not None:
                 left.remove(last)
-            tracks.append(Track(located, stamp_ns, _velocity(last, located, stamp_ns)))
-        return tracks + left
+            tracks.append(_renewed_track(last, located, stamp_ns))
+        return tracks + [replace(t, misses=t.misses + 1) for t in left if t.misses < MOST_MISSES]
 
     def _finder(self, located: Located) -> FaceFinder:
         return self._finders[located.look.face.pattern]
@@ -207,12 +243,10 @@ def _boxes(tracks: Sequence[Track], stamp_ns: int, shape: tuple[int, ...]) -> li
 
 def _box(track: Track, stamp_ns: int, shape: tuple[int, ...]) -> _Box | None:
     """Where the face of a track can be: around its outline, there and where it moves to."""
-    last = track.located
-    moved = np.zeros(2)
-    if track.velocity is not None:
-        moved = track.velocity * (stamp_ns - track.seen_ns) * 1e-9
-    outline = last.found.fit.project(last.look.face.outline[:, :2])
-    around = np.concatenate([outline, last.found.pixels])
+    last = track.located.found
+    outline = last.fit.project(track.located.look.face.outline[:, :2])
+    around = np.concatenate([outline, last.pixels])
+    moved = (track.pixels_at(stamp_ns) - last.pixels).mean(axis=0)
     low = np.minimum(around.min(axis=0), around.min(axis=0) + moved)
     high = np.maximum(around.max(axis=0), around.max(axis=0) + moved)
     margin = np.maximum(AROUND_SHARE * (high - low), LEAST_AROUND_PX)
@@ -264,22 +298,41 @@ def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
         return False
     if located.look.is_unique:
         return True
-    moved = _shift(track.located, located)
-    expected = np.zeros(2)
-    if track.velocity is not None:
-        expected = track.velocity * (stamp_ns - track.seen_ns) * 1e-9
+    expected = track.pixels_at(stamp_ns).mean(axis=0)
+    points = located.look.face.corners[track.located.found.corners, :2]
+    off = located.found.fit.project(points).mean(axis=0) - expected
     reach = 0.5 * np.ptp(track.located.found.pixels, axis=0) + LEAST_AROUND_PX
-    return bool(np.all(np.abs(moved - expected) < reach))
+    return bool(np.all(np.abs(off) < reach))
 
 
-def _velocity(last: Track | None, located: Located, stamp_ns: int) -> Array | None:
+def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track:
+    """The track of a face that was just located, and before, or not."""
     if last is None or len(located.found.corners) < LEAST_CORNERS:
-        return None
-    return _shift(last.located, located) / ((stamp_ns - last.seen_ns) * 1e-9)
+        return Track(located, stamp_ns, None)
+    found, before = located.found, last.located.found
+    points = located.look.face.corners[found.corners, :2]
+    there, then = found.fit.project(points), before.fit.project(points)
+    velocity = (there - then) / ((stamp_ns - last.seen_ns) * 1e-9)
+    again = np.isin(before.corners, found.corners)
+    expected = last.pixels_at(stamp_ns)[again]
+    off = np.linalg.norm(expected - found.pixels[np.isin(found.corners, before.corners)], axis=1)
+    is_steady = last.velocity is not None and len(off) > 0 and float(np.median(off)) < NEAR_PX
+    return Track(located, stamp_ns, velocity, is_steady=is_steady)
 
 
-def _shift(before: Located, after: Located) -> Array:
-    """How far the middle of a face moved in the undistorted picture, pixels."""
-    middle = before.look.face.corners[:, :2].mean(axis=0)[None]
-    places = [located.found.fit.straight(middle)[0] for located in (before, after)]
-    return places[1] - places[0]
+def _has_numbers(located: Located) -> bool:
+    """Whether a face's corners cannot be taken for each other: it has markers."""
+    return located.look.face.pattern is not Pattern.CHECKERBOARD
+
+
+def _covered(grey: np.ndarray, found: Sequence[Located], offset: np.ndarray) -> np.ndarray:
+    """A part of a picture that begins at `offset` (2,), without the faces that are found."""
+    if not found:
+        return grey
+    left = grey.copy()
+    for located in found:
+        outline = located.found.fit.project(located.look.face.outline[:, :2]) - offset
+        if np.abs(outline).max() < _FAR_PX:
+            level = float(np.median(grey[::_COARSE, ::_COARSE]))
+            cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
+    return left
