@@ -5,7 +5,7 @@ reading that would need either is none, however well its corners fit.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
-from .observations import View
+from .observations import Reading, View
 
 # Faces are not mounted exactly where the target file says, so a corner at the edge of what another
 # face hides may be seen; a view most of whose corners are hidden can't.
@@ -25,12 +25,16 @@ _BESIDE = 1e-3
 class Body:
     """A target in the robot's base frame.
 
-    `corners`: a face's, by id, (c, 3) each; `base_from_face` (f); `low`, `high` (f, 2): the
-    rectangle of a face's pattern in its own frame, metres.
+    `corners`: a face's, by id, (c, 3) each, and all of them padded to one size in `table`
+    (f, c, 3), with how many a face has in `counts` (f,); `base_from_face`, `face_from_base` (f);
+    `low`, `high` (f, 2): the rectangle of a face's pattern in its own frame, metres.
     """
 
     corners: tuple[Array, ...]
+    table: Array
+    counts: np.ndarray
     base_from_face: Pose
+    face_from_base: Pose
     low: Array
     high: Array
 
@@ -41,36 +45,74 @@ def body_of(target: Target) -> Body:
     poses = [face.base_from_face for face in target.faces]
     outlines = np.stack([face.outline[:, :2] for face in target.faces])
     corners = tuple(p @ face.corners for p, face in zip(poses, target.faces, strict=True))
-    return Body(corners, Pose.stack(poses), outlines.min(axis=1), outlines.max(axis=1))
+    counts = np.array([len(points) for points in corners])
+    table = np.zeros((len(corners), counts.max(), 3))
+    for points, row in zip(corners, table, strict=True):
+        row[: len(points)] = points
+    base_from_face = Pose.stack(poses)
+    return Body(
+        corners,
+        table,
+        counts,
+        base_from_face,
+        base_from_face.inverse(),
+        outlines.min(axis=1),
+        outlines.max(axis=1),
+    )
 
 
 def by_reading(view: View, body: Body) -> Array:
     """A view's corners in the base frame by each of its readings, (r, n, 3)."""
-    return np.stack(
-        [
-            body.corners[r.face][::-1][view.corners]
-            if r.is_turned
-            else body.corners[r.face][view.corners]
-            for r in view.readings
-        ]
-    )
+    faces, is_turned = _ways(view.readings)
+    return corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
+
+
+def corners_in_base(
+    body: Body, corners: np.ndarray, faces: np.ndarray, is_turned: np.ndarray
+) -> Array:
+    """Where corner ids are by the face that they are on and the end that it is read from; all of
+    shapes that go together (…), (…, 3)."""
+    ids = np.where(is_turned, body.counts[faces] - 1 - corners, corners)
+    return body.table[faces, ids]
 
 
 def faces_of(view: View) -> np.ndarray:
     """The face of each of a view's readings, (r,)."""
-    return np.array([reading.face for reading in view.readings])
+    return _ways(view.readings)[0]
+
+
+@lru_cache(maxsize=4096)
+def _ways(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Face and whether it is turned of each reading, (r,)."""
+    faces = np.array([reading.face for reading in readings])
+    return faces, np.array([reading.is_turned for reading in readings])
 
 
 def outermost(pixels: Array) -> np.ndarray:
     """Indices of the corners that reach furthest in four directions."""
     u, v = pixels.T
-    return np.unique([np.argmin(u + v), np.argmax(u + v), np.argmin(u - v), np.argmax(u - v)])
+    rising, falling = u + v, u - v
+    return np.array(sorted({rising.argmin(), rising.argmax(), falling.argmin(), falling.argmax()}))
 
 
 def can_be_seen(body: Body, faces: np.ndarray, points: Array, eye: Array) -> np.ndarray:
     """Whether eyes (b, 3) see faces (r,) with points on them (r, k, 3) from in front and past all
     other faces; base frame; (b, r) bool."""
     return _from_in_front(body, faces, eye) & ~_hidden(body, faces, points, eye)
+
+
+def are_seen(
+    body: Body, faces: np.ndarray, points: Array, is_counted: np.ndarray, eyes: Array
+) -> np.ndarray:
+    """`can_be_seen` of pairs: whether each eye (v, 3) sees its face (v,), by those of its points
+    (v, k, 3) that are counted (v, k); (v,) bool."""
+    into = body.base_from_face.rotation[faces, :, 2]
+    in_front = np.sum(into * (eyes - body.base_from_face.translation[faces]), axis=-1) < 0
+    end = _in_faces(body, points.reshape(-1, 3)).reshape(len(body.counts), 3, *points.shape[:-1])
+    through = _go_through(body, _in_faces(body, eyes)[..., None], end)
+    through &= (np.arange(len(through))[:, None] != faces)[..., None]
+    hidden = np.sum(through.any(axis=0) & is_counted, axis=1) / np.sum(is_counted, axis=1)
+    return in_front & (hidden <= _HIDDEN_SHARE)
 
 
 def _from_in_front(body: Body, faces: np.ndarray, eye: Array) -> np.ndarray:
@@ -82,19 +124,26 @@ def _from_in_front(body: Body, faces: np.ndarray, eye: Array) -> np.ndarray:
 
 def _hidden(body: Body, faces: np.ndarray, points: Array, eye: Array) -> np.ndarray:
     """Whether most of the lines from the eyes to the points go through another face, (b, r)."""
-    face_from_base = body.base_from_face.inverse()
-    eyes = face_from_base @ np.broadcast_to(eye, (len(face_from_base), *eye.shape))
-    ends = face_from_base @ np.broadcast_to(
-        points.reshape(-1, 3), (len(eyes), points[..., 0].size, 3)
-    )
-    ends = ends.reshape(len(eyes), *points.shape)
-    start, end = eyes[:, :, None, None], ends[:, None]  # (f, b, 1, 1, 3), (f, 1, r, k, 3)
-    fall = start[..., 2] - end[..., 2]
+    start = _in_faces(body, eye)[:, :, :, None]  # (f, 3, b, 1), against (f, 3, 1, r k)
+    end = _in_faces(body, points.reshape(-1, 3))[:, :, None]
+    through = _go_through(body, start, end).reshape(-1, len(eye), *points.shape[:-1])
+    through &= (np.arange(len(through))[:, None] != faces)[:, None, :, None]
+    return through.any(axis=0).mean(axis=-1) > _HIDDEN_SHARE
+
+
+def _in_faces(body: Body, points: Array) -> Array:
+    """Points (n, 3) of the base frame in each face's frame, (f, 3, n)."""
+    return body.face_from_base.rotation @ points.T + body.face_from_base.translation[..., None]
+
+
+def _go_through(body: Body, start: Array, end: Array) -> np.ndarray:
+    """Which lines between points in each face's frame (f, 3, n, m) go through its pattern."""
+    shape = (-1, 1, 1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = start[..., 2] / fall
-        crossing = start[..., :2] + share[..., None] * (end[..., :2] - start[..., :2])
-        low, high = body.low[:, None, None, None], body.high[:, None, None, None]
-        through = np.all((crossing > low) & (crossing < high), axis=-1)
-        through &= (share > _BESIDE) & (share < 1 - _BESIDE)
-    through &= (np.arange(len(eyes))[:, None] != faces)[:, None, :, None]
-    return np.any(through, axis=0).mean(axis=-1) > _HIDDEN_SHARE
+        share = start[:, 2] / (start[:, 2] - end[:, 2])
+        through = (share > _BESIDE) & (share < 1 - _BESIDE)
+        for axis in (0, 1):
+            crossing = start[:, axis] + share * (end[:, axis] - start[:, axis])
+            through &= crossing > body.low[:, axis].reshape(shape)
+            through &= crossing < body.high[:, axis].reshape(shape)
+    return through

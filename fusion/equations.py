@@ -140,12 +140,14 @@ def _add_batch(
         length = np.linalg.norm(residual, axis=-1)
     weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
     equations.cost += float(np.sum(np.where(weight < 1, huber * (2 * length - huber), length**2)))
-    root = np.sqrt(weight)[..., None]
+    if np.any(weight < 1):
+        root = np.sqrt(weight)[..., None]
+        jacobian, residual = jacobian * root[..., None], residual * root
     n, _, _, q = jacobian.shape
-    flat = (jacobian * root[..., None]).reshape(n, -1, q)
+    flat = jacobian.reshape(n, -1, q)
     transposed = np.swapaxes(flat, 1, 2)
     hessian = transposed @ flat
-    gradient = (transposed @ (residual * root).reshape(n, -1, 1))[..., 0]
+    gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
     _scatter(equations, problem, batch.robot, batch.nodes, hessian, gradient, columns)
 
 

@@ -11,8 +11,9 @@ from trigpoint.geometry import Pose
 from . import faces
 from .assembly import assemble
 from .dataset import DataSet, Entry
-from .models import batch_jacobian
+from .models import batch_residual
 from .observations import Reading, Verdict
+from .plain import are_possible, is_plain
 from .problem import CameraState, Problem, State
 from .solver import solve
 
@@ -95,8 +96,13 @@ def _readings(
     """How each observation is read best, left out where it fits in no way."""
     found = {}
     from_map = camera.map_from_camera.inverse()
+    possible = _possible(data, from_map, poses)
     for index, map_from_base in poses.items():
         observation = data.entries[index].observation
+        if index in possible:
+            if possible[index]:
+                found[index] = tuple(view.readings[0] for view in observation.views)
+            continue
         target = data.targets[observation.robot]
         best = [
             faces.best_reading(view, target, camera.lens, from_map @ map_from_base)
@@ -104,6 +110,22 @@ def _readings(
         ]
         if all(np.isfinite(rms) for _, rms, _ in best):
             found[index] = tuple(reading for reading, _, _ in best)
+    return found
+
+
+def _possible(data: DataSet, camera_from_map: Pose, poses: dict[int, Pose]) -> dict[int, bool]:
+    """Of those observations that can be read in one way only, whether that is possible."""
+    by_robot: dict[str, list[int]] = {}
+    for index in poses:
+        observation = data.entries[index].observation
+        if is_plain(observation):
+            by_robot.setdefault(observation.robot, []).append(index)
+    found: dict[int, bool] = {}
+    for robot, indices in by_robot.items():
+        observations = [data.entries[index].observation for index in indices]
+        camera_from_base = camera_from_map @ Pose.stack([poses[index] for index in indices])
+        are = are_possible(observations, data.targets[robot], camera_from_base)
+        found |= dict(zip(indices, are.tolist(), strict=True))
     return found
 
 
@@ -152,6 +174,6 @@ def _median_rms(problem: Problem, state: State) -> float:
     lengths, which for normal coordinates is √(2 ln 2)."""
     lengths = []
     for batch in problem.batches:
-        _, residual, _ = batch_jacobian(problem, batch, state)
+        residual = batch_residual(problem, batch, state)
         lengths.append(np.linalg.norm(residual, axis=-1)[batch.weights > 0])
     return float(np.median(np.concatenate(lengths)) / np.sqrt(2 * np.log(2)))

@@ -10,7 +10,7 @@ from trigpoint.geometry.rotation import Array
 from .assembly import Assembled
 from .dataset import DataSet
 from .faces import best_reading
-from .models import batch_jacobian
+from .models import batch_residual
 from .observations import Observation, Verdict, points_of, reprojection
 from .problem import Batch, Problem, State
 from .solver import Solution
@@ -171,7 +171,7 @@ def _leave_out(data: DataSet, wrong: _Wrong) -> None:
 
 def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     """Length of each corner's residual, sigmas, (n, K); NaN where its weight is 0."""
-    _, residual, _ = batch_jacobian(problem, batch, state)
+    residual = batch_residual(problem, batch, state)
     with np.errstate(invalid="ignore", divide="ignore"):
         length = np.linalg.norm(residual, axis=-1) / (batch.weights > 0)
     return length / np.sqrt(batch.shares)[:, None]
@@ -202,7 +202,7 @@ def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | 
     total, count = 0.0, 0
     for batch in problem.batches:
         if batch.camera == camera:
-            _, residual, _ = batch_jacobian(problem, batch, state)
+            residual = batch_residual(problem, batch, state)
             used = batch.weights > 0
             total += float(np.sum((residual[used] / batch.weights[used][:, None]) ** 2))
             count += 2 * int(used.sum())

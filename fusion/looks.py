@@ -95,7 +95,7 @@ def _pull(
     rows = np.arange(len(best))
     square, optical = square[rows, best], optical[rows, best]
     weight = np.where(np.isfinite(square), 1 / (1 + square / reach_px**2), 0.0)
-    pixels, by_point, _ = lens.project_jacobians(optical)
+    pixels, by_point = lens.project_by_point(optical)
     residual = (pixels - view.pixels) * weight[:, None, None]
     rotation = map_from_camera.rotation
     by_map = (by_point @ np.swapaxes(rotation, 1, 2)[:, None]) * weight[:, None, None, None]

@@ -16,6 +16,13 @@ from .odometry_track import Motion
 from .problem import Batch, Problem, State
 
 
+def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
+    """`batch_jacobian`'s residual alone, (n, K, 2)."""
+    camera = state.cameras[batch.camera]
+    scene = _scene(problem, batch, state)
+    return (camera.lens.project(scene.optical) - batch.pixels) * batch.weights[..., None]
+
+
 def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
     """Weighted Jacobian (n, K, 2, d + q), residual (n, K, 2) and dense columns (q,) of a batch.
 
@@ -25,58 +32,107 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     """
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain, layout = problem.chains[batch.robot], problem.layout
-    base_from_face = robot.base_from_face[batch.faces]
-    in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
-    in_base = in_face_axes + base_from_face.translation
-    node = robot.map_from_base[batch.nodes]
-    seen, twist = node, None
-    if batch.camera in layout.time_offset:
-        # True time = stamp - offset: the sighting is of the robot that much further on its way.
-        after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
-        moved, twist = chain.track.carried(chain.stamps_ns[batch.nodes], after_s, chain.scales)
-        seen = node @ moved
-    in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
-    arm = in_seen_axes + (seen.translation - node.translation)[:, None]
-    from_camera = arm + node.translation[:, None] - camera.map_from_camera.translation
-    camera_rotation = camera.map_from_camera.rotation
-    optical = from_camera @ camera_rotation
-    # A corner behind the camera has no projection: it is pushed back before it, where its residual
-    # is large and its derivative harmless.
-    optical[..., 2] = np.where(batch.weights > 0, np.maximum(optical[..., 2], 1e-2), 1.0)
-    pixels, by_optical, by_lens = camera.lens.project_jacobians(optical)
+    scene = _scene(problem, batch, state)
     weights = batch.weights[..., None]
-    residual = (pixels - batch.pixels) * weights
-    by_map = (by_optical @ camera_rotation.T) * weights[..., None]
-    by_node = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)
-    parts = [
-        by_node[..., chain.tangent],
-        np.concatenate([-by_map, by_map @ so3.hat(from_camera)], axis=-1),
-    ]
-    columns = [layout.pose[batch.camera]]
+    parts, columns = [], [layout.pose[batch.camera]]
     if batch.camera in layout.lens:
+        pixels, by_optical, by_lens = camera.lens.project_jacobians(scene.optical)
         parts.append(by_lens * weights[..., None])
         columns.append(layout.lens[batch.camera])
-    if twist is not None:
-        speed = (twist.reshape(-1, 2, 3) @ np.swapaxes(seen.rotation, 1, 2))[:, :, None]
-        by_time = speed[:, 0] + np.cross(speed[:, 1], in_seen_axes)
+    else:
+        pixels, by_optical = camera.lens.project_by_point(scene.optical)
+    residual = (pixels - batch.pixels) * weights
+    by_optical *= weights[..., None]
+    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
+    if scene.twist is not None:
+        speed = (scene.twist.reshape(-1, 2, 3) @ np.swapaxes(scene.seen.rotation, 1, 2))[:, :, None]
+        by_time = speed[:, 0] + np.cross(speed[:, 1], scene.in_seen_axes)
         by_offset = -by_map @ by_time[..., None]
         parts.append(by_offset * _offset_and_drift(batch.since_epoch_s))
         columns.append(layout.time_offset[batch.camera])
     if batch.robot in layout.faces:
-        by_base = by_map @ seen.rotation[:, None]
-        by_face = np.concatenate([by_base, -by_base @ so3.hat(in_face_axes)], axis=-1)
+        by_base = by_map @ scene.seen.rotation[:, None]
+        by_face = np.concatenate([by_base, -by_base @ so3.hat(scene.in_face_axes)], axis=-1)
         count = len(robot.base_from_face)
         mine = batch.faces[..., None] == np.arange(count)
         parts.append(
             (by_face[..., None, :] * mine[..., None, :, None]).reshape(*by_face.shape[:3], -1)
         )
         columns.append(layout.faces[batch.robot])
+    by_poses = _by_poses(by_map, scene, chain.tangent)
     every = np.arange(layout.size)
     return (
-        np.concatenate(parts, axis=-1),
+        np.concatenate([by_poses, *parts], axis=-1) if parts else by_poses,
         residual,
         np.concatenate([every[column] for column in columns]),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """A batch's corners (n, K, 3) at a state, by the axes that they are taken in: of the face, of
+    the robot as it was seen, of its node and of the camera (from the camera, the map's axes; and in
+    the optical frame). `twist` (n, 6): the robot's, where the camera has a time offset."""
+
+    in_face_axes: Array
+    in_seen_axes: Array
+    arm: Array
+    from_camera: Array
+    optical: Array
+    seen: Pose
+    twist: Array | None
+
+
+def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
+    camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
+    chain = problem.chains[batch.robot]
+    base_from_face = robot.base_from_face[batch.faces]
+    in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
+    in_base = in_face_axes + base_from_face.translation
+    node = robot.map_from_base[batch.nodes]
+    seen, twist = node, None
+    if batch.camera in problem.layout.time_offset:
+        # True time = stamp - offset: the sighting is of the robot that much further on its way.
+        after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
+        moved, twist = chain.track.carried(chain.stamps_ns[batch.nodes], after_s, chain.scales)
+        seen = node @ moved
+    in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
+    arm = in_seen_axes
+    if seen is not node:
+        arm = in_seen_axes + (seen.translation - node.translation)[:, None]
+    from_camera = arm + (node.translation - camera.map_from_camera.translation)[:, None]
+    optical = _rotated(from_camera, camera.map_from_camera.rotation)
+    # A corner behind the camera has no projection: it is pushed back before it, where its residual
+    # is large and its derivative harmless.
+    optical[..., 2] = np.where(batch.weights > 0, np.maximum(optical[..., 2], 1e-2), 1.0)
+    return _Scene(in_face_axes, in_seen_axes, arm, from_camera, optical, seen, twist)
+
+
+def _rotated(rows: Array, matrix: Array) -> Array:
+    """Rows (…, 3) times one matrix, as one product: numpy would make it one each."""
+    return (rows.reshape(-1, 3) @ matrix).reshape(rows.shape)
+
+
+def _by_poses(by_map: Array, scene: _Scene, tangent: list[int]) -> Array:
+    """Derivatives (n, K, 2, d + 6) by the node's pose and the camera's, from those by the corner in
+    the map (n, K, 2, 3); a row times [a]× is the cross product of both."""
+    d = len(tangent)
+    by_poses = np.empty((*by_map.shape[:-1], d + 6))
+    for column, free in enumerate(tangent):
+        if free < 3:
+            by_poses[..., column] = by_map[..., free]
+        else:
+            by_poses[..., column] = -_cross(by_map, scene.arm, free - 3)
+    np.negative(by_map, out=by_poses[..., d : d + 3])
+    for axis in range(3):
+        by_poses[..., d + 3 + axis] = _cross(by_map, scene.from_camera, axis)
+    return by_poses
+
+
+def _cross(rows: Array, points: Array, axis: int) -> Array:
+    """One component of the cross products of rows (n, K, 2, 3) with points (n, K, 3)."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    return rows[..., i] * points[..., j, None] - rows[..., j] * points[..., i, None]
 
 
 def _offset_and_drift(since_epoch_s: Array) -> Array:

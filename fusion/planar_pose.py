@@ -85,7 +85,7 @@ def refined_poses(
         optical = arm + pose.translation[:, None]
         is_sound &= np.all(optical[..., 2] > 1e-3, axis=1)
         optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
-        projected, by_point, _ = lens.project_jacobians(optical)
+        projected, by_point = lens.project_by_point(optical)
         residual = ((projected - pixels) * weights).reshape(len(points), -1)
         is_sound &= np.all(np.isfinite(residual), axis=1)
         jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1)

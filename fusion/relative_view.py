@@ -63,7 +63,7 @@ def relative_view(
     used = points.weights > 0
     if np.any(optical[used, 2] < 1e-3) or used.sum() < _LEAST_CORNERS:
         return None
-    pixels, by_optical, _ = lens.project_jacobians(optical[used])
+    pixels, by_optical = lens.project_by_point(optical[used])
     weights = points.weights[used][:, None]
     apart = pixels - points.pixels[used]
     jacobian = np.concatenate([by_optical, -by_optical @ hat(arm[used])], axis=-1)
@@ -92,7 +92,7 @@ def without_wild_corners(
     optical = arm + camera_from_base.translation
     if np.any(optical[:, 2] < 1e-3):
         return None
-    pixels, by_optical, _ = lens.project_jacobians(optical)
+    pixels, by_optical = lens.project_by_point(optical)
     weights = points.weights[:, None]
     jacobian = np.concatenate([by_optical, -by_optical @ hat(arm)], axis=-1) * weights[..., None]
     residual = (pixels - points.pixels) * weights

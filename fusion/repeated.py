@@ -16,7 +16,7 @@ from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
 from .dataset import DataSet
-from .models import batch_jacobian
+from .models import batch_jacobian, batch_residual
 from .odometry_track import PLANAR
 from .problem import Batch, Problem, State
 
@@ -31,7 +31,7 @@ def share_out(data: DataSet, assembled: Assembled, state: State) -> bool:
     """Set the share of every used observation in the data set; whether one changed by a tenth."""
     changed = False
     for batch in assembled.problem.batches:
-        _, residual, _ = batch_jacobian(assembled.problem, batch, state)
+        residual = batch_residual(assembled.problem, batch, state)
         residual = residual / np.sqrt(batch.shares)[:, None, None]
         common = _common_share(assembled.problem, batch, state)
         for rows in _standstills(batch):

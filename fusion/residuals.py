@@ -7,7 +7,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .dataset import DataSet, Entry
-from .models import batch_jacobian
+from .models import batch_residual
 from .observations import Observation
 from .problem import Batch, Problem, State
 
@@ -74,7 +74,7 @@ def _corners(
         mine = _sigmas(data.entries[source].observation)
         sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
     # With every weight at 1 wild corners have a residual too, and all are in pixels.
-    _, residual, _ = batch_jacobian(problem, replace(batch, weights=real.astype(float)), state)
+    residual = batch_residual(problem, replace(batch, weights=real.astype(float)), state)
     return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
 
 

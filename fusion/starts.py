@@ -17,10 +17,14 @@ _MOST_KEPT = 40
 # A start whose mean-square error, pixels², is this much above the best one's cannot be what it is:
 # odometry between two pictures gives way by centimetres, which are up to ten pixels.
 _HOPELESS_PX2 = 100.0
+# Costs that differ by less than this share are equal but for rounding, as those of equal faces are
+# where there is a single picture.
+_TIE = 1e-6
 
 
 def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> list[Pose]:
-    """The distinct camera poses that fit these observations best, at most `most`, best first.
+    """The distinct camera poses that fit these observations best, best first: `most` of them, and
+    those that fit as well as the last.
 
     The robot's pose must be known at each.
     """
@@ -31,13 +35,16 @@ def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> l
     seen = [_look(data, index) for index in spread(indices, _MOST_LOOKS)]
     few = [seen[i] for i in spread(list(range(len(seen))), _FEW_LOOKS)]
     costs = looks.mean_cost(poses, few, lens)
-    kept = _distinct(poses[np.argsort(costs, kind="stable")], _MOST_KEPT)
+    ordered = poses[np.argsort(costs, kind="stable")]
+    kept = ordered[_distinct(ordered, _MOST_KEPT)]
     drawn = looks.drawn(kept, seen, lens)
     costs = looks.mean_cost(drawn, seen, lens)
     order = np.argsort(costs, kind="stable")
     order = order[costs[order] < costs[order[0]] + _HOPELESS_PX2]
-    chosen = _distinct(drawn[order], most)
-    return [chosen[i] for i in range(len(chosen))]
+    chosen = order[_distinct(drawn[order], _MOST_KEPT)]
+    if len(chosen) > most:
+        chosen = chosen[costs[chosen] <= costs[chosen[most - 1]] * (1 + _TIE)]
+    return [drawn[i] for i in chosen]
 
 
 def spread(indices: list[int], most: int) -> list[int]:
@@ -65,11 +72,11 @@ def _look(data: DataSet, index: int) -> looks.Look:
     return looks.look_of(entry.observation, target, placed(entry))
 
 
-def _distinct(poses: Pose, most: int) -> Pose:
-    """The first of every group of like poses, at most `most` of them."""
+def _distinct(poses: Pose, most: int) -> np.ndarray:
+    """Indices of the first of every group of like poses, at most `most` of them."""
     chosen: list[int] = []
     is_open: Array = np.ones(len(poses), dtype=bool)
     while np.any(is_open) and len(chosen) < most:
         chosen.append(int(np.argmax(is_open)))
         is_open &= ~faces.are_same_pose(poses, poses[chosen[-1]])
-    return poses[np.array(chosen)]
+    return np.array(chosen)

@@ -87,21 +87,30 @@ class CameraModel:
             distorted = _bent_polynomial(normalised, self.distortion)
         return distorted * [self.fx, self.fy] + [self.cx, self.cy]
 
+    def project_by_point(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Pixels (…, 2) and their derivatives by the point (…, 2, 3)."""
+        p = np.asarray(points, dtype=float)
+        inverse_depth = 1 / p[..., 2]
+        normalised = p[..., :2] * inverse_depth[..., None]
+        distorted, jacobian = self._distort(normalised)
+        focal = np.array([self.fx, self.fy])
+        by_point = np.empty((*p.shape[:-1], 2, 3))
+        by_point[..., :2] = jacobian * (focal[:, None] * inverse_depth[..., None, None])
+        along_x = by_point[..., 0] * normalised[..., :1]
+        by_point[..., 2] = -along_x - by_point[..., 1] * normalised[..., 1:]
+        return distorted * focal + [self.cx, self.cy], by_point
+
     def project_jacobians(self, points: ArrayLike) -> tuple[Array, Array, Array]:
         """Pixels (…, 2), their derivatives by the point (…, 2, 3) and by `parameters` (…, 2, p)."""
         p = np.asarray(points, dtype=float)
-        pixels, distorted, by_normalised, by_distortion = self._project(p)
-        inverse_depth = 1 / p[..., 2]
-        normalised = p[..., :2] * inverse_depth[..., None]
-        by_point_normalised = np.zeros((*p.shape[:-1], 2, 3))
-        by_point_normalised[..., 0, 0] = by_point_normalised[..., 1, 1] = inverse_depth
-        by_point_normalised[..., :, 2] = -normalised * inverse_depth[..., None]
+        pixels, by_point = self.project_by_point(p)
         focal = np.array([self.fx, self.fy])
-        by_point = focal[:, None] * (by_normalised @ by_point_normalised)
         by_parameters = np.zeros((*p.shape[:-1], 2, 4 + len(self.distortion)))
+        distorted = (pixels - [self.cx, self.cy]) / focal
         by_parameters[..., 0, 0] = distorted[..., 0]
         by_parameters[..., 1, 1] = distorted[..., 1]
         by_parameters[..., 0, 2] = by_parameters[..., 1, 3] = 1
+        by_distortion = self._by_distortion(p[..., :2] / p[..., 2:])
         by_parameters[..., :, 4:] = focal[:, None] * by_distortion
         return pixels, by_point, by_parameters
 
@@ -131,7 +140,7 @@ class CameraModel:
             return self._directions_equidistant(target)
         guess = target.copy()
         for _ in range(20):
-            distorted, jacobian, _ = self._distort(guess)
+            distorted, jacobian = self._distort(guess)
             error = target - distorted
             if np.nanmax(np.abs(error), initial=0.0) < 1e-12:
                 break
@@ -139,17 +148,17 @@ class CameraModel:
         error = np.linalg.norm(self._distort(guess)[0] - target, axis=-1, keepdims=True)
         return np.where(error < 1e-9, guess, np.nan)
 
-    def _project(self, points: Array) -> tuple[Array, Array, Array, Array]:
-        normalised = points[..., :2] / points[..., 2:]
-        distorted, jacobian, by_distortion = self._distort(normalised)
-        pixels = distorted * [self.fx, self.fy] + [self.cx, self.cy]
-        return pixels, distorted, jacobian, by_distortion
-
-    def _distort(self, normalised: Array) -> tuple[Array, Array, Array]:
-        """Distorted coordinates, their derivative by the undistorted ones and by `distortion`."""
+    def _distort(self, normalised: Array) -> tuple[Array, Array]:
+        """Distorted coordinates (…, 2) and their derivative by the undistorted ones (…, 2, 2)."""
         if self.model is LensModel.EQUIDISTANT:
             return _distort_equidistant(normalised, self.distortion)
         return _distort_polynomial(normalised, self.distortion)
+
+    def _by_distortion(self, normalised: Array) -> Array:
+        """The derivative of distorted coordinates by `distortion`, (…, 2, coefficients)."""
+        if self.model is LensModel.EQUIDISTANT:
+            return _by_equidistant(normalised)
+        return _by_polynomial(normalised, self.distortion)
 
     def _determinant(self, points: Array) -> Array:
         return np.linalg.det(self._distort(points[..., :2] / points[..., 2:])[1])
@@ -194,25 +203,34 @@ def _bent_polynomial(n: Array, coefficients: tuple[float, ...]) -> Array:
     return bent
 
 
-def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:
+def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array]:
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
+    x, y = n[..., 0], n[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2 * k2 + r2 * (3 * k3))  # of radial by r²
+    if len(coefficients) > 5:
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = radial / below
+        slope = (slope - radial * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / below
+    x_tangential, y_tangential = 2 * p1 * x + 2 * p2 * y, 2 * p1 * y + 2 * p2 * x
+    distorted = np.empty(n.shape)
+    distorted[..., 0] = x * (radial + y_tangential) + p2 * r2
+    distorted[..., 1] = y * (radial + y_tangential) + p1 * r2
+    jacobian = np.empty((*x.shape, 2, 2))
+    jacobian[..., 0, 0] = radial + 2 * slope * x * x + 2 * p1 * y + 6 * p2 * x
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = 2 * slope * x * y + x_tangential
+    jacobian[..., 1, 1] = radial + 2 * slope * y * y + 6 * p1 * y + 2 * p2 * x
+    return distorted, jacobian
+
+
+def _by_polynomial(n: Array, coefficients: tuple[float, ...]) -> Array:
+    k1, k2, _, _, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
     x, y = n[..., 0], n[..., 1]
     r2 = x * x + y * y
     r4, r6 = r2 * r2, r2 * r2 * r2
     above, below = 1 + k1 * r2 + k2 * r4 + k3 * r6, 1 + k4 * r2 + k5 * r4 + k6 * r6
     radial = above / below
-    slope = ((k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)) / below
-    distorted = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-    jacobian = np.empty((*x.shape, 2, 2))
-    jacobian[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-    jacobian[..., 0, 1] = jacobian[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    jacobian[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
     radial_terms = [r2 / below, r4 / below, None, None, r6 / below]
     radial_terms += [-radial * r2 / below, -radial * r4 / below, -radial * r6 / below]
     by_coefficients = np.empty((*x.shape, 2, len(coefficients)))
@@ -223,10 +241,10 @@ def _distort_polynomial(n: Array, coefficients: tuple[float, ...]) -> tuple[Arra
     by_coefficients[..., 0, 2] = by_coefficients[..., 1, 3] = 2 * x * y
     by_coefficients[..., 1, 2] = r2 + 2 * y * y
     by_coefficients[..., 0, 3] = r2 + 2 * x * x
-    return distorted, jacobian, by_coefficients
+    return by_coefficients
 
 
-def _distort_equidistant(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array]:
+def _distort_equidistant(n: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array]:
     k1, k2, k3, k4 = coefficients
     radius = np.linalg.norm(n, axis=-1)
     safe = np.where(radius > 1e-9, radius, 1.0)
@@ -240,6 +258,12 @@ def _distort_equidistant(n: Array, coefficients: tuple[float, ...]) -> tuple[Arr
     jacobian = scale[..., None, None] * np.eye(2) + (
         (by_radius * radius)[..., None, None] * unit[..., :, None] * unit[..., None, :]
     )
+    return n * scale[..., None], jacobian
+
+
+def _by_equidistant(n: Array) -> Array:
+    radius = np.linalg.norm(n, axis=-1)
+    angle = np.arctan(radius)
     powers = np.stack([angle**3, angle**5, angle**7, angle**9], axis=-1)
-    by_coefficients = unit[..., :, None] * powers[..., None, :]
-    return n * scale[..., None], jacobian, by_coefficients
+    unit = n / np.where(radius > 1e-9, radius, 1.0)[..., None]
+    return unit[..., :, None] * powers[..., None, :]
