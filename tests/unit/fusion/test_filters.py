@@ -39,8 +39,13 @@ def estimator(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def found(drive: Session, estimator: str) -> Results:
-    return pushed(by(drive.inputs, estimator), drive.messages).results()
+def pipeline(drive: Session, estimator: str) -> Pipeline:
+    return pushed(by(drive.inputs, estimator), drive.messages)
+
+
+@pytest.fixture(scope="module")
+def found(pipeline: Pipeline) -> Results:
+    return pipeline.results()
 
 
 def test_every_camera_is_found_where_it_is(drive: Session, found: Results) -> None:
@@ -184,3 +189,20 @@ def test_what_the_particle_filter_does_not_work_out_is_refused_by_name(
     fusion = msgspec.structs.replace(site.fusion, estimator="particle")
     with pytest.raises(ConfigError, match=asked):
         check_estimator(msgspec.structs.replace(site, fusion=fusion))
+
+
+def test_a_filter_that_went_wrong_says_so(drive: Session) -> None:
+    inputs = by(drive.inputs, "ekf")
+    noise = inputs.site.robots["r1"].odometry
+    # The wheels are said to be far better than they are: no revisit fits.
+    best = {key: value / 30 for key, value in msgspec.structs.asdict(noise).items()}
+    robot = msgspec.structs.replace(inputs.site.robots["r1"], odometry=type(noise)(**best))
+    site = msgspec.structs.replace(inputs.site, robots={"r1": robot})
+    pipeline = pushed(replace(inputs, site=site), drive.messages)
+    assert pipeline.counts["contradictions"] > 0
+    assert "contradict the rest" in pipeline.last_problem
+
+
+def test_a_drive_without_contradictions_is_not_said_to_have_some(pipeline: Pipeline) -> None:
+    assert pipeline.counts["contradictions"] == 0
+    assert pipeline.last_problem == ""
