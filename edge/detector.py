@@ -42,10 +42,10 @@ class FaceFinder(Protocol):
         ...
 
     def follow(
-        self, grey: np.ndarray, last: "Located", fit: "PlanarFit", *, is_rough: bool
+        self, grey: np.ndarray, last: "Located", fit: "PlanarFit", *, reach_px: float
     ) -> "Located | None":
-        """A face that was found before and now lies about where `fit` has it, within a pixel or,
-        where `is_rough`, a few; None where not."""
+        """A face that was found before and now lies where `fit` has it, to a pixel, or up to
+        `reach_px` beside that; None where not."""
         ...
 
 

@@ -17,7 +17,7 @@ from trigpoint.target import Face
 from .detector import Appearance, FaceFinder, IsOver
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown, largest_flat
-from .measurement import Located, measured
+from .measurement import Located, followed, measured
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, fit_plane
 from .saddles import Curvature, find_saddles, sampled
@@ -58,7 +58,7 @@ class CheckerboardDetector(FaceFinder):
         return found
 
     def follow(
-        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, is_rough: bool
+        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, reach_px: float
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it.
 
@@ -67,7 +67,7 @@ class CheckerboardDetector(FaceFinder):
         """
         face = last.look.face
         pattern = CornerPattern.of(face)
-        found = measured(grey, pattern, fit, blur=last.found.blur, is_rough=is_rough)
+        found = followed(grey, pattern, fit, blur=last.found.blur, reach_px=reach_px)
         if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
             return None
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)

@@ -10,7 +10,7 @@ from trigpoint.target import Face, Pattern
 from .detector import Appearance
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
-from .measurement import LEAST_CORNERS, Measured, measured
+from .measurement import LEAST_CORNERS, Measured, followed, measured
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, fit_plane
 
@@ -60,10 +60,10 @@ class MarkedBoard:
         fit: PlanarFit,
         reader: MarkerReader,
         *,
-        is_rough: bool,
+        reach_px: float,
     ) -> Measured | None:
         """The corners of a board that lies about where `fit` has it."""
-        found = measured(grey, self.pattern, fit, blur=last.blur, is_rough=is_rough)
+        found = followed(grey, self.pattern, fit, blur=last.blur, reach_px=reach_px)
         if found is None:
             return None
         quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)

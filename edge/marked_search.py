@@ -33,13 +33,13 @@ class MarkedSearch(FaceFinder):
         return found
 
     def follow(
-        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, is_rough: bool
+        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, reach_px: float
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it."""
         board = next(board for board in self._boards if board.look is last.look)
         shown = cv2.bitwise_not(grey) if board.face.inverted else grey
         reader = self._readers[reader_key(board.face)]
-        found = board.follow(shown, last.found, fit, reader, is_rough=is_rough)
+        found = board.follow(shown, last.found, fit, reader, reach_px=reach_px)
         return Located(board.look, found) if found else None
 
     def _search(

@@ -8,6 +8,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 
 from .detector import Appearance
+from .glimpse import glimpsed
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, sound_corners
 from .registration import registered
@@ -88,6 +89,16 @@ def measured(
         return None
     distances = plane.residuals(pattern.points[ids[keep]], pixels[keep])
     return Measured(ids[keep], pixels[keep], sigma_of(distances, sigma[keep]), found.blur, plane)
+
+
+def followed(
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, *, blur: Array, reach_px: float
+) -> Measured | None:
+    """The corners of a face that lies where `fit` has it, to a pixel, or `reach_px` beside that."""
+    if reach_px <= 0.0:
+        return measured(grey, pattern, fit, blur=blur)
+    there = glimpsed(grey, pattern, fit, reach_px)
+    return measured(grey, pattern, there, blur=blur, is_rough=True) if there else None
 
 
 def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> np.ndarray:

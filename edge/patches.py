@@ -4,6 +4,7 @@ The drawing is on a lattice of half pixels, so that its derivatives are those of
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ _SLACK = 0.05  # of the reach, left out beside an unknown sector
 _OUTWARD = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class CornerPattern:
     """What a face has around its corners. `points`: (n, 2) corners in the face frame; `reach`: how
     far from a corner along both axes is looked at, metres; `outward`: (n, 2) signs of the axes'
@@ -34,6 +35,7 @@ class CornerPattern:
     outward: Array
 
     @classmethod
+    @cache
     def of(cls, face: Face) -> "CornerPattern":
         """The pattern of any face."""
         points = face.corners[:, :2]

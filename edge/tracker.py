@@ -13,10 +13,10 @@ import numpy as np
 from trigpoint.clock import Clock, SystemClock
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
-from trigpoint.target import Pattern, Target
+from trigpoint.target import Target
 
 from .detector import FaceFinder, IsOver, finders_for
-from .measurement import LEAST_CORNERS, Located, Measured
+from .measurement import LEAST_CORNERS, Located
 from .picture import as_grey
 from .planar_fit import PlanarFit, fit_plane
 
@@ -25,17 +25,17 @@ SEARCH_EVERY_NS = 500_000_000
 # A face that was not seen for so long, or in so many pictures, is not looked for any more.
 FORGET_NS = 400_000_000
 MOST_MISSES = 2
-# How far around a face's box it is looked for, of the box, and at least, pixels.
-AROUND_SHARE = 0.25
-LEAST_AROUND_PX = 24
+# How far about its prediction a face is looked for: pixels, and of its way since the last picture.
+LEAST_REACH_PX = 24.0
+REACH_SHARE = 0.5
+MOST_REACH_PX = 80.0
+# The same where its motion is not known yet.
+UNKNOWN_REACH_PX = 60.0
 # A face that came so near its prediction is first looked for just there the next time, pixels.
 NEAR_PX = 0.4
 # An outline that reaches further was not projected in earnest, pixels.
 _FAR_PX = 10_000
 _COARSE = 8
-# Of a face's corners' spacing: a followed face that moves further from its prediction may be
-# another part of the pattern.
-MOST_OFF_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +49,14 @@ class Track:
     velocity: Array | None
     misses: int = 0
     is_steady: bool = False
+
+    def reach_px(self, stamp_ns: int) -> float:
+        """How far about that it is looked for."""
+        if self.velocity is None:
+            return UNKNOWN_REACH_PX
+        moved = self.pixels_at(stamp_ns) - self.located.found.pixels
+        way = REACH_SHARE * float(np.linalg.norm(moved.mean(axis=0)))
+        return min(LEAST_REACH_PX + way, MOST_REACH_PX)
 
     def pixels_at(self, stamp_ns: int) -> Array:
         """Where its corners should be by then, (n, 2)."""
@@ -98,7 +106,7 @@ class TargetTracker:
         budget = _Budget(self._clock, self._budget_ns)
         self._forget(grey.shape, stamp_ns)
         found = self._followed(grey, stamp_ns, budget.is_over)
-        if self._is_search_due(stamp_ns) or not found:
+        if self._is_search_due(stamp_ns, found):
             self._searched_ns = stamp_ns
             found = self._searched(grey, found, budget.is_over)
         self._tracks = self._renewed(found, stamp_ns)
@@ -112,61 +120,37 @@ class TargetTracker:
         self._shape = shape
         self._tracks = [t for t in self._tracks if stamp_ns - t.seen_ns <= FORGET_NS]
 
-    def _is_search_due(self, stamp_ns: int) -> bool:
-        last = self._searched_ns
-        return last is None or stamp_ns - last >= SEARCH_EVERY_NS
+    def _is_search_due(self, stamp_ns: int, found: Sequence[Located]) -> bool:
+        """Where nothing is followed, where a face was just lost, and now and then."""
+        fresh = sum(track.misses == 0 for track in self._tracks)
+        if self._searched_ns is None or len(found) < max(fresh, 1):
+            return True
+        return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
 
     def _followed(self, grey: np.ndarray, stamp_ns: int, is_over: IsOver) -> list[Located]:
         """The faces that are where they can be by now."""
         found: list[Located] = []
-        missing: list[Track] = []
         for track in self._tracks:
             located = None if is_over() else self._where_expected(grey, track, stamp_ns)
             if located is not None and not _is_among(located, found):
                 found.append(located)
-            else:
-                missing.append(track)
-        for box in _boxes(missing, stamp_ns, grey.shape):
-            if is_over():
-                break
-            for located in self._in_part(grey, found, box, is_over):
-                if not _is_among(located, found):
-                    found.append(located)
         return found
 
     def _where_expected(self, grey: np.ndarray, track: Track, stamp_ns: int) -> Located | None:
-        last = track.located
-        if track.velocity is None and not _has_numbers(last):
-            return None
         fit = track.fit_at(stamp_ns)
         if fit is None:
             return None
-        for is_rough in (False, True) if track.is_steady else (True,):
-            located = self._finder(last).follow(grey, last, fit, is_rough=is_rough)
-            if located is not None and _is_near(located, fit):
+        last, reach_px = track.located, track.reach_px(stamp_ns)
+        for reach in (0.0, reach_px) if track.is_steady else (reach_px,):
+            located = self._finder(last).follow(grey, last, fit, reach_px=reach)
+            if located is not None:
                 return located
         return None
-
-    def _in_part(
-        self, grey: np.ndarray, found: list[Located], box: "_Box", is_over: IsOver
-    ) -> list[Located]:
-        """What any finder locates in a part of the picture besides what was found, in the whole
-        one's pixels."""
-        offset = np.array([box.left, box.top])
-        part = np.ascontiguousarray(grey[box.top : box.bottom, box.left : box.right])
-        part = _covered(part, found, offset)
-        size = (grey.shape[1], grey.shape[0])
-        new = []
-        for finder in self._finders.values():
-            for located in finder.locate(part, is_over):
-                whole = _in_whole(located, offset.astype(float), size)
-                new += [whole] if whole else []
-        return new
 
     def _searched(self, grey: np.ndarray, found: list[Located], is_over: IsOver) -> list[Located]:
         """What is found and what a search of the whole picture adds."""
         found = list(found)
-        left = _covered(grey, found, np.zeros(2, dtype=int))
+        left = _covered(grey, found)
         for finder in self._finders.values():
             if is_over():
                 break
@@ -203,83 +187,6 @@ class _Budget:
         return self.was_over
 
 
-@dataclass(frozen=True, slots=True)
-class _Box:
-    """A part of a picture, in whole pixels."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    def joined(self, other: "_Box") -> "_Box":
-        """The least box around both."""
-        return _Box(
-            min(self.left, other.left),
-            min(self.top, other.top),
-            max(self.right, other.right),
-            max(self.bottom, other.bottom),
-        )
-
-    def meets(self, other: "_Box") -> bool:
-        """Whether they have anything in common."""
-        across = self.left < other.right and other.left < self.right
-        return across and self.top < other.bottom and other.top < self.bottom
-
-
-def _boxes(tracks: Sequence[Track], stamp_ns: int, shape: tuple[int, ...]) -> list[_Box]:
-    """Where the faces of tracks can be; boxes that meet are one."""
-    boxes: list[_Box] = []
-    for track in tracks:
-        box = _box(track, stamp_ns, shape)
-        if box is None:
-            continue
-        for other in [other for other in boxes if other.meets(box)]:
-            boxes.remove(other)
-            box = box.joined(other)
-        boxes.append(box)
-    return boxes
-
-
-def _box(track: Track, stamp_ns: int, shape: tuple[int, ...]) -> _Box | None:
-    """Where the face of a track can be: around its outline, there and where it moves to."""
-    last = track.located.found
-    outline = last.fit.project(track.located.look.face.outline[:, :2])
-    around = np.concatenate([outline, last.pixels])
-    moved = (track.pixels_at(stamp_ns) - last.pixels).mean(axis=0)
-    low = np.minimum(around.min(axis=0), around.min(axis=0) + moved)
-    high = np.maximum(around.max(axis=0), around.max(axis=0) + moved)
-    margin = np.maximum(AROUND_SHARE * (high - low), LEAST_AROUND_PX)
-    size = np.array([shape[1], shape[0]])
-    left, top = np.clip(np.floor(low - margin), 0, size).astype(int).tolist()
-    right, bottom = np.clip(np.ceil(high + margin), 0, size).astype(int).tolist()
-    return _Box(left, top, right, bottom) if right - left > 16 and bottom - top > 16 else None
-
-
-def _in_whole(located: Located, offset: Array, size: tuple[int, int]) -> Located | None:
-    """What was located in a part of a picture that begins at `offset` (2,)."""
-    found = located.found
-    pixels = found.pixels + offset
-    points = located.look.face.corners[found.corners, :2]
-    fit = fit_plane(points, pixels, size)
-    if fit is None:
-        return None
-    whole = Measured(found.corners, pixels, found.sigma, found.blur, fit)
-    return Located(located.look, whole)
-
-
-def _is_near(located: Located, fit: PlanarFit) -> bool:
-    """Whether a face is where it was expected, by less than half a square."""
-    face = located.look.face
-    points = face.corners[located.found.corners, :2]
-    expected = fit.project(points)
-    across = fit.project(points + np.array([face.square, 0.0])) - expected
-    down = fit.project(points + np.array([0.0, face.square])) - expected
-    spacing = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
-    off = np.linalg.norm(located.found.pixels - expected, axis=-1)
-    return bool(np.median(off / np.maximum(spacing, 1e-9)) < MOST_OFF_SHARE)
-
-
 def _is_among(located: Located, found: Sequence[Located]) -> bool:
     """Whether a face is one of those: the only one of its look, or in the same place."""
     middle = located.found.pixels.mean(axis=0)
@@ -301,7 +208,7 @@ def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
     expected = track.pixels_at(stamp_ns).mean(axis=0)
     points = located.look.face.corners[track.located.found.corners, :2]
     off = located.found.fit.project(points).mean(axis=0) - expected
-    reach = 0.5 * np.ptp(track.located.found.pixels, axis=0) + LEAST_AROUND_PX
+    reach = 0.5 * np.ptp(track.located.found.pixels, axis=0) + LEAST_REACH_PX
     return bool(np.all(np.abs(off) < reach))
 
 
@@ -320,19 +227,14 @@ def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track
     return Track(located, stamp_ns, velocity, is_steady=is_steady)
 
 
-def _has_numbers(located: Located) -> bool:
-    """Whether a face's corners cannot be taken for each other: it has markers."""
-    return located.look.face.pattern is not Pattern.CHECKERBOARD
-
-
-def _covered(grey: np.ndarray, found: Sequence[Located], offset: np.ndarray) -> np.ndarray:
-    """A part of a picture that begins at `offset` (2,), without the faces that are found."""
+def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
+    """The picture without the faces that are found."""
     if not found:
         return grey
     left = grey.copy()
+    level = float(np.median(grey[::_COARSE, ::_COARSE]))
     for located in found:
-        outline = located.found.fit.project(located.look.face.outline[:, :2]) - offset
+        outline = located.found.fit.project(located.look.face.outline[:, :2])
         if np.abs(outline).max() < _FAR_PX:
-            level = float(np.median(grey[::_COARSE, ::_COARSE]))
             cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
     return left

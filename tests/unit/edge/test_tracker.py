@@ -48,7 +48,7 @@ def test_followed_face_costs_no_search(face: Face, monkeypatch: pytest.MonkeyPat
     def refuse(*_: object) -> None:
         raise AssertionError("the picture was searched")
 
-    for name in ("_searched", "_in_part"):
+    for name in ("_searched",):
         monkeypatch.setattr(tracker_module.TargetTracker, name, refuse)
     assert len(tracker.detect(moving(face, 3), 3 * STEP_NS)) == 1
 
