@@ -12,8 +12,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .dataset import DataSet, KnownCameras
-from .observations import Observation, points_of
+from .observations import Observation
 from .odometry_track import Motion
+from .padded import padded_points
 from .problem import (
     Batch,
     CameraState,
@@ -188,25 +189,19 @@ def _batch(
     data: DataSet, chain: Chain, camera: str, indices: list[int], node_of: dict[int, int]
 ) -> Batch:
     target: Target = data.targets[chain.robot]
-    points = [points_of(data.entries[index].observation, target) for index in indices]
+    observations = [data.entries[index].observation for index in indices]
+    points = padded_points(observations, target)
     shares = np.array([data.entries[index].share for index in indices])
-    n, widest = len(points), max(len(p.weights) for p in points)
-    face_points, pixels = np.zeros((n, widest, 3)), np.zeros((n, widest, 2))
-    faces, weights = np.zeros((n, widest), dtype=int), np.zeros((n, widest))
-    for row, p in enumerate(points):
-        count = len(p.weights)
-        face_points[row, :count], pixels[row, :count] = p.face_points, p.pixels
-        faces[row, :count], weights[row, :count] = p.faces, p.weights
     nodes = np.array([node_of[index] for index in indices])
-    stamps_ns = np.array([data.entries[index].observation.stamp_ns for index in indices])
+    stamps_ns = np.array([observation.stamp_ns for observation in observations])
     return Batch(
         camera=camera,
         robot=chain.robot,
         nodes=nodes,
-        face_points=face_points,
-        faces=faces,
-        pixels=pixels,
-        weights=weights * np.sqrt(shares)[:, None],
+        face_points=points.face_points,
+        faces=points.faces,
+        pixels=points.pixels,
+        weights=points.weights * np.sqrt(shares)[:, None],
         shares=shares,
         sources=np.array(indices),
         after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,

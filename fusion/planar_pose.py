@@ -50,11 +50,10 @@ def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) 
         )
     except cv2.error:
         return []
-    fits = []
-    for turn, shift in zip(turns, shifts, strict=True):
-        rotation = so3.exp(np.asarray(turn).reshape(3))
-        pose = Pose(rotation, np.asarray(shift).reshape(3) - rotation @ centre)
-        fits.append(refined_pose(lens, pose, points, pixels, sigma))
+    rotations = so3.exp(np.reshape(turns, (-1, 3)))
+    starts = Pose(rotations, np.reshape(shifts, (-1, 3)) - rotations @ centre)
+    both = np.broadcast_to(points, (len(starts), *points.shape))
+    fits = refined_poses(lens, starts, both, pixels, sigma)
     shown = [fit for fit in fits if fit is not None and _shows_front(fit.pose, centre)]
     return sorted(shown, key=lambda fit: fit.rms)
 
