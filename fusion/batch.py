@@ -17,7 +17,6 @@ import numpy as np
 from trigpoint.geometry import Pose
 
 from . import judge, repeated
-from .alignment import PosePrior, align
 from .assembly import Assembled
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
@@ -45,6 +44,7 @@ FINAL_TOLERANCE = 1e-4
 _FIRST_STRETCH = 64
 _GROWTH = 3
 _LEAST_PICTURES = 3
+_GROWTH_TO_TIE = 1.2
 _TRIED_SAME = 1e-3
 
 
@@ -57,8 +57,12 @@ class BatchSolution:
         self.solution: Solution | None = None
         self.assembled: Assembled | None = None
         self.undetermined: dict[str, tuple[str, ...]] = {}
-        # How many pictures each camera had when it was last tried to locate it.
+        # How many pictures each camera had when it was last tried to locate it, and by how many
+        # each robot when it was last tried in vain to tie it to the map.
         self.tries: dict[str, int] = {}
+        self._tie_tries: dict[str, int] = {}
+        # By robot that is not tied to the map: why.
+        self._untied: dict[str, str] = {}
         self.tolerance = LIVE_TOLERANCE
         self.iterations = 0
         # What was collected without an estimate, and is not in the data set yet.
@@ -78,15 +82,16 @@ class BatchSolution:
             self.tolerance = LIVE_TOLERANCE
 
     def _finished(self, known: Filter | None) -> Filter | None:
-        for _ in range(len(self.data.site.cameras) + 1):
+        for _ in range(len(self.data.site.cameras) + len(self.data.site.robots) + 1):
             known = self.solve(known)
+            tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
             missing = [
                 name
                 for name in self.data.site.cameras
                 if name not in self.state.cameras and self.data.of_camera(name)
             ]
             found = [name for name in missing if self.locate(name)]
-            if not found:
+            if not found and not tied:
                 break
         return self._settle(known)
 
@@ -111,7 +116,10 @@ class BatchSolution:
             has_grown = self._extend()
             homeless = self._homeless()
             for robot, indices in homeless.items():
-                place(self.data, known, robot, indices)
+                if known.has_robot(robot):
+                    place(self.data, known, robot, indices)
+                else:
+                    self.tie(robot, known)
             if not has_grown and self._homeless() == homeless:
                 break
             for camera in self.data.site.cameras:
@@ -137,8 +145,29 @@ class BatchSolution:
 
     def is_due(self, camera: str) -> bool:
         """Whether a camera's pictures have grown by half since it was last tried to locate it."""
-        pictures = len(self.data.of_camera(camera))
+        pictures = self._placed_count(camera)
         return pictures >= max(_LEAST_PICTURES, 1.5 * self.tries.get(camera, 0))
+
+    def _placed_count(self, camera: str) -> int:
+        """How many of a camera's pictures show a robot whose place is known."""
+        return sum(entry.map_from_base is not None for entry in self.data.of_camera(camera))
+
+    def tie(self, robot: str, known: Filter | None) -> bool:
+        """Try to tie a robot to the map, where more of it was seen by located cameras than at the
+        last try; whether that succeeded. The next solution uses it."""
+        if known is None or known.has_robot(robot):
+            return False
+        indices = self._homeless().get(robot, [])
+        seen = sum(known.has_camera(self.data.entries[i].observation.camera) for i in indices)
+        if not seen or seen < _GROWTH_TO_TIE * self._tie_tries.get(robot, 0):
+            return False
+        untied = place(self.data, known, robot, indices)
+        if untied is not None:
+            self._tie_tries[robot], self._untied[robot] = seen, untied.reason
+            return False
+        self._tie_tries.pop(robot, None)
+        self._untied.pop(robot, None)
+        return True
 
     def solve(self, known: Filter | None, *, is_rough: bool = False) -> Filter | None:
         """Solve over everything; observations that contradict the rest are set aside.
@@ -286,7 +315,10 @@ class BatchSolution:
 
     def locate(self, camera: str) -> bool:
         """Try to locate a camera; whether that succeeded. The next solution uses it."""
-        self.tries[camera] = len(self.data.of_camera(camera))
+        self.tries[camera] = self._placed_count(camera)
+        if not self.tries[camera]:
+            self.undetermined[camera] = self._why_untied(camera)
+            return False
         result = locate(self.data, self.state, camera)
         if isinstance(result, Undetermined):
             self.undetermined[camera] = result.reasons
@@ -294,6 +326,15 @@ class BatchSolution:
         self.undetermined.pop(camera, None)
         self._take(camera, result)
         return True
+
+    def _why_untied(self, camera: str) -> tuple[str, ...]:
+        """Why nothing is known of where the robots stood that a camera saw."""
+        robots = dict.fromkeys(entry.observation.robot for entry in self.data.of_camera(camera))
+        unmet = "it has met no located camera yet; drive it past one"
+        why = ((robot, self._untied.get(robot, unmet)) for robot in robots)
+        return tuple(
+            f"the robot {robot} that it saw is not tied to the map: {w}" for robot, w in why
+        )
 
     def _take(self, camera: str, located: Located) -> None:
         self.state = State(self.state.cameras | {camera: located.camera}, self.state.robots)

@@ -83,7 +83,7 @@ def tie(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Tie | U
     cameras."""
     seen = [i for i in indices if known.has_camera(data.entries[i].observation.camera)]
     if not seen:
-        return Untied(f"the robot {robot} that it saw has met no located camera yet")
+        return Untied("it has met no located camera yet; drive it past one")
     search = _Search(data, known, robot, seen)
     result = None
     for first in range(min(len(search.visits), _MOST_STARTS)):
@@ -150,11 +150,11 @@ class _Search:
 
     def _decided(self, alive: list[Tie]) -> Tie | Untied:
         if not alive or alive[0].rms > _ACCEPTABLE_RMS:
-            return Untied(f"what located cameras saw of the robot {self.robot} contradicts them")
+            return Untied("what located cameras saw of it contradicts them or its odometry")
         if len(alive) > 1 and alive[0].lead(alive[1]) < DECISIVE:
             return Untied(
-                f"the robot {self.robot} that it saw may have stood in several places, since its "
-                "faces look alike; drive it past a located camera"
+                f"{len(alive)} places fit alike, since its faces look alike; drive it past a "
+                "located camera"
             )
         return alive[0]
 
