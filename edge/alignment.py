@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .middle import median
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
 # Bounds of the blur's variances, pixel²; the upper is that of 6 pixels of motion.
@@ -122,8 +123,7 @@ class _Usual:
 
     @classmethod
     def of(cls, match: _Match) -> "_Usual":
-        middle = np.median(match.values[:, 2:], axis=0)
-        return cls(float(middle[0]), float(middle[1]), float(np.median(match.power)))
+        return cls(median(match.gain), median(match.values[:, 3]), median(match.power))
 
     @property
     def most_power(self) -> float:

@@ -16,10 +16,10 @@ from trigpoint.target import Face
 
 from .detector import Appearance, FaceFinder, IsOver
 from .grid import Grid, find_grids
-from .grid_growth import LEAST_SEED, cleaned, grown, largest_flat
+from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
 from .measurement import Located, followed, measured
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, fit_plane
+from .planar_fit import PlanarFit, settled_fit
 from .saddles import Curvature, find_saddles, sampled
 
 # Of a board's corners, how many must be seen.
@@ -191,7 +191,7 @@ def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Loca
         return None
     # pyrDown's pixel (x, y) is the full picture's (2x, 2y).
     points, size = look.face.corners[ids, :2], (grey.shape[1], grey.shape[0])
-    fit = fit_plane(points, grid.pixels * step, size)
+    fit = settled_fit(points, grid.pixels * step, size, ENOUGH_PX)
     found = measured(grey, CornerPattern.of(look.face), fit) if fit else None
     if found is None or len(found.corners) < LEAST_SHARE * look.face.corner_count:
         return None

@@ -5,7 +5,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
-from .planar_fit import PlanarFit, fit_plane, sound_corners
+from .planar_fit import PlanarFit, fit_plane, settled_fit, sound_corners
 from .saddles import Curvature, Saddles, examine
 
 LEAST_SEED = 9
@@ -14,6 +14,8 @@ MOST_SEEDS = 6
 SEED_REACH = 2
 FLAT = 0.15
 MOST_ROUNDS = 6
+# Corners that are all so near their plane need no lens, pixels.
+ENOUGH_PX = 0.35
 # A predicted corner may be this much weaker than one that nothing predicted,
 TOLERANCE = 1.7
 # and this far from its place, of the grid's spacing there.
@@ -58,7 +60,8 @@ def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
     for _ in range(MOST_ROUNDS):
         if len(grid) < LEAST_SEED or max(grid.extent) > max(largest) + 1:
             break
-        fit = fit_plane(grid.places.astype(float), grid.pixels, (width, height))
+        places = grid.places.astype(float)
+        fit = settled_fit(places, grid.pixels, (width, height), ENOUGH_PX)
         added = _found_beside(grid, fit, curvature) if fit else None
         if added is None:
             break

@@ -12,11 +12,13 @@ from .marker_groups import MarkerGroup
 from .markers import MarkerReader
 from .measurement import LEAST_CORNERS, Measured, followed, measured
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, fit_plane
+from .planar_fit import PlanarFit, settled_fit
 
 # A board's markers, looked at where its corners put them, must match so well on the mean; one, two
 # or three alone must do better, since foreign markers match by chance.
 LEAST_AGREEMENT = 0.5
+# Markers' corners that are all so near their plane need no lens, pixels.
+ENOUGH_PX = 0.7
 _LEAST_OF_FEW = {1: 0.8, 2: 0.7, 3: 0.6}
 
 
@@ -42,7 +44,7 @@ class MarkedBoard:
         """The corners that a group of markers leads to; None where the picture denies it."""
         size = (grey.shape[1], grey.shape[0])
         layout = self.layout[group.numbers].reshape(-1, 2)
-        fit = fit_plane(layout, group.corners.reshape(-1, 2), size)
+        fit = settled_fit(layout, group.corners.reshape(-1, 2), size, ENOUGH_PX)
         found = measured(grey, self.pattern, fit, is_rough=True) if fit else None
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None

@@ -12,6 +12,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
+from .middle import median
 from .planar_fit import PlanarFit
 from .sheet import Sheet, sheet_of
 
@@ -71,7 +72,7 @@ def patches_around(
     across, down = across - expected, down - expected
     longest = float(np.max(np.abs(across) + np.abs(down), initial=0.0))
     half = int(np.clip(np.ceil(longest), LEAST_HALF_PX, MOST_HALF_PX))
-    reach_px = float(np.median(np.hypot(*across.T) + np.hypot(*down.T))) / 2
+    reach_px = median(np.hypot(*across.T) + np.hypot(*down.T)) / 2
     sheet = sheet_of(pattern.face, reach_px / reach * pattern.face.square)
     nearest = np.rint(pixels)
     lattice = _lattice(nearest, pixels - expected, half + MARGIN_PX)

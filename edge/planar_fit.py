@@ -11,6 +11,8 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .middle import median
+
 LEAST_WILD_PX = 0.7
 # Of a face's grid spacing: real boards are not flat to better than this.
 LEAST_WILD_SHARE = 0.04
@@ -19,6 +21,8 @@ WILD_SIGMAS = 5.0
 SCATTER_SHARE = 0.1
 # Corners that are so far off even before a lens is fitted are not worth the fit.
 CHAOS_SHARE = 0.4
+# Of what is never called wild: corners that all are so near are not worth a lens of their own.
+ENOUGH_SHARE = 0.5
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
@@ -154,6 +158,22 @@ def fit_plane(
     return PlanarFit(homography / np.linalg.norm(homography), fit.radial, centre, scale)
 
 
+def settled_fit(
+    points: Array,
+    pixels: Array,
+    size: tuple[int, int],
+    enough_px: float,
+    *,
+    start: PlanarFit | None = None,
+) -> PlanarFit | None:
+    """Like `fit_plane`; the lens stays that of `start`, or none, where all points come within
+    `enough_px` so: the search for a better one is long where a face hardly shows it."""
+    fit = fit_plane(points, pixels, size, has_lens=False, start=start)
+    if fit is None or float(fit.residuals(points, pixels).max()) <= enough_px:
+        return fit
+    return fit_plane(points, pixels, size, start=fit)
+
+
 def _normalising(points: Array) -> Array:
     """The similarity (3, 3) that moves points (n, 2) to mean 0 and a spread of 1."""
     mean = points.mean(axis=0)
@@ -182,14 +202,14 @@ def sound_corners(
     spacing = _spacing(pixels)
     least = max(least_px, least_share * spacing)
     fit = start or fit_plane(points, pixels, size, has_lens=False)
-    if fit is None or np.median(fit.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
+    if fit is None or median(fit.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
         return np.zeros(len(points), dtype=bool), None
     while keep.sum() >= 4:
-        fit = fit_plane(points[keep], pixels[keep], size, start=fit)
+        fit = settled_fit(points[keep], pixels[keep], size, ENOUGH_SHARE * least_px, start=fit)
         if fit is None:
             break
         distances = fit.residuals(points, pixels)
-        usual = float(np.median(distances[keep])) / 1.18  # the median of a Rayleigh distribution
+        usual = median(distances[keep]) / 1.18  # the median of a Rayleigh distribution
         if usual > max(LEAST_WILD_PX, SCATTER_SHARE * spacing):
             break
         limit = max(least, WILD_SIGMAS * usual)
@@ -206,7 +226,7 @@ def _spacing(pixels: Array) -> float:
         return 0.0
     squared = np.sum((pixels[:, None] - pixels[None]) ** 2, axis=-1)
     np.fill_diagonal(squared, np.inf)
-    return float(np.median(np.sqrt(squared.min(axis=1))))
+    return float(np.sqrt(median(squared.min(axis=1))))
 
 
 def _refined(
@@ -240,7 +260,10 @@ def _refined(
         diagonal = normal.reshape(-1)[:: count + 1]
         diagonal *= 1 + damping
         diagonal += _TINY
-        step = np.linalg.solve(normal, right)
+        is_solved, solution = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
+        if not is_solved:
+            return None
+        step = solution[:, 0]
         moved = now.copy()
         moved[:count] += step
         moved[8:] = moved[8:].clip(-_MOST_RADIAL, _MOST_RADIAL)

@@ -14,6 +14,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .alignment import Alignment, aligned
+from .middle import median
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
 from .planar_fit import PlanarFit, sound_corners
 
@@ -110,7 +111,7 @@ def _usual_length(found: Alignment) -> float:
     """The length of most clear corners' steps, pixels; infinite where none is clear."""
     if not found.is_clear.any():
         return np.inf
-    return float(np.median(np.linalg.norm(found.step[found.is_clear], axis=1)))
+    return median(np.linalg.norm(found.step[found.is_clear], axis=1))
 
 
 def _softened(grey: np.ndarray, pixels: Array) -> np.ndarray:
