@@ -30,7 +30,7 @@ class Checkpoint:
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path, self._clock = path, clock
-        sound = _sound_length(path)
+        sound = self._sound = _sound_length(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("r+b" if path.exists() else "w+b")
@@ -43,6 +43,13 @@ class Checkpoint:
         if sound == 0:
             self._file.write(_MAGIC)
         self._flushed_ns = clock.elapsed_ns()
+
+    def records(self) -> Iterator[tuple[str, bytes]]:
+        """(key, payload) of what was in the file when it was opened; it may be written meanwhile,
+        but not restarted."""
+        if self._sound:
+            for _, key, payload in _records(self._path, self._sound):
+                yield key, payload
 
     def write(self, key: str, payload: bytes) -> None:
         """Append a message; it is on the disk within half a second and a call of `flush`."""
@@ -83,8 +90,11 @@ def _sound_length(path: Path) -> int:
     return length
 
 
-def _records(path: Path) -> Iterator[tuple[int, str, bytes]]:
-    """(end of the record, key, payload); raise OperationError where the file cannot be read."""
+def _records(path: Path, until: int | None = None) -> Iterator[tuple[int, str, bytes]]:
+    """(end of the record, key, payload), up to the one that ends at `until`.
+
+    Raises OperationError where the file cannot be read.
+    """
     try:
         file = path.open("rb")
     except FileNotFoundError:
@@ -101,7 +111,7 @@ def _records(path: Path) -> Iterator[tuple[int, str, bytes]]:
             return
         decoder = msgspec.msgpack.Decoder(tuple[str, bytes])
         end = len(_MAGIC)
-        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+        while end != until and len(head := file.read(_HEAD.size)) == _HEAD.size:
             length, checksum = _HEAD.unpack(head)
             body = file.read(length) if length <= _MOST_RECORD else b""
             if len(body) != length or zlib.crc32(body) != checksum:

@@ -1,5 +1,6 @@
 """The command `fusion`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,9 @@ from trigpoint.node import Node, stop_on_signals
 
 from .inputs import load_inputs
 from .node import KIND, NAME, FusionNode
+from .orders import Solver
+from .pipeline import Inputs
+from .solver_process import SolverProcess
 
 
 def main(
@@ -40,9 +44,16 @@ def main(
         try:
             with Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock) as node:
                 stop_on_signals([node])
-                fusion = FusionNode(bus, node, inputs, folder, clock)
+                fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs))
                 fusion.start()
                 node.wait()
         finally:
             if fusion is not None:
                 fusion.finish()
+
+
+def solver_for(inputs: Inputs) -> Callable[[], Solver] | None:
+    """Who solves beside the corrections; None for the estimators that need nobody."""
+    if inputs.site.fusion.estimator != "smoother":
+        return None
+    return lambda: SolverProcess(inputs.data_set())

@@ -28,7 +28,11 @@ def coverage(map_from_camera: Pose, lens: CameraModel, target: Target) -> Array:
     points = np.stack([x, y, np.full_like(x, height)], axis=-1)
     optical = map_from_camera.inverse() @ points.reshape(-1, 3)
     large = lens.fx * square / np.maximum(optical[:, 2], 1e-3) >= _LEAST_SQUARE_PX
-    seen = (lens.sees(optical) & large).reshape(x.shape)
+    # Most points are too far off; only for the others it matters what the lens does.
+    near_enough = np.flatnonzero(large & (optical[:, 2] > 0))
+    seen = np.zeros(x.size, dtype=bool)
+    seen[near_enough] = lens.sees(optical[near_enough])
+    seen = seen.reshape(x.shape)
     rays = np.flatnonzero(seen.any(axis=1))
     if len(rays) < 2:
         return np.zeros((0, 3))

@@ -55,8 +55,8 @@ class Trajectory:
     map_from_base: Pose
 
 
-class Estimator(Protocol):
-    """Odometry and observations in, the network and the robots' poses out. Not thread-safe."""
+class Live(Protocol):
+    """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe."""
 
     def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
 
@@ -64,12 +64,9 @@ class Estimator(Protocol):
         """Take an observation whose moment odometry covers, in any order."""
         ...
 
-    def solve(self) -> None:
-        """Work everything out anew from all that came in."""
-        ...
-
     def finish(self) -> None:
-        """`solve` to the end: locate every camera that can be located from all that came in."""
+        """Work everything out to the end: locate every camera that can be located from all that
+        came in, and solve."""
         ...
 
     def robot(self, robot: str) -> RobotEstimate | None:
@@ -83,6 +80,15 @@ class Estimator(Protocol):
     @property
     def located_count(self) -> int:
         """How many cameras are located."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Live, Protocol):
+    """With everything else that the network file says."""
+
+    def solve(self) -> None:
+        """Work everything out anew from all that came in."""
         ...
 
     def joint_covariance(self) -> Array:

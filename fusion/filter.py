@@ -72,6 +72,10 @@ class Filter:
         """What is known; raise LinAlgError where something is not determined at all."""
         return self.source if isinstance(self.source, Gaussian) else Gaussian.of(self.source)
 
+    def settled(self) -> "Filter":
+        """The same, worked out as far as it is known; raise LinAlgError as `known` does."""
+        return replace(self, source=self.known)
+
     @property
     def reduced(self) -> Reduced:
         """What is known, as information."""

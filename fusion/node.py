@@ -3,19 +3,23 @@
 import json
 import logging
 import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from trigpoint import cdr, topics
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
-from trigpoint.clock import Clock, to_seconds
+from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.errors import MessageError, OperationError
+from trigpoint.messages import Message
 from trigpoint.network import encode_network
 from trigpoint.node import Node
 from trigpoint.topics import Topic, command_key
 
-from .checkpoint import Checkpoint, read_checkpoint
+from .checkpoint import Checkpoint
 from .guidance_world import GuidanceWorld
 from .guide import Guide
+from .orders import Solver
 from .pipeline import Inputs, Output, Pipeline
 
 KIND = "fusion"
@@ -24,8 +28,14 @@ NAME = "fusion"
 # The robot's next odometry message ends the wait; without one the others are looked at this often.
 _TURN_S = 0.02
 _MOST_AT_ONCE = 512
-# The longest turn so far was a solution; the last one takes several times as long.
-_LAST_SOLUTION_S = 0.5
+# While a checkpoint is read, what comes is taken in every so many records.
+_RECORDS_AT_ONCE = 256
+# A stop may take two seconds in all (contract of nodes, `trigpoint.node.STOP_S`).
+_LAST_SOLUTION_S = 1.2
+# Where the estimator solves at its turn: the last solution takes several times the longest turn.
+_LONG_TURN_S = 0.25
+_ANSWER_S = 2.0
+_LOOK_S = 0.01
 
 _log = logging.getLogger(__name__)
 
@@ -33,18 +43,28 @@ _log = logging.getLogger(__name__)
 class FusionNode:
     """One site's estimator. The pipeline is used under a lock, but for its counters."""
 
-    def __init__(self, bus: Bus, node: Node, inputs: Inputs, out: Path, clock: Clock) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        node: Node,
+        inputs: Inputs,
+        out: Path,
+        clock: Clock,
+        *,
+        solver: Callable[[], Solver] | None = None,
+    ) -> None:
+        """`solver`: makes somebody who solves for one map, so that no turn takes long."""
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
+        self._make_solver, self._solver = solver, solver() if solver is not None else None
         self._lock = threading.Lock()
-        self._pipeline = Pipeline(inputs, is_live=False)
+        self._pipeline = Pipeline(inputs, is_live=False, solver=self._solver)
         self._announced: dict[str, bytes] = {}
         self._reported: dict[str, int] = {}
         self._located_count = 0
         self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
-        self._resume()
-        self._checkpoint = Checkpoint(self._path, clock)
+        self._checkpoint: Checkpoint | None = None
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._problem = ""
@@ -66,7 +86,9 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.thread("estimate", self._run)
-        self._node.thread("guide", Guide(self._bus, self._node, name, self._guidance_world).run)
+        if self._solver is None:  # who solves also says where to go
+            guide = Guide(self._bus, self._node, name, self._guidance_world)
+            self._node.thread("guide", guide.run)
 
     def finish(self) -> None:
         """Write what is known, worked out to the end where that is quick enough for a stop.
@@ -74,57 +96,96 @@ class FusionNode:
         Called after the working thread ended.
         """
         with self._lock:
-            self._checkpoint.close()
+            if self._checkpoint is None:
+                _log.info("stopped before %s was read", self._path)
+            else:
+                self._checkpoint.close()
+                self._save_last()
+            if self._solver is not None:
+                self._solver.close()
+
+    def _save_last(self) -> None:
+        if self._solver is not None:
+            is_final = self._is_solved_in_time()
+        else:
             # What is known now is kept first: whoever stops us may not wait for the last solution.
             self._pipeline.results().save(self._out)
-            if self._longest_s < _LAST_SOLUTION_S:
+            if is_final := self._longest_s < _LONG_TURN_S:
                 self._pipeline.finish()
-                self._pipeline.results().save(self._out)
-            else:
-                _log.info("the last solution is left to `trigpoint calibrate`: it would take long")
-        _log.info("the network is in %s", self._out / "network.json")
+        if not is_final:
+            _log.warning(
+                "the last solution would take longer than a stop may; `trigpoint calibrate` over "
+                "the recording works it out"
+            )
+        try:
+            self._pipeline.results().save(self._out)
+        except OperationError as reason:
+            _log.warning("no network is written: %s", reason)
+        else:
+            _log.info("the network is in %s", self._out / "network.json")
+
+    def _is_solved_in_time(self) -> bool:
+        """Have the solver solve to the end; whether it did within what a stop may take."""
+        until_ns = self._clock.elapsed_ns() + to_ns(_LAST_SOLUTION_S)
+        try:
+            self._pipeline.finish()
+            while not self._pipeline.is_answered and self._clock.elapsed_ns() < until_ns:
+                time.sleep(_LOOK_S)
+                self._pipeline.advance()
+        except OperationError as reason:
+            _log.error("%s", reason)
+        return self._pipeline.is_answered and self._pipeline.is_final
 
     # -- the working thread -----------------------------------------------------------------------
 
     def _run(self) -> None:
+        self._resume()
         while not self._node.stopping.is_set():
             first = self._subscriptions[0][1].take(_TURN_S)
             with self._lock:
                 if first is not None:
                     self._take(topics.ODOMETRY, first)
-                self._take_all()
+                for topic, sample in self._waiting():
+                    self._take(topic, sample)
                 began_ns = self._clock.elapsed_ns()
                 outputs = self._pipeline.advance(self._clock.now_ns())
                 took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
                 self._longest_s = max(self._longest_s, took_s)
-                self._checkpoint.flush()
+                self._open_checkpoint.flush()
                 self._located_count = self._pipeline.located_count
             # A robot waits for its correction, nobody for the rest.
             for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
                 self._publish(output)
             self._report()
 
-    def _take_all(self) -> None:
+    def _waiting(self) -> Iterator[tuple[Topic, Sample]]:
+        """What has come, up to a number a topic."""
         for topic, subscription in self._subscriptions:
             for _ in range(_MOST_AT_ONCE):
                 sample = subscription.take(0.0)
                 if sample is None:
                     break
-                self._take(topic, sample)
+                yield topic, sample
 
     def _take(self, topic: Topic, sample: Sample) -> None:
+        message = self._kept(topic, sample)
+        if message is not None:
+            self._pipeline.push(topics.node_of(sample.key), message)
+
+    def _kept(self, topic: Topic, sample: Sample) -> Message | None:
+        """The message, written to the checkpoint; None where it is none."""
         try:
             if sample.encoding != topic.encoding:
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
             message = cdr.decode(topic.type_name, sample.payload)
         except MessageError as reason:
             self._node.health.reject(sample, reason)
-            return
+            return None
         self._node.health.count(f"received {sample.key}")
         if topic is topics.CAMERA_INFO:
             self._announced[sample.key] = sample.payload
-        self._checkpoint.write(sample.key, sample.payload)
-        self._pipeline.push(topics.node_of(sample.key), message)
+        self._open_checkpoint.write(sample.key, sample.payload)
+        return message
 
     def _publish(self, output: Output) -> None:
         key = output.topic.key(self._site.name, output.node)
@@ -150,33 +211,70 @@ class FusionNode:
 
     # -- the checkpoint ---------------------------------------------------------------------------
 
+    @property
+    def _open_checkpoint(self) -> Checkpoint:
+        if self._checkpoint is None:  # the working thread opens it first
+            raise OperationError("fusion is just starting; ask again in a moment")
+        return self._checkpoint
+
     def _resume(self) -> None:
-        """Take up the map that a killed fusion left."""
-        count = 0
-        if self._path.exists():
-            _log.info("reading %s; nothing is estimated until that is done", self._path)
-        for key, payload in read_checkpoint(self._path):
-            topic = topics.topic_of(key)
-            if topic is None or not key.startswith(f"{self._site.name}/"):
-                raise OperationError(
-                    f"{self._path}: a checkpoint of another site ({key}); give another --out"
-                )
-            try:
-                message = cdr.decode(topic.type_name, payload)
-            except MessageError as reason:
-                _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
-                continue
-            self._pipeline.push(topics.node_of(key), message)
-            count += 1
-            if topic is topics.CAMERA_INFO:
-                self._announced[key] = payload
-            if topic is topics.ODOMETRY:
-                self._pipeline.advance()
+        """Take up the map that a killed fusion left; on the working thread.
+
+        What comes meanwhile is set aside, and follows.
+        """
+        with self._lock:
+            self._checkpoint = Checkpoint(self._path, self._clock)
+        pipeline, count = self._pipeline, 0
+        aside: list[tuple[str, Message]] = []
+        for key, payload in self._checkpoint.records():
+            if self._node.stopping.is_set() or self._pipeline is not pipeline:
+                return  # stopped, or reset
+            if not count:
+                _log.info("reading %s; nothing is estimated until that is done", self._path)
+            with self._lock:
+                count += self._take_again(key, payload)
+                if not count % _RECORDS_AT_ONCE:
+                    aside += self._set_aside()
+        with self._lock:
+            if self._pipeline is not pipeline:
+                return
+            self._go_on(count)
+            for node, message in aside:
+                self._pipeline.push(node, message)
+
+    def _take_again(self, key: str, payload: bytes) -> int:
+        """Take a record of the checkpoint; how many messages it was, 0 or 1."""
+        topic = topics.topic_of(key)
+        if topic is None or not key.startswith(f"{self._site.name}/"):
+            raise OperationError(
+                f"{self._path}: a checkpoint of another site ({key}); give another --out"
+            )
+        try:
+            message = cdr.decode(topic.type_name, payload)
+        except MessageError as reason:
+            _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
+            return 0
+        self._pipeline.push(topics.node_of(key), message)
+        if topic is topics.CAMERA_INFO:
+            self._announced[key] = payload
+        if topic is topics.ODOMETRY:
+            self._pipeline.advance()
+        return 1
+
+    def _set_aside(self) -> list[tuple[str, Message]]:
+        """(node, message) of what has come, written to the checkpoint."""
+        found = []
+        for topic, sample in self._waiting():
+            message = self._kept(topic, sample)
+            if message is not None:
+                found.append((topics.node_of(sample.key), message))
+        return found
+
+    def _go_on(self, count: int) -> None:
+        """Go on live after so many messages of a checkpoint."""
         self._pipeline.advance()
-        if not count:
-            self._pipeline = Pipeline(self._inputs)
-        else:
-            self._pipeline.resumed()
+        self._pipeline.resumed(is_new=not count)
+        if count:
             _log.info(
                 "map %s resumed from %s (%d messages); the command %s starts a new one",
                 self._pipeline.map_id,
@@ -189,7 +287,15 @@ class FusionNode:
 
     def _answer_network(self, _request: bytes) -> bytes:
         with self._lock:
-            results = self._pipeline.results()
+            pipeline = self._pipeline
+            pipeline.ask()
+        # A solver answers once it is done with what it is at; until then the last answer holds.
+        until_ns = self._clock.elapsed_ns() + to_ns(_ANSWER_S)
+        while not pipeline.is_answered and self._clock.elapsed_ns() < until_ns:
+            if self._node.stopping.wait(_LOOK_S):
+                break
+        with self._lock:
+            results = pipeline.results()
         results.save(self._out)
         return encode_network(results.network)
 
@@ -202,11 +308,15 @@ class FusionNode:
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
-            self._pipeline = Pipeline(self._inputs)
+            self._open_checkpoint.restart()
+            if self._solver is not None:
+                self._solver.close()
+            if self._make_solver is not None:
+                self._solver = self._make_solver()
+            self._pipeline = Pipeline(self._inputs, solver=self._solver)
             self._reported.clear()
-            self._checkpoint.restart()
             for key, payload in self._announced.items():  # a camera says it once
-                self._checkpoint.write(key, payload)
+                self._open_checkpoint.write(key, payload)
                 message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
                 self._pipeline.push(topics.node_of(key), message)
         _log.info("reset: a new map begins with the next odometry message")

@@ -6,7 +6,9 @@ twist, and its variance the same part of the increment's.
 """
 
 import bisect
+import copy
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -216,6 +218,29 @@ class OdometryTrack:
         still = np.abs(self._twists[first : last + 1]).max(axis=1) < _STILL
         row = last - int(np.argmax(still[::-1]))
         if not self._jumps[row]:
+            self._jumps[row] = True
+            bisect.insort(self._jump_rows, row)
+
+    def broken(self, breaks: Iterable[tuple[int, int]]) -> "OdometryTrack":
+        """The same odometry so far, broken between these pairs of moments."""
+        track = copy.copy(self)
+        track._jumps, track._jump_rows = self._jumps.copy(), list(self._jump_rows)
+        for after_ns, before_ns in breaks:
+            track.break_between(after_ns, before_ns)
+        return track
+
+    def pieces(self, stamps_ns: np.ndarray) -> np.ndarray:
+        """For moments (n,): how many jumps and breaks come before, (n,)."""
+        return np.searchsorted(self._stamps[self._jump_rows], stamps_ns, "right")
+
+    @property
+    def jump_rows(self) -> tuple[int, ...]:
+        """The messages before which the motion is unknown, in order."""
+        return tuple(self._jump_rows)
+
+    def jump_at(self, rows: Iterable[int]) -> None:
+        """The motion before these messages is unknown, and before those that jump by themselves."""
+        for row in sorted(set(rows) - set(self._jump_rows)):
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
 

@@ -6,12 +6,13 @@ node feeds it from the bus, `calibrate` from a recording.
 
 from collections import Counter
 from dataclasses import dataclass, field
-from uuid import NAMESPACE_URL, UUID, uuid5
+from uuid import UUID
 
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.config import Site
 from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.errors import OperationError
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import (
     CameraInfo,
@@ -20,6 +21,7 @@ from trigpoint.messages import (
     Polygon,
     PoseArray,
     PoseEstimate,
+    PoseStamped,
     Sightings,
     Transform,
     Transforms,
@@ -29,16 +31,18 @@ from trigpoint.target import Target
 from trigpoint.topics import Topic
 
 from .coverage import coverage
-from .dataset import DataSet, KnownCameras
-from .estimator import CameraEstimate, Collecting, Inspectable, Sampled
+from .dataset import DataSet, Event, KnownCameras
+from .estimator import CameraEstimate, Collecting, Estimator, Inspectable, Live, Sampled
 from .estimators import make_estimator
 from .filter import RobotEstimate
+from .follower import Follower
 from .guidance_world import GuidanceWorld
 from .intake import Intake
 from .observations import Observation
 from .odometry_track import Added
+from .orders import Solver, Suggested
 from .residuals import CameraResiduals
-from .results import Results, results_of
+from .results import Results, map_id_of, results_of
 
 _TF_PERIOD_NS = to_ns(0.1)
 _PARTICLES_PERIOD_NS = to_ns(0.5)
@@ -66,36 +70,41 @@ class Inputs:
     lenses: dict[str, CameraModel] = field(default_factory=dict)
     known: KnownCameras = field(default_factory=KnownCameras.none)
 
+    def data_set(self) -> DataSet:
+        """What is known beforehand, and nothing else yet."""
+        return DataSet(self.site, self.targets, dict(self.lenses), self.known)
+
 
 class Pipeline:
     """One map from its first message to its last. Not thread-safe.
 
-    `is_live`: whether anyone listens to what it says on the way.
+    `is_live`: whether anyone listens to what it says on the way; `solver`: who solves, so that no
+    turn takes long; None: whatever the site file names, at its turn.
     """
 
-    def __init__(self, inputs: Inputs, *, is_live: bool = True) -> None:
+    def __init__(
+        self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
+    ) -> None:
         self._is_live = is_live
         self.site, self._inputs = inputs.site, inputs
-        data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
-        self._data = data
-        self._estimator = make_estimator(data)
+        data = self._data = inputs.data_set()
+        self._follower = Follower(data, solver) if solver is not None else None
+        self._estimator: Live = self._follower or make_estimator(data)
         self._intake = Intake(inputs.site, inputs.targets)
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []
         self._sequence: Counter[str] = Counter()
         self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
+        # Cameras whose coverage is to be said: when it became due, and what was known then.
+        self._uncovered: dict[str, tuple[int, CameraEstimate]] = {}
         self._early: list[tuple[str, Sightings]] = []
         self._problem = ""
 
     @property
     def map_id(self) -> UUID | None:
         """The map's identity; None before the first robot's first odometry message."""
-        first = self.site.first_robot
-        track = self._data.tracks[first]
-        if not len(track):
-            return None
-        return uuid5(NAMESPACE_URL, f"trigpoint:{self.site.name}/{first}/{track.first_ns}")
+        return map_id_of(self._data)
 
     @property
     def last_problem(self) -> str:
@@ -192,15 +201,18 @@ class Pipeline:
         else:
             self.counts["without_intrinsics"] += 1
 
-    def resumed(self) -> None:
+    def resumed(self, *, is_new: bool = False) -> None:
         """Say that what was pushed so far came from a checkpoint: it is worked out at once.
 
         Whoever wrote it may have sent more corrections than it shows, and a robot refuses a
-        sequence number that it has seen; so the next ones are well beyond.
+        sequence number that it has seen; so the next ones are well beyond. `is_new`: there was
+        nothing in it.
         """
+        self._is_live = True
+        if is_new:
+            return
         if isinstance(self._estimator, Collecting):
             self._estimator.finish()
-        self._is_live = True
         for robot in self.site.robots:
             self._sequence[robot] += _SEQUENCE_MARGIN
         self._outputs.clear()
@@ -217,8 +229,23 @@ class Pipeline:
                 continue
             for observation in self._intake.ready(robot, track.first_ns, track.last_ns):
                 self._use(observation, now_ns)
+        if self._follower is not None:
+            self._attend(self._follower)
+        self._say_coverage()
         outputs, self._outputs = self._outputs, []
         return outputs
+
+    def _attend(self, follower: Follower) -> None:
+        for news in follower.attend():
+            if isinstance(news, Suggested):
+                message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
+                self._send(topics.SUGGESTION, news.robot, message)
+            else:
+                self._note(news.event)
+        if follower.has_new_camera:
+            follower.has_new_camera = False
+            last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
+            self._say_cameras(last_ns, is_urgent=True)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):
@@ -248,8 +275,11 @@ class Pipeline:
         """Count what happened to the site, and say it."""
         events, self._data.events = self._data.events, []
         for event in events:
-            self.counts[event.kind] += 1
-            self._problem = event.text
+            self._note(event)
+
+    def _note(self, event: Event) -> None:
+        self.counts[event.kind] += 1
+        self._problem = event.text
 
     def _correct(self, robot: str, estimate: RobotEstimate) -> None:
         map_id = self.map_id
@@ -291,14 +321,18 @@ class Pipeline:
             transforms.append(Transform(stamp_ns, "map", f"{name}/optical", pose))
         self._send(topics.TF, "", Transforms(tuple(transforms)))
         if self._is_due("coverage", stamp_ns, 0 if is_urgent else _COVERAGE_PERIOD_NS):
-            self._say_coverage(stamp_ns, cameras)
+            self._uncovered |= {name: (stamp_ns, camera) for name, camera in cameras.items()}
 
-    def _say_coverage(self, stamp_ns: int, cameras: dict[str, CameraEstimate]) -> None:
+    def _say_coverage(self) -> None:
+        """Say it of the next camera whose turn it is: of one at a time, since it takes long."""
+        if not self._uncovered:
+            return
+        name = next(iter(self._uncovered))
+        stamp_ns, camera = self._uncovered.pop(name)
         target = self._inputs.targets[self.site.first_robot]
-        for name, camera in cameras.items():
-            points = coverage(camera.map_from_camera, camera.lens, target)
-            if len(points):
-                self._send(topics.COVERAGE, name, Polygon(stamp_ns, "map", points))
+        points = coverage(camera.map_from_camera, camera.lens, target)
+        if len(points):
+            self._send(topics.COVERAGE, name, Polygon(stamp_ns, "map", points))
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
         last_ns = self._sent_ns.get(what)
@@ -313,7 +347,10 @@ class Pipeline:
     # -- results ----------------------------------------------------------------------------------
 
     def finish(self) -> list[Output]:
-        """Work everything out to the end from all that came in; what is to be sent last."""
+        """Work everything out to the end from all that came in; what is to be sent last.
+
+        Where a solver does that, `is_answered` says when it has.
+        """
         self.advance()
         for robot, track in self._data.tracks.items():
             if len(track):
@@ -323,11 +360,35 @@ class Pipeline:
         self._note_events()
         last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
         self._say_cameras(last_ns, is_urgent=True)
+        while self._uncovered:
+            self._say_coverage()
         return self.advance()
 
+    def ask(self) -> None:
+        """Have a solver report what is known now; `is_answered` says when it has."""
+        if self._follower is not None:
+            self._follower.ask()
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether a solver has reported on everything that it was asked for."""
+        return self._follower is None or self._follower.is_answered
+
+    @property
+    def is_final(self) -> bool:
+        """Whether the results are those of everything, solved to the end."""
+        follower = self._follower
+        return follower is None or (follower.reported is not None and follower.reported.is_final)
+
     def results(self) -> Results:
-        """The network as it is known now, with covariance and trajectories."""
-        return results_of(self._data, self._estimator, self.map_id)
+        """The network with covariance and trajectories as it is known now, or to a solver when it
+        last reported; raise OperationError where it has not yet."""
+        if self._follower is None:
+            assert isinstance(self._estimator, Estimator)
+            return results_of(self._data, self._estimator, self.map_id)
+        if self._follower.reported is None:
+            raise OperationError("nothing is worked out yet; ask again in a moment")
+        return self._follower.reported.results
 
     def network(self) -> Network:
         """The network as it is known now."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from uuid import UUID
+from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
@@ -38,6 +38,15 @@ class Results:
         save_network(
             directory, self.network, covariance=self.covariance, trajectories=self.trajectories
         )
+
+
+def map_id_of(data: DataSet) -> UUID | None:
+    """The map's identity; None before the first robot's first odometry message."""
+    first = data.site.first_robot
+    track = data.tracks[first]
+    if not len(track):
+        return None
+    return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{track.first_ns}")
 
 
 def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:

@@ -1,0 +1,160 @@
+"""A process of its own that solves for the live estimator, so that no correction waits for it.
+
+A thread would not do: it holds the interpreter between its many small numpy calls, and a filter's
+step needs the interpreter as often. Orders and news go through a pipe each; a thread at either end
+sees to it that neither side ever waits for the other.
+"""
+
+import logging
+import os
+import pickle
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+
+from trigpoint.errors import OperationError
+
+from .dataset import DataSet
+from .guidance import suggestions
+from .guidance_world import GuidanceWorld
+from .orders import News, Order, Suggested
+from .solving import Solving
+
+_GUIDANCE_PERIOD_S = 3.0
+_JOIN_S = 1.0
+
+_log = logging.getLogger(__name__)
+
+
+class SolverProcess:
+    """See `Solver`. `data`: empty but for what is known beforehand; it is copied."""
+
+    def __init__(self, data: DataSet) -> None:
+        context = get_context("spawn")
+        theirs, self._orders = context.Pipe(duplex=False)
+        self._news, theirs_too = context.Pipe(duplex=False)
+        self._process = context.Process(
+            target=_serve, args=(theirs, theirs_too, data), name="fusion solver", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        theirs_too.close()
+        self._outbox: queue.SimpleQueue[Sequence[Order] | None] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self._is_gone = threading.Event()
+        self._threads = [
+            threading.Thread(target=run, name=f"fusion solver {run.__name__}", daemon=True)
+            for run in (self._send, self._receive)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        assert self._process.pid is not None  # it was started
+        return self._process.pid
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        """Hand orders over; never waits."""
+        self._outbox.put(tuple(orders))
+
+    def news(self) -> list[News]:
+        """What came since the last call; raise OperationError where the process has died."""
+        found = []
+        while not self._inbox.empty():
+            found.append(self._inbox.get())
+        if self._is_gone.is_set() and not found:
+            self._process.join(_JOIN_S)
+            raise OperationError(
+                f"the process that solves for fusion ended (status {self._process.exitcode}); "
+                "start fusion again, it resumes its map"
+            )
+        return found
+
+    def close(self) -> None:
+        """End the process, whatever it is at."""
+        self._process.kill()
+        self._outbox.put(None)
+        for thread in self._threads:
+            thread.join(_JOIN_S)
+        self._process.join(_JOIN_S)
+        self._orders.close()
+        self._news.close()
+
+    def _send(self) -> None:
+        while (orders := self._outbox.get()) is not None:
+            try:
+                self._orders.send(orders)
+            except OSError:
+                return  # it died, which `_receive` sees too
+
+    def _receive(self) -> None:
+        try:
+            while True:
+                self._inbox.put(pickle.loads(self._news.recv_bytes()))
+        except (EOFError, OSError):
+            self._is_gone.set()
+
+
+# -- in the process -------------------------------------------------------------------------------
+
+
+def _serve(orders: Connection, news: Connection, data: DataSet) -> None:
+    """Carry out orders until the pipe ends."""
+    # A stop is told to the node, which may want a last solution; the pipe's end ends this.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    arrived: queue.SimpleQueue[Sequence[Order]] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(orders, arrived), daemon=True).start()
+    solving, lock = Solving(data, time.perf_counter), threading.Lock()
+    say = _Voice(news).say
+
+    def world() -> GuidanceWorld | None:
+        with lock:
+            return solving.guidance_world()
+
+    threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    while True:
+        for order in arrived.get():
+            with lock:
+                for item in solving.carry_out(order):
+                    say(item)
+        if arrived.empty() and solving.is_report_due:
+            with lock:
+                say(solving.report())
+
+
+def _listen(orders: Connection, arrived: "queue.SimpleQueue[Sequence[Order]]") -> None:
+    try:
+        while True:
+            arrived.put(orders.recv())
+    except (EOFError, OSError):
+        os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
+
+
+class _Voice:
+    """Says news, one at a time."""
+
+    def __init__(self, news: Connection) -> None:
+        self._news, self._lock = news, threading.Lock()
+
+    def say(self, news: News) -> None:
+        with self._lock:
+            self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
+    """Say every few seconds where each robot should go next."""
+    while True:
+        time.sleep(_GUIDANCE_PERIOD_S)
+        known = world()
+        for robot in known.robots if known is not None else ():
+            assert known is not None
+            for found in suggestions(known, robot):
+                stamp_ns = known.robots[robot].stamp_ns
+                say(Suggested(robot, stamp_ns, found.map_from_base))

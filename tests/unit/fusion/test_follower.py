@@ -1,0 +1,282 @@
+"""Live work where somebody else solves: what comes out, what comes late, and how it ends."""
+
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import eventually
+from drives import Session
+
+from trigpoint import cdr, topics
+from trigpoint.bus import Publisher
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.clock import SystemClock, to_ns
+from trigpoint.errors import OperationError
+from trigpoint.fusion import present
+from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.node import FusionNode
+from trigpoint.fusion.orders import News, Order, Solver
+from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
+from trigpoint.fusion.results import Results
+from trigpoint.fusion.solver_process import SolverProcess
+from trigpoint.fusion.solving import Solving
+from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.network import Network, load_network
+from trigpoint.node import Node
+
+Messages = tuple[tuple[str, Message], ...]
+TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
+
+
+class SlowSolver:
+    """Solves in place, but is only done with an order after so many more calls."""
+
+    def __init__(self, inputs: Inputs, *, calls: int = 0) -> None:
+        self._solving = Solving(inputs.data_set(), time.perf_counter)
+        self._orders: deque[Order] = deque()
+        self._found: deque[tuple[int, News]] = deque()
+        self._calls, self._count = calls, 0
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        self._orders.extend(orders)
+
+    def news(self) -> list[News]:
+        self._count += 1
+        while self._orders:
+            for item in self._solving.carry_out(self._orders.popleft()):
+                self._found.append((self._count + self._calls, item))
+        found = []
+        while self._found and self._found[0][0] <= self._count:
+            found.append(self._found.popleft()[1])
+        return found
+
+    def solve(self) -> None:
+        """Solve now over what it was told."""
+        self._solving._smoother.solve()
+        self._found.extend((0, item) for item in self._solving._solved(0.0))
+
+    def close(self) -> None:
+        self._orders.clear()
+
+
+class StuckSolver(SlowSolver):
+    """Never says anything any more from some call on."""
+
+    is_stuck = False
+    has_reported = False
+
+    def news(self) -> list[News]:
+        if self.is_stuck:
+            return []
+        found = super().news()
+        if self._solving.is_report_due:
+            self.has_reported = True
+            return [*found, self._solving.report()]
+        return found
+
+
+def driven(pipeline: Pipeline, messages: Messages) -> list[Output]:
+    """What a pipeline says while messages come, pictures 20 ms after their moment."""
+    sent: list[Output] = []
+    for node, message in messages:
+        pipeline.push(node, message)
+        assert isinstance(message, Odometry | Sightings)
+        sent += pipeline.advance(message.stamp_ns + to_ns(0.02))
+    return sent
+
+
+def finished(pipeline: Pipeline) -> Network:
+    """The network after everything was solved to the end."""
+    pipeline.finish()
+    assert eventually(lambda: bool(pipeline.advance()) or pipeline.is_answered, timeout_s=60.0)
+    assert eventually(lambda: pipeline.is_answered or bool(pipeline.advance()), timeout_s=60.0)
+    assert pipeline.is_final
+    return pipeline.results().network
+
+
+def assert_same_places(network: Network, expected: Network) -> None:
+    for name, record in expected.cameras.items():
+        mine = network.cameras[name]
+        assert (mine.status, mine.sightings) == (record.status, record.sightings)
+        assert mine.map_from_camera is not None
+        assert record.map_from_camera is not None
+        apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
+        sigma = np.sqrt(np.diagonal(record.covariance_matrix))
+        np.testing.assert_allclose(apart / sigma, 0.0, atol=0.1)
+
+
+def corrected(sent: list[Output]) -> list[int]:
+    stamps = []
+    for output in sent:
+        if output.topic is topics.CORRECTION:
+            assert isinstance(output.message, PoseEstimate)
+            stamps.append(output.message.stamp_ns)
+    return stamps
+
+
+@pytest.mark.parametrize("calls", [0, 150], ids=["at once", "three seconds later"])
+def test_live_with_a_solver_ends_where_batch_ends(
+    charuco: Session, charuco_results: Results, calls: int
+) -> None:
+    solver = SlowSolver(charuco.inputs, calls=calls)
+    pipeline = Pipeline(charuco.inputs, solver=solver)
+    sent = driven(pipeline, charuco.messages)
+    assert len(corrected(sent)) > 10
+    assert_same_places(finished(pipeline), charuco_results.network)
+
+
+def test_corrections_and_robot_poses_with_a_slow_solver_are_honest(charuco: Session) -> None:
+    pipeline = Pipeline(charuco.inputs, solver=SlowSolver(charuco.inputs, calls=60))
+    squares = []
+    for output in driven(pipeline, charuco.messages):
+        if output.topic is not topics.CORRECTION:
+            continue
+        assert isinstance(output.message, PoseEstimate)
+        message, plane = output.message, [0, 1, 5]
+        error = message.pose.difference(charuco.map_from_base("r1", message.stamp_ns))[plane]
+        covariance = message.covariance[np.ix_(plane, plane)]
+        squares.append(float(error @ np.linalg.solve(covariance, error)))
+    assert len(squares) > 10
+    assert max(squares) < 25
+    assert 0.3 < np.mean(squares) / 3 < 2.25
+
+
+def pictures(session: Session, camera: str) -> list[Sightings]:
+    return [m for n, m in session.messages if n == camera and isinstance(m, Sightings) and m.faces]
+
+
+def test_sighting_that_comes_late_right_after_a_swap_makes_a_correction(charuco: Session) -> None:
+    shown = pictures(charuco, "c1")
+    late, after = shown[9:11]
+    solver = SlowSolver(charuco.inputs)
+    pipeline = Pipeline(charuco.inputs, solver=solver)
+    messages = tuple(item for item in charuco.messages if item[1] is not late)
+    until = next(i for i, item in enumerate(messages) if item[1] is after)
+    driven(pipeline, messages[: until + 1])
+    for _ in range(3):  # solved, taken over, and brought up to now
+        solver.solve()
+        pipeline.advance()
+    pipeline.push("c1", late)
+    assert late.stamp_ns in corrected(pipeline.advance(after.stamp_ns + to_ns(0.3)))
+
+
+def test_late_sighting_is_put_in_its_place_where_few_filters_are_kept(
+    charuco: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Filters that are too large to keep one for every step are made again from an earlier one."""
+    ends = []
+    for most_bytes in (present._MOST_BYTES, 1):
+        monkeypatch.setattr(present, "_MOST_BYTES", most_bytes)
+        early, held = Pipeline(charuco.inputs), pictures(charuco, "c1")[9]
+        kept = tuple(item for item in charuco.messages if item[1] is not held)
+        until = next(i for i, item in enumerate(kept) if item[1] is pictures(charuco, "c1")[15])
+        driven(early, kept[:until])
+        early.push("c1", held)
+        early.advance()
+        ends.append(early.robot("r1"))
+    assert ends[0] is not None
+    assert ends[1] is not None
+    np.testing.assert_allclose(ends[0].covariance, ends[1].covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        ends[0].map_from_base.difference(ends[1].map_from_base), 0.0, atol=1e-9
+    )
+
+
+# -- in a process of its own, on a bus ------------------------------------------------------------
+
+
+@contextmanager
+def running(
+    inputs: Inputs, out: Path, make: Callable[[], Solver]
+) -> Iterator[tuple[FusionNode, Node, Callable[[Messages], None]]]:
+    """A fusion node with a solver, and what publishes messages to it."""
+    broker = MemoryBroker()
+    with (
+        broker.session() as bus,
+        broker.session() as other,
+        Node(bus, site="lab", kind="fusion", name="fusion") as node,
+    ):
+        fusion = FusionNode(bus, node, inputs, out, SystemClock(), solver=make)
+        fusion.start()
+
+        def feed(messages: Messages) -> None:
+            publishers: dict[str, Publisher] = {}
+            before = node.health.total("received lab/robot/r1/odom")
+            for name, message in messages:
+                topic = TOPIC_OF[type(message)]  # pyright: ignore[reportArgumentType]
+                key = topic.key("lab", name)
+                if key not in publishers:
+                    publishers[key] = other.publisher(topic, key)
+                publishers[key].put(cdr.encode(message))
+            count = before + sum(isinstance(m, Odometry) for _, m in messages)
+            received = node.health.total
+            assert eventually(
+                lambda: received("received lab/robot/r1/odom") == count, timeout_s=60.0
+            )
+
+        try:
+            yield fusion, node, feed
+        finally:
+            node.stop()
+
+
+def test_process_solves_and_a_stop_has_its_last_solution(
+    charuco: Session, charuco_results: Results, tmp_path: Path
+) -> None:
+    def make() -> Solver:
+        return SolverProcess(charuco.inputs.data_set())
+
+    with running(charuco.inputs, tmp_path, make) as (fusion, node, feed):
+        feed(charuco.messages)
+        assert eventually(
+            lambda: node.health.report().values["cameras_located"] == "3", timeout_s=60.0
+        )
+    fusion.finish()
+    assert_same_places(load_network(tmp_path), charuco_results.network)
+
+
+def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session) -> None:
+    solver = SolverProcess(charuco.inputs.data_set())
+    os.kill(solver.pid, 9)
+    try:
+        with pytest.raises(OperationError, match="start fusion again"):
+            assert eventually(lambda: bool(solver.news()), timeout_s=20.0)
+    finally:
+        solver.close()
+
+
+def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
+    charuco: Session, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    solver = StuckSolver(charuco.inputs)
+    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, _, feed):
+        half = len(charuco.messages) // 2
+        feed(charuco.messages[:half])
+        assert eventually(lambda: solver.has_reported)
+        solver.is_stuck = True
+        feed(charuco.messages[half : half + 50])
+    fusion.finish()
+    assert "would take longer than a stop may" in caplog.text
+    network = load_network(tmp_path)
+    assert network.cameras["c1"].status == "located"
+
+
+def test_what_comes_while_a_checkpoint_is_read_follows_it(
+    charuco: Session, charuco_results: Results, tmp_path: Path
+) -> None:
+    half = len(charuco.messages) // 2
+    checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
+    for name, message in charuco.messages[:half]:
+        topic = TOPIC_OF[type(message)]
+        checkpoint.write(topic.key("lab", name), cdr.encode(message))
+    checkpoint.close()
+    solver = SlowSolver(charuco.inputs)
+    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, _, feed):
+        feed(charuco.messages[half:])
+    fusion.finish()
+    assert_same_places(load_network(tmp_path), charuco_results.network)
