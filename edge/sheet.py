@@ -111,9 +111,25 @@ def _draw_marker(
     side = dictionary.markerSize + 2 * face.border_bits
     marker = face.first_marker + number
     cells = cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=face.border_bits)
-    columns, rows = (
-        np.floor((values - low) * side * face.square / (face.marker or face.square)).astype(int)
-        for values, low in ((x, quad[0, 0]), (y, quad[0, 1]))
+    cell = (face.marker or face.square) / face.square / side
+    across, down = (
+        _overlap(values, low, cell, side) for values, low in ((x, quad[0, 0]), (y, quad[0, 1]))
     )
-    on_x, on_y = (np.flatnonzero((place >= 0) & (place < side)) for place in (columns, rows))
-    sheet[np.ix_(on_y, on_x)] = cells[np.ix_(rows[on_y], columns[on_x])]
+    on_x, on_y = (np.flatnonzero(overlap.any(axis=1)) for overlap in (across, down))
+    across, down = across[on_x], down[on_y]
+    place = np.ix_(on_y, on_x)
+    around = 1 - down.sum(axis=1)[:, None] * across.sum(axis=1)
+    shade = around * sheet[place] + down @ cells.astype(float) @ across.T
+    sheet[place] = np.rint(shade).astype(np.uint8)
+
+
+def _overlap(values: Array, low: float, cell: float, count: int) -> Array:
+    """How much of each texel, centred at `values` (n,), each of `count` cells covers: (n, count).
+
+    Cells follow each other from `low` on. Their edges lie anywhere between texels; to move them to
+    the nearest one would move the corners that are measured by them.
+    """
+    texel = values[1] - values[0]
+    edges = low + cell * np.arange(count + 1)
+    covered = np.clip((edges - values[:, None]) / texel + 0.5, 0.0, 1.0)
+    return covered[:, 1:] - covered[:, :-1]

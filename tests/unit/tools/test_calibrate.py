@@ -185,7 +185,7 @@ def test_session_without_sightings_has_unseen_cameras(
     assert capsys.readouterr().out.count("unseen") == 3
 
 
-@pytest.mark.parametrize("estimator", ["particle", "ekf", "magic"])
+@pytest.mark.parametrize("estimator", ["magic", "EKF"])
 def test_estimator_that_is_not_there_is_refused(
     recorded: Path, estimator: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
