@@ -17,6 +17,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 
 from . import judge, repeated
+from .aftermath import why_untied
 from .assembly import Assembled
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
@@ -82,12 +83,12 @@ class BatchSolution:
             self.tolerance = LIVE_TOLERANCE
 
     def _finished(self, known: Filter | None) -> Filter | None:
-        for _ in range(len(self.data.site.cameras) + len(self.data.site.robots) + 1):
+        for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
             known = self.solve(known)
             tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
             missing = [
                 name
-                for name in self.data.site.cameras
+                for name in self.data.camera_names
                 if name not in self.state.cameras and self.data.of_camera(name)
             ]
             found = [name for name in missing if self.locate(name)]
@@ -122,7 +123,7 @@ class BatchSolution:
                     self.tie(robot, known)
             if not has_grown and self._homeless() == homeless:
                 break
-            for camera in self.data.site.cameras:
+            for camera in self.data.camera_names:
                 if camera not in self.state.cameras and self.is_due(camera):
                     self.locate(camera)
             known = self.solve(known, is_rough=True)
@@ -153,9 +154,10 @@ class BatchSolution:
         return sum(entry.map_from_base is not None for entry in self.data.of_camera(camera))
 
     def tie(self, robot: str, known: Filter | None) -> bool:
-        """Try to tie a robot to the map, where more of it was seen by located cameras than at the
-        last try; whether that succeeded. The next solution uses it."""
-        if known is None or known.has_robot(robot):
+        """Try to tie a robot to the map, or what hangs loose of its way, where more of it was seen
+        by located cameras than at the last try; whether that succeeded. The next solution uses it.
+        """
+        if known is None:
             return False
         indices = self._homeless().get(robot, [])
         seen = sum(known.has_camera(self.data.entries[i].observation.camera) for i in indices)
@@ -297,18 +299,35 @@ class BatchSolution:
         nodes = self.state.robots[robot].map_from_base
         moments = np.clip(stamps, track.first_ns, track.last_ns)
         poses = interpolated(track, chain, nodes, moments)
-        return [poses[i] for i in range(len(entries))]
+        is_tied = self._is_tied(robot, moments)
+        return [poses[i] if is_tied[i] else None for i in range(len(entries))]
+
+    def _is_tied(self, robot: str, moments: np.ndarray) -> np.ndarray:
+        """Whether a robot's odometry leads to moments (n,) from where a used sighting, or the map's
+        origin, says where it is: across a jump or a break it leads nowhere."""
+        assert self.assembled is not None
+        track, problem = self.data.tracks[robot], self.assembled.problem
+        chain = problem.chains[robot]
+        seen = [batch.nodes for batch in problem.batches if batch.robot == robot]
+        nodes = np.concatenate([*seen, np.zeros(int(chain.is_anchored), dtype=int)])
+        return np.isin(track.pieces(moments), track.pieces(chain.stamps_ns[nodes]))
 
     def pose_at(self, known: Filter | None, robot: str, stamp_ns: int) -> Pose | None:
         """Where the robot stood at a moment, as far as it is known now."""
         if known is None or not known.has_robot(robot):
             return None
+        track, moment = self.data.tracks[robot], np.array([stamp_ns])
         if stamp_ns >= known.stamps_ns[robot]:
+            last = np.array([known.stamps_ns[robot]])
+            if np.any(track.pieces(moment) != track.pieces(last)):
+                return None
             return known.robot(self.data, robot, stamp_ns).map_from_base
         if self.assembled is not None and robot in self.assembled.problem.chains:
             chain = self.assembled.problem.chains[robot]
+            if not self._is_tied(robot, moment)[0]:
+                return None
             nodes = self.state.robots[robot].map_from_base
-            return interpolated(self.data.tracks[robot], chain, nodes, np.array([stamp_ns]))[0]
+            return interpolated(track, chain, nodes, moment)[0]
         return None
 
     # -- locating ---------------------------------------------------------------------------------
@@ -332,6 +351,8 @@ class BatchSolution:
         robots = dict.fromkeys(entry.observation.robot for entry in self.data.of_camera(camera))
         unmet = "it has met no located camera yet; drive it past one"
         why = ((robot, self._untied.get(robot, unmet)) for robot in robots)
+        if (reason := why_untied(self.data, camera)) is not None:
+            return (reason,)
         return tuple(
             f"the robot {robot} that it saw is not tied to the map: {w}" for robot, w in why
         )
@@ -347,7 +368,7 @@ class BatchSolution:
         """A camera most of whose observations contradict its place loses it, and starts anew;
         whether there was one."""
         for camera in list(self.state.cameras):
-            if camera in self.data.known.poses or camera not in self.data.site.cameras:
+            if camera in self.data.known.poses:
                 continue
             entries = self.data.of_camera(camera)
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)

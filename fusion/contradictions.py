@@ -110,9 +110,16 @@ def is_amiss(batch: BatchSolution) -> bool:
             runs[name] = runs[name] + 1 if observation.verdict is Verdict.REJECTED else 0
             if runs[name] >= _LEAST_WRONG:
                 return True
-    unplaced = (name for name in data.site.cameras if name not in batch.state.cameras)
-    if any(len(data.of_camera(name)) >= _MANY_PICTURES for name in unplaced):
-        return True
+    unplaced = (name for name in data.camera_names if name not in batch.state.cameras)
+    for name in unplaced:
+        tied = sum(entry.map_from_base is not None for entry in data.of_camera(name))
+        if tied >= _MANY_PICTURES:
+            return True
+    return is_denied(batch)
+
+
+def is_denied(batch: BatchSolution) -> bool:
+    """Whether a solution holds a way between two sightings that odometry denies."""
     return batch.assembled is not None and _denied(batch.assembled.problem, batch.state)
 
 

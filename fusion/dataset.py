@@ -55,6 +55,28 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
+class Lift:
+    """A robot was put down elsewhere between two moments, and its odometry shows nothing of it."""
+
+    robot: str
+    after_ns: int
+    before_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A camera was moved between its last sighting from its old place and the first from the
+    new one."""
+
+    camera: str
+    until_ns: int
+    since_ns: int
+
+
+Upheaval = Lift | Knock
+
+
+@dataclass(frozen=True, slots=True)
 class Event:
     """What happened to the site, for people: `kind` is counted."""
 
@@ -67,7 +89,8 @@ class DataSet:
     """The estimator's inputs so far. Not thread-safe.
 
     `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
-    of time; `events`: what nobody has been told yet.
+    of time; `events`: what nobody has been told yet; `happened`: lifts and moves that sightings
+    show, for each those that explain them alike.
     """
 
     site: Site
@@ -78,6 +101,7 @@ class DataSet:
     entries: list[Entry] = field(default_factory=list)
     moves: list[Move] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    happened: list[tuple[Upheaval, ...]] = field(default_factory=list)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 

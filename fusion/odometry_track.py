@@ -99,6 +99,7 @@ class OdometryTrack:
         self._twists = np.zeros((1024, 6))  # of the increment that ends at the row
         self._jumps = np.zeros(1024, dtype=bool)
         self._jump_rows: list[int] = []
+        self._broken_rows: list[int] = []  # those that odometry itself does not show
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
 
     def __len__(self) -> int:
@@ -220,14 +221,22 @@ class OdometryTrack:
         if not self._jumps[row]:
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
+            self._broken_rows = [*self._broken_rows, row]
 
     def broken(self, breaks: Iterable[tuple[int, int]]) -> "OdometryTrack":
-        """The same odometry so far, broken between these pairs of moments."""
+        """The same odometry so far, broken between these pairs of moments and nowhere else."""
         track = copy.copy(self)
         track._jumps, track._jump_rows = self._jumps.copy(), list(self._jump_rows)
+        track.mend()
         for after_ns, before_ns in breaks:
             track.break_between(after_ns, before_ns)
         return track
+
+    def mend(self) -> None:
+        """Take every break back."""
+        self._jumps[self._broken_rows] = False
+        self._jump_rows = [row for row in self._jump_rows if row not in self._broken_rows]
+        self._broken_rows = []
 
     def pieces(self, stamps_ns: np.ndarray) -> np.ndarray:
         """For moments (n,): how many jumps and breaks come before, (n,)."""
@@ -239,8 +248,11 @@ class OdometryTrack:
         return tuple(self._jump_rows)
 
     def jump_at(self, rows: Iterable[int]) -> None:
-        """The motion before these messages is unknown, and before those that jump by themselves."""
-        for row in sorted(set(rows) - set(self._jump_rows)):
+        """The motion before these messages is unknown, and before those that jump by themselves,
+        and nowhere else."""
+        self.mend()
+        self._broken_rows = sorted(set(rows) - set(self._jump_rows))
+        for row in self._broken_rows:
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
 

@@ -50,14 +50,33 @@ def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Untie
     """Put into these entries of the data set, in the order of their times, where the robot stood;
     those of located cameras are read and accepted where they fit.
 
-    A robot that nothing ties to the map yet is tied by them; where that fails they are left without
-    a place, and why is returned.
+    What nothing ties to the map yet, the whole way of a robot or a stretch of it between jumps and
+    breaks of its odometry, is tied by them; where that fails they are left without a place, and why
+    is returned.
     """
+    track = data.tracks[robot]
+    start_ns = known.stamps_ns.get(robot)
+    stamps = [data.entries[index].observation.stamp_ns for index in indices]
+    starts = [] if start_ns is None else [start_ns]
+    pieces = track.pieces(np.array([*stamps, *starts], dtype=np.int64)).tolist()
+    result = None
+    for piece in dict.fromkeys(pieces[: len(indices)]):
+        here = [index for index, other in zip(indices, pieces, strict=False) if other == piece]
+        is_known = start_ns is not None and pieces[-1] == piece
+        untied = _place_piece(data, known, robot, here, start_ns if is_known else None)
+        result = untied if untied is not None else result
+    return result
+
+
+def _place_piece(
+    data: DataSet, known: Filter, robot: str, indices: list[int], start_ns: int | None
+) -> Untied | None:
+    """Place entries that odometry leads to from one another, and from where the robot is known to
+    be at `start_ns`."""
     track = data.tracks[robot]
     entries = [data.entries[index] for index in indices]
     stamps = np.array([entry.observation.stamp_ns for entry in entries], dtype=np.int64)
     stamps = np.clip(stamps, track.first_ns, track.last_ns)
-    start_ns = known.stamps_ns.get(robot)
     moments = np.unique(stamps if start_ns is None else np.append(stamps, start_ns))
     way = _way(data, known, robot, moments)
     rows = np.searchsorted(moments, stamps).tolist()

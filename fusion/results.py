@@ -83,7 +83,11 @@ def _camera(
     undetermined: tuple[str, ...] | None,
 ) -> CameraRecord:
     count = estimator.count(name)
-    earlier = tuple(_earlier(move) for move in data.moves if move.camera == name)
+    earlier = tuple(
+        _earlier(move)
+        for move in data.moves
+        if move.camera == name and move.map_from_camera is not None
+    )
     if located is not None:
         return CameraRecord(
             status="located",

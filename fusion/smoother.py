@@ -11,6 +11,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from . import judge
+from .aftermath import say
 from .batch import BatchSolution
 from .contradictions import Contradictions, is_amiss
 from .dataset import DataSet, Entry
@@ -18,13 +19,14 @@ from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate
 from .guidance_world import GuidanceWorld
 from .moved import of_its_time
-from .observations import Observation, Verdict, observation_of
+from .observations import Observation, Verdict
 from .odometry_track import Added
 from .placement import align_to
 from .present import Present
 from .residuals import CameraResiduals, camera_residuals
 from .survey import joint_covariance
 from .trajectory import interpolated
+from .upheaval import explained, solved_anew, take
 
 _FIRST_SOLVE = 20
 _SOLVE_SHARE = 0.1
@@ -96,22 +98,24 @@ class Smoother:
         self._go_on_from(self._batch.solve(self._present.known))
 
     def finish(self) -> None:
-        was_collected = bool(self._batch.collected)
         self._go_on_from(self._batch.finish(self._present.known))
-        if was_collected and is_amiss(self._batch):
-            self._go_through()
-            self._go_on_from(self._batch.finish(self._present.known))
+        if is_amiss(self._batch):
+            self._explain()
 
-    def _go_through(self) -> None:
-        """Take everything in anew, sighting by sighting, so that it shows what happened when."""
+    def _explain(self) -> bool:
+        """Look for a lifted robot or a moved camera behind what contradicts; whether something
+        else happened than was thought. Then everything is worked out from the beginning."""
         entries = sorted(self.data.entries, key=lambda entry: entry.observation.stamp_ns)
-        self.data.forget_from(0)
-        self._batch = BatchSolution(self.data)
+        observations = [entry.observation for entry in entries]
+        happened = explained(self.data, observations)
+        if happened == self.data.happened:
+            return False
+        take(self.data, happened)
+        self._batch, known = solved_anew(self.data, observations)
         self._contradictions = Contradictions(self._batch)
-        self._go_on_from(Filter.at_origin(self.data))
-        for entry in entries:
-            seen = entry.observation
-            self.add_observation(observation_of(seen.camera, seen.robot, seen.stamp_ns, seen.views))
+        self._go_on_from(known)
+        say(self.data, self._batch.state)
+        return True
 
     def _go_on_from(self, known: Filter | None) -> None:
         if known is not self._present.known:

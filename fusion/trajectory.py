@@ -12,7 +12,8 @@ def interpolated(track: OdometryTrack, chain: Chain, nodes: Pose, stamps_ns: np.
     """map_from_base at moments (m,) that odometry covers.
 
     From the node before by odometry; what is missing then at the node after is shared out by time.
-    Before the first node odometry is followed backwards, after the last one forwards.
+    Before the first node odometry is followed backwards, after the last one forwards, and so it is
+    on either side of a jump.
     """
     every, where = np.unique(np.concatenate([chain.stamps_ns, stamps_ns]), return_inverse=True)
     odometry = _dead_reckoned(track, chain, every)
@@ -26,7 +27,18 @@ def interpolated(track: OdometryTrack, chain: Chain, nodes: Pose, stamps_ns: np.
     missing = nodes[after].difference(expected)
     gap = chain.stamps_ns[after] - chain.stamps_ns[before]
     share = np.clip((stamps_ns - chain.stamps_ns[before]) / np.maximum(gap, 1), 0, 1)
-    return pose.disturbed(missing * np.where(after > before, share, 0)[:, None])
+    pieces, of_nodes = track.pieces(stamps_ns), track.pieces(chain.stamps_ns)
+    is_joined = (after > before) & (of_nodes[before] == of_nodes[after])
+    pose = pose.disturbed(missing * np.where(is_joined, share, 0)[:, None])
+    is_beyond = (pieces != of_nodes[before]) & (pieces == of_nodes[after])
+    if not np.any(is_beyond):
+        return pose
+    back = nodes[after] @ odometry[at_node[after]].inverse() @ odometry[wanted]
+    chosen = is_beyond[:, None]
+    return Pose(
+        np.where(chosen[..., None], back.rotation, pose.rotation),
+        np.where(chosen, back.translation, pose.translation),
+    )
 
 
 def _dead_reckoned(track: OdometryTrack, chain: Chain, stamps_ns: np.ndarray) -> Pose:
