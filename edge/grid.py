@@ -127,7 +127,9 @@ def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
 def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
     """The connected grids of a link table that are large enough."""
     seen = np.zeros(len(links), dtype=bool)
-    order = np.argsort(-(links[..., 0] >= 0).sum(axis=1), kind="stable")
+    count = (links[..., 0] >= 0).sum(axis=1)
+    # A grid has a corner with two neighbours.
+    order = np.argsort(-count, kind="stable")[: np.count_nonzero(count >= 2)]
     table, spots = links.tolist(), [complex(x, y) for x, y in saddles.pixels.tolist()]
     grids = []
     for seed in order.tolist():

@@ -15,7 +15,7 @@ SEED_REACH = 2
 FLAT = 0.15
 MOST_ROUNDS = 6
 # Corners that are all so near their plane need no lens, pixels.
-ENOUGH_PX = 0.35
+ENOUGH_PX = 0.7
 # A predicted corner may be this much weaker than one that nothing predicted,
 TOLERANCE = 1.7
 # and this far from its place, of the grid's spacing there.

@@ -19,6 +19,8 @@ LEAST_SIGMA_PX = 0.01
 # spacing; more is allowed where all scatter, since real boards are not flat.
 LEAST_WILD_PX = 0.1
 LEAST_WILD_SHARE = 0.01
+# Corners that are all so near their plane need no lens of their own, pixels.
+ENOUGH_PX = 0.03
 # Parameters of a planar fit: a homography, and a lens that few corners hardly show.
 _PLANE_FREEDOM = 9
 # Scatter about a plane counts beyond this multiple of the noise's variance, and beyond what the
@@ -83,6 +85,7 @@ def measured(
         size,
         least_px=LEAST_WILD_PX,
         least_share=LEAST_WILD_SHARE,
+        enough_px=ENOUGH_PX,
         start=found.fit,
     )
     if plane is None:

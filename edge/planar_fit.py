@@ -21,8 +21,6 @@ WILD_SIGMAS = 5.0
 SCATTER_SHARE = 0.1
 # Corners that are so far off even before a lens is fitted are not worth the fit.
 CHAOS_SHARE = 0.4
-# Of what is never called wild: corners that all are so near are not worth a lens of their own.
-ENOUGH_SHARE = 0.5
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
@@ -188,12 +186,13 @@ def sound_corners(
     *,
     least_px: float = LEAST_WILD_PX,
     least_share: float = LEAST_WILD_SHARE,
+    enough_px: float | None = None,
     start: PlanarFit | None = None,
 ) -> tuple[np.ndarray, PlanarFit | None]:
     """Which corners (n,) lie where a flat face has them, and the fit to those.
 
-    `least_px` and `least_share` (of the spacing): what is never called wild; `start`: a fit that is
-    nearly right. Drops the worst beyond WILD_SIGMAS of the others' spread, again and again; no
+    `least_px` and `least_share` (of the spacing): what is never called wild; `enough_px`: of
+    `settled_fit`, the same where it is left out; `start`: a fit that is nearly right. Drops the worst beyond WILD_SIGMAS of the others' spread, again and again; no
     corner is sound where fewer than four remain or all scatter.
     """
     keep = np.ones(len(points), dtype=bool)
@@ -205,7 +204,9 @@ def sound_corners(
     if fit is None or median(fit.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
         return np.zeros(len(points), dtype=bool), None
     while keep.sum() >= 4:
-        fit = settled_fit(points[keep], pixels[keep], size, ENOUGH_SHARE * least_px, start=fit)
+        fit = settled_fit(
+            points[keep], pixels[keep], size, least if enough_px is None else enough_px, start=fit
+        )
         if fit is None:
             break
         distances = fit.residuals(points, pixels)
@@ -239,49 +240,79 @@ def _refined(
     """
     if not abs(fit.homography[2, 2]) > 1e-9:
         return None
-    weight = (_PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR) ** 2
-    small = (_SMALL_STEP_PX / fit.scale) ** 2
-    count = 10 if is_lens_free else 8
+    weight = (_PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR) ** 2 if is_lens_free else 0.0
+    small = _SMALL_STEP_PX / fit.scale
     homogeneous = np.column_stack([points, np.ones(len(points))])
-    now = np.concatenate([(fit.homography / fit.homography[2, 2]).reshape(-1)[:8], fit.radial])
-    error, jacobian = _linearised(now, homogeneous, target)
-    cost = float(error @ error + weight * (now[8:] @ now[8:]))
+    numbers = np.concatenate([(fit.homography / fit.homography[2, 2]).reshape(-1)[:8], fit.radial])
+    count = 10 if is_lens_free else 8
+    now = _State.at(numbers, homogeneous, target, weight)
     damping = _LEAST_DAMPING
     for _ in range(_ITERATIONS):
-        if not np.abs(jacobian).max() < _RUNAWAY:
+        step = now.step(count, damping)
+        if step is None:
             return None
-        rows = jacobian[:, :count]
-        normal = rows.T @ rows
-        right = rows.T @ error
-        if is_lens_free:
-            normal[8, 8] += weight
-            normal[9, 9] += weight
-            right[8:] -= weight * now[8:]
+        moved = now.moved(step)
+        if float(np.abs(now.jacobian[:, :count] @ step).max()) < small:
+            numbers = moved
+            break
+        there = _State.at(moved, homogeneous, target, weight)
+        if is_lens_free and not there.cost <= now.cost:
+            # The homography must follow the lens further than their derivatives say.
+            step = there.step(8, _LEAST_DAMPING)
+            if step is not None:
+                there = _State.at(there.moved(step), homogeneous, target, weight)
+        if not there.cost <= now.cost:
+            damping *= _DAMPING_STEP
+            continue
+        gained = now.cost - there.cost
+        now, numbers = there, there.numbers
+        damping = max(_LEAST_DAMPING, damping / _DAMPING_STEP)
+        if gained < _SMALL_GAIN * now.cost:
+            break
+    homography = np.append(numbers[:8], 1.0).reshape(3, 3)
+    return PlanarFit(homography, numbers[8:], fit.centre, fit.scale)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """Where a fit has got to. `numbers`: (10,) the homography's first eight and the radial ones;
+    `error`: (2n,); `jacobian`: (2n, 10); `weight`: of the squares of the radial numbers."""
+
+    numbers: Array
+    error: Array
+    jacobian: Array
+    weight: float
+    cost: float
+
+    @classmethod
+    def at(cls, numbers: Array, homogeneous: Array, target: Array, weight: float) -> "_State":
+        """The state at some numbers."""
+        error, jacobian = _linearised(numbers, homogeneous, target)
+        cost = float(error @ error + weight * (numbers[8:] @ numbers[8:]))
+        return cls(numbers, error, jacobian, weight, cost)
+
+    def step(self, count: int, damping: float) -> Array | None:
+        """The step of the first `count` numbers; None where the fit has run away."""
+        if not np.abs(self.jacobian).max() < _RUNAWAY:
+            return None
+        rows = self.jacobian[:, :count]
+        normal, right = rows.T @ rows, rows.T @ self.error
+        if count > 8:
+            normal[8, 8] += self.weight
+            normal[9, 9] += self.weight
+            right[8:] -= self.weight * self.numbers[8:]
         diagonal = normal.reshape(-1)[:: count + 1]
         diagonal *= 1 + damping
         diagonal += _TINY
-        is_solved, solution = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
-        if not is_solved:
-            return None
-        step = solution[:, 0]
-        moved = now.copy()
-        moved[:count] += step
+        is_solved, step = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
+        return step[:, 0] if is_solved else None
+
+    def moved(self, step: Array) -> Array:
+        """The numbers after a step of the first of them."""
+        moved = self.numbers.copy()
+        moved[: len(step)] += step
         moved[8:] = moved[8:].clip(-_MOST_RADIAL, _MOST_RADIAL)
-        change = rows @ step
-        if float((change * change).max()) < small:
-            now = moved
-            break
-        error_there, jacobian_there = _linearised(moved, homogeneous, target)
-        cost_there = float(error_there @ error_there + weight * (moved[8:] @ moved[8:]))
-        if not cost_there <= cost:
-            damping *= _DAMPING_STEP
-            continue
-        gained = cost - cost_there
-        now, error, jacobian, cost = moved, error_there, jacobian_there, cost_there
-        damping = max(_LEAST_DAMPING, damping / _DAMPING_STEP)
-        if gained < _SMALL_GAIN * cost:
-            break
-    return PlanarFit(np.append(now[:8], 1.0).reshape(3, 3), now[8:], fit.centre, fit.scale)
+        return moved
 
 
 def _linearised(numbers: Array, homogeneous: Array, target: Array) -> tuple[Array, Array]:

@@ -109,11 +109,16 @@ def _candidates(curvature: Curvature) -> Array:
     """Local maxima of the saddle strength, (n, 2), strongest first."""
     negative_determinant = curvature.xy * curvature.xy - curvature.xx * curvature.yy
     peaks = cv2.dilate(negative_determinant, np.ones((5, 5), np.uint8))
-    is_peak = (negative_determinant >= peaks) & (negative_determinant > LEAST_STRENGTH**2)
+    strong = cv2.compare(negative_determinant, LEAST_STRENGTH**2, cv2.CMP_GT)
     margin = int(np.ceil(RING_RADIUS_PX))
-    is_peak[:margin] = is_peak[-margin:] = False
-    is_peak[:, :margin] = is_peak[:, -margin:] = False
-    rows, columns = np.nonzero(is_peak)
+    strong[:margin] = strong[-margin:] = 0
+    strong[:, :margin] = strong[:, -margin:] = 0
+    places = cv2.findNonZero(strong)
+    if places is None:
+        return np.zeros((0, 2))
+    columns, rows = places.reshape(-1, 2).T
+    is_peak = negative_determinant[rows, columns] >= peaks[rows, columns]
+    rows, columns = rows[is_peak], columns[is_peak]
     if len(rows) > MOST_CANDIDATES:
         strongest = np.argsort(-negative_determinant[rows, columns])[:MOST_CANDIDATES]
         rows, columns = rows[strongest], columns[strongest]
