@@ -9,7 +9,6 @@ import bisect
 import copy
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -19,6 +18,19 @@ from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+
+from .motion import (
+    STILL,
+    Motion,
+    StepNoise,
+    both,
+    composed,
+    composed_in_plane,
+    composed_motion,
+    moved,
+)
+
+__all__ = ["PLANAR", "SPATIAL", "Added", "Motion", "OdometryTrack", "composed"]
 
 PLANAR = [0, 1, 5]
 SPATIAL = [0, 1, 2, 3, 4, 5]
@@ -33,13 +45,9 @@ _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
 _GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
-_UNKNOWN_VARIANCE = 100.0**2
-_STILL = 1e-9
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
-# 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
-_FLOOR_VARIANCE = 1e-13
 
 
 class Added(Enum):
@@ -48,38 +56,6 @@ class Added(Enum):
     TAKEN = "taken"
     STALE = "not newer than the last one"
     JUMP = "taken, but it jumps or comes after a gap: the motion before it is unknown"
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Motion between consecutive moments; leading dimension n.
-
-    `earlier_from_later`: the scaled reported motion; `covariance`: (n, 6, 6) of its disturbance in
-    the earlier frame's axes; `by_scale`: (n, 6, 2), that disturbance by the distance and heading
-    scale errors; `is_still`: (n,) whether the robot did not move at all.
-    """
-
-    earlier_from_later: Pose
-    covariance: Array
-    by_scale: Array
-    is_still: np.ndarray
-
-    def where(self, chosen: np.ndarray) -> "Motion":
-        """Only the chosen (n,) bool ones."""
-        return Motion(
-            self.earlier_from_later[chosen],
-            self.covariance[chosen],
-            self.by_scale[chosen],
-            self.is_still[chosen],
-        )
-
-    def rescaled(self, change: Array) -> "Motion":
-        """The motion after a small change (2,) of the scale errors, to first order."""
-        if not np.any(change):
-            return self
-        return replace(
-            self, earlier_from_later=self.earlier_from_later.disturbed(self.by_scale @ change)
-        )
 
 
 class OdometryTrack:
@@ -216,7 +192,7 @@ class OdometryTrack:
         last = int(np.searchsorted(self.stamps_ns, before_ns, "right")) - 1
         if first > last:  # no whole step lies between them
             first = last = int(np.clip(last + 1, 1, self._count - 1))
-        still = np.abs(self._twists[first : last + 1]).max(axis=1) < _STILL
+        still = np.abs(self._twists[first : last + 1]).max(axis=1) < STILL
         row = last - int(np.argmax(still[::-1]))
         if not self._jumps[row]:
             self._jumps[row] = True
@@ -286,8 +262,8 @@ class OdometryTrack:
         turn = so3.log(between.rotation)
         shift = np.linalg.solve(so3.left_jacobian(turn), between.translation[..., None])[..., 0]
         # A stretch this short may be scaled as a whole.
-        moved = _moved(np.concatenate([shift, turn], axis=1) * _both(1 + scales))
-        return moved, self._twists[end] * _both(1 + scales) / period_s[:, None]
+        way = moved(np.concatenate([shift, turn], axis=1) * both(1 + scales))
+        return way, self._twists[end] * both(1 + scales) / period_s[:, None]
 
     def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
         """odom_from_base at a time after the message before each row, with the row's twist."""
@@ -295,7 +271,7 @@ class OdometryTrack:
         # A row's own pose, not the one before it: a jump lies between those.
         left = (since_s - period_s) / period_s
         end = Pose(self._rotations[rows], self._translations[rows])
-        return end @ _moved(self._twists[rows] * left[:, None])
+        return end @ moved(self._twists[rows] * left[:, None])
 
     def is_in_gap(self, stamp_ns: int) -> bool:
         """Whether a moment lies where odometry was away, so that the way there is not known."""
@@ -325,89 +301,25 @@ class OdometryTrack:
         part = np.diff(fine) / (self._stamps[rows] - self._stamps[rows - 1])
         is_moment = order < len(stamps_ns)
         segment = np.cumsum(is_moment)[:-1] - 1
-        return _compose(
-            self._twists[rows] * part[:, None],
-            self._step_covariance(rows, part),
-            segment,
-            np.cumsum(np.bincount(segment, minlength=len(stamps_ns) - 1)),
-            scales,
-        )
+        compose = composed_in_plane if self.planar else composed_motion
+        twists = self._twists[rows] * part[:, None]
+        return compose(twists, self._step_noise(rows, part), segment, scales)
 
-    def _step_covariance(self, rows: np.ndarray, part: Array) -> Array:
-        """Covariance (n, 6, 6) of each fine step, in the axes of the frame it starts from."""
+    def _step_noise(self, rows: np.ndarray, part: Array) -> StepNoise:
+        """The noise of each fine step, which is a part (n,) of the increment that ends at a row."""
         noise, twists = self.noise, self._twists[rows]
         length = np.linalg.norm(twists[:, :3], axis=1) * part
         turned = np.linalg.norm(twists[:, 3:], axis=1) * part
         unseen = self._gaps[rows] * part
         length = np.maximum(length, unseen)
         turned = np.maximum(turned, unseen / _GAP_RADIUS_M)
-        middle = so3.exp(0.5 * part[:, None] * twists[:, 3:])
         along = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2])
-        covariance = np.zeros((len(rows), 6, 6))
-        covariance[:, :3, :3] = (middle * along) @ np.swapaxes(middle, 1, 2)
-        covariance[:, :3, :3] *= length[:, None, None]
-        slip = self.slip**2 * turned
-        covariance[:, 0, 0] += slip
-        covariance[:, 1, 1] += slip
-        tilt = noise.tilt**2 * length + noise.tilt_turn**2 * turned
-        heading = noise.heading_drive**2 * length + noise.heading_turn**2 * turned
-        covariance[:, [3, 4], [3, 4]] = tilt[:, None]
-        covariance[:, 5, 5] = heading
-        # A moment on a message has a step of no length before it, which tells nothing of a jump.
-        covariance[self._jumps[rows] & (part > 0)] = _UNKNOWN_VARIANCE * np.eye(6)
-        return covariance
-
-
-def _moved(twists: Array) -> Pose:
-    """The motion of constant twists (n, 6) over a unit of time."""
-    turns = twists[:, 3:]
-    shifts = (so3.left_jacobian(turns) @ twists[:, :3, None])[..., 0]
-    return Pose(so3.exp(turns), shifts)
-
-
-def _both(scale: Array) -> Array:
-    return np.repeat(scale, 3)
-
-
-def _compose(
-    twists: Array, covariance: Array, segment: np.ndarray, ends: np.ndarray, scales: Array
-) -> Motion:
-    """Compose steps into one motion a segment; `ends`: the step after each segment's last."""
-    starts = np.concatenate([[0], ends[:-1]])
-    scaled = twists * _both(1 + scales)
-    steps = _moved(scaled)
-    path = composed(steps)
-    begin, end = path[starts], path[ends]
-    whole = begin.inverse() @ end
-    # Each step's frame, and what still lies ahead of its end, in the axes of its segment's start.
-    start_rotation = np.swapaxes(begin.rotation[segment], 1, 2)
-    frame = start_rotation @ path.rotation[:-1]
-    ahead = end.translation[segment] - path.translation[1:]
-    lever = -so3.hat((start_rotation @ ahead[..., None])[..., 0]) @ frame
-    spread = np.zeros((len(twists), 6, 6))
-    spread[:, :3, :3] = spread[:, 3:, 3:] = frame
-    spread[:, :3, 3:] = lever
-    total = np.add.reduceat(spread @ covariance @ np.swapaxes(spread, 1, 2), starts, axis=0)
-    total += _FLOOR_VARIANCE * np.eye(6)
-    # d(k J_l(kθ) v)/dk = Exp(kθ) v, so a step's own translation J_l(kθ) v bends with its turn.
-    bend = (steps.rotation @ scaled[:, :3, None])[..., 0] - steps.translation
-    by_turn = np.concatenate([bend / (1 + scales[1]), twists[:, 3:]], axis=1)
-    turning = spread @ by_turn[..., None]
-    by_scale = np.zeros((len(starts), 6, 2))
-    by_scale[:, :3, 0] = whole.translation / (1 + scales[0])
-    by_scale[:, :, 1] = np.add.reduceat(turning[..., 0], starts, axis=0)
-    moved = np.maximum.reduceat(np.abs(twists).max(axis=1), starts, axis=0)
-    unknown = np.maximum.reduceat(covariance[:, 0, 0], starts, axis=0) >= _UNKNOWN_VARIANCE
-    return Motion(whole, total, by_scale, (moved < _STILL) & ~unknown)
-
-
-def composed(steps: Pose) -> Pose:
-    """Poses after 0, 1, … n steps, by a doubling scan over the rotations."""
-    rotations = steps.rotation.copy()
-    reach = 1
-    while reach < len(rotations):
-        rotations[reach:] = rotations[:-reach] @ rotations[reach:]
-        reach *= 2
-    frames = np.concatenate([np.eye(3)[None], rotations])
-    moved = (frames[:-1] @ steps.translation[..., None])[..., 0]
-    return Pose(frames, np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)]))
+        return StepNoise(
+            along=length[:, None] * along,
+            slip=self.slip**2 * turned,
+            tilt=noise.tilt**2 * length + noise.tilt_turn**2 * turned,
+            heading=noise.heading_drive**2 * length + noise.heading_turn**2 * turned,
+            # A moment on a message has a step of no length before it, which tells nothing of a
+            # jump.
+            is_unknown=self._jumps[rows] & (part > 0),
+        )

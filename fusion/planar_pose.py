@@ -62,20 +62,14 @@ def _shows_front(camera_from_plane: Pose, centre: Array) -> bool:
     return bool(camera_from_plane.rotation[:, 2] @ (camera_from_plane @ centre) > 0)
 
 
-def refined_pose(
-    lens: CameraModel, start: Pose, points: Array, pixels: Array, sigma: float | Array
-) -> PoseFit | None:
-    """The pose of least reprojection error near `start`, by Gauss-Newton; None where it diverges.
-
-    `points`: (n, 3); `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
-    """
-    return refined_poses(lens, Pose.stack([start]), points[None], pixels, sigma)[0]
-
-
 def refined_poses(
     lens: CameraModel, starts: Pose, points: Array, pixels: Array, sigma: float | Array
 ) -> list[PoseFit | None]:
-    """`refined_pose` of many starts (b) at once, each with its own `points` (b, n, 3)."""
+    """The poses of least reprojection error near many starts (b), each with its own points
+    (b, n, 3), by Gauss-Newton; None where it diverges.
+
+    `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
+    """
     weights = np.broadcast_to(1 / np.asarray(sigma), (points.shape[1],))[:, None]
     pose, rms = starts, np.full(len(points), np.nan)
     is_sound = np.ones(len(points), dtype=bool)

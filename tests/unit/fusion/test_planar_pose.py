@@ -6,7 +6,7 @@ from drives import lens
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from trigpoint.fusion.planar_pose import planar_poses, refined_pose
+from trigpoint.fusion.planar_pose import planar_poses, refined_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -91,6 +91,10 @@ def test_corners_all_at_one_place_give_no_nonsense() -> None:
     for fit in planar_poses(lens(), grid(), np.full((len(grid()), 2), 200.0), SIGMA):
         assert np.all(np.isfinite(fit.pose.translation))
         assert np.linalg.norm(fit.pose.translation) < 1e3
+
+
+def refined_pose(lens, start: Pose, points, pixels, sigma):
+    return refined_poses(lens, Pose.stack([start]), points[None], pixels, sigma)[0]
 
 
 def test_refining_starts_nowhere_behind_the_camera() -> None:
