@@ -15,7 +15,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 
 from .belief import Belief, Surprise
-from .dataset import DataSet, Entry
+from .dataset import DataSet
 from .filter import RobotEstimate
 from .locate import Located
 from .observations import Verdict
@@ -170,7 +170,7 @@ class Walk:
 
     def _used(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
         """With a sighting by a camera of the belief, where it does not contradict it."""
-        entry: Entry = self._data.entries[index]
+        entry = self._data.entries[index]
         belief, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
         if predicted is not None:
             entry.map_from_base = predicted.map_from_base
