@@ -15,6 +15,7 @@ from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
 from .observations import Observation, View, observation_of, view_of
+from .shared import SharedLooks
 
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
@@ -36,10 +37,13 @@ class Intake:
     """Sightings on their way to the estimator. Not thread-safe.
 
     `counts`: what was left out, by reason; every message that is not used is counted here.
+    `shared`: tells robots apart that carry the same target; None: what they show is left out.
     """
 
-    def __init__(self, site: Site, targets: dict[str, Target]) -> None:
-        self._site, self._targets = site, targets
+    def __init__(
+        self, site: Site, targets: dict[str, Target], *, shared: SharedLooks | None = None
+    ) -> None:
+        self._site, self._targets, self._shared = site, targets, shared
         self.counts: Counter[str] = Counter()
         self.last_problem = ""
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
@@ -85,8 +89,16 @@ class Intake:
 
     def _views(self, camera: str, message: Sightings) -> dict[str, list[View]]:
         views: dict[str, list[View]] = {}
+        shared: list[dict[str, View]] = []
         for face in message.faces:
             robots = self._robots_of(face)
+            if len(robots) > 1 and self._shared is not None:
+                by_robot = {robot: view_of(self._targets[robot], face) for robot in robots}
+                possible = {robot: view for robot, view in by_robot.items() if view is not None}
+                if possible:
+                    shared.append(possible)
+                    continue
+                robots = robots[:1]
             if len(robots) != 1:
                 self._leave_out(
                     "unknown_target",
@@ -103,7 +115,19 @@ class Intake:
                 )
                 continue
             views.setdefault(robots[0], []).append(view)
+        if shared and self._shared is not None:
+            self._shared.add(camera, message.stamp_ns, tuple(shared))
         return views
+
+    def _tell_apart(self, *, is_end: bool = False) -> None:
+        """Queue what is clear by now of robots that look alike."""
+        if self._shared is None:
+            return
+        for observation in self._shared.ready(is_end=is_end):
+            self._queue(observation.robot, observation)
+        if self._shared.untold > self.counts["untold_robot"]:
+            self.counts["untold_robot"] = self._shared.untold
+            self.last_problem = self._shared.problem
 
     def _robots_of(self, face: FaceSighting) -> list[str]:
         if not face.target:
@@ -128,6 +152,7 @@ class Intake:
 
         Those from before its odometry began are left out.
         """
+        self._tell_apart()
         queue, found = self._waiting[robot], []
         while queue and queue[0].latest_ns <= last_ns:
             waiting = heapq.heappop(queue)
@@ -140,6 +165,7 @@ class Intake:
 
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
         """At the end of the odometry: those of its last moments, which may be within it."""
+        self._tell_apart(is_end=True)
         queue = self._waiting[robot]
         kept, found = [], []
         for waiting in sorted(queue):

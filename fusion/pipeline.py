@@ -43,6 +43,7 @@ from .odometry_track import Added
 from .orders import Solver, Suggested
 from .residuals import CameraResiduals
 from .results import Results, map_id_of, results_of
+from .shared import SharedLooks
 
 _TF_PERIOD_NS = to_ns(0.1)
 _PARTICLES_PERIOD_NS = to_ns(0.5)
@@ -90,7 +91,7 @@ class Pipeline:
         data = self._data = inputs.data_set()
         self._follower = Follower(data, solver) if solver is not None else None
         self._estimator: Live = self._follower or make_estimator(data)
-        self._intake = Intake(inputs.site, inputs.targets)
+        self._intake = Intake(inputs.site, inputs.targets, shared=SharedLooks(data))
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []
         self._sequence: Counter[str] = Counter()

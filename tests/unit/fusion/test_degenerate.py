@@ -214,3 +214,44 @@ def test_second_robot_with_equal_faces_on_the_spot_spoils_nothing(way) -> None:
     results = offline(session)
     assert_sound(session, results)
     assert results.network.located == ["c1", "c2", "c3"]
+
+
+# -- robots that look alike -----------------------------------------------------------------------
+
+
+def alike(session: Session) -> Session:
+    """The same, but all robots carry one target, so that no sighting says whose it is."""
+    targets = dict.fromkeys(session.inputs.targets, session.inputs.targets["r1"])
+    messages: list[tuple[str, Sent]] = []
+    for node, message in session.messages:
+        if isinstance(message, Sightings):
+            faces = tuple(replace(face, target="") for face in message.faces)
+            messages.append((node, replace(message, faces=faces)))
+        else:
+            messages.append((node, message))
+    inputs = replace(session.inputs, targets=targets)
+    return replace(session, messages=tuple(messages), inputs=inputs)
+
+
+@pytest.mark.parametrize("target", ["charuco", "checkerboard"])
+def test_robots_that_look_alike_are_told_apart_by_how_they_drive(target: str) -> None:
+    session = alike(two(target, target, circle(speed=0.3), seconds=22.0))
+    pipeline = pushed(session.inputs, session.messages)
+    results = pipeline.results()
+    assert_sound(session, results)
+    assert results.network.located == ["c1", "c2", "c3"]
+    shown = sum(bool(m.faces) for _, m in session.messages if isinstance(m, Sightings))
+    assert pipeline.left_out.get("untold_robot", 0) < 0.2 * shown
+    stamps_ns, way = results.trajectories["r2"]
+    true = session.map_from_base("r2", int(stamps_ns[-1]))
+    assert np.abs(way[len(way) - 1].difference(true)).max() < 0.05
+
+
+def test_robots_that_look_and_drive_alike_are_left_out_by_name() -> None:
+    session = alike(two("charuco", "charuco", circle(), seconds=12.0))
+    pipeline = pushed(session.inputs, session.messages)
+    results = pipeline.results()
+    assert_sound(session, results)
+    assert results.network.located == []
+    assert pipeline.left_out["untold_robot"] > 0
+    assert "give each robot its own target" in pipeline.last_problem
