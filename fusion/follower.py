@@ -41,7 +41,7 @@ from .present import Present
 # What comes later than this after its moment comes after what is later than it.
 _MOST_HELD_S = 2.0
 # How many sightings a new filter is brought on by in a turn, beside as many as came.
-_CATCHING_UP = 2
+_CATCHING_UP = 1
 
 
 @dataclass(slots=True)
@@ -152,15 +152,14 @@ class Follower:
 
     def _catch_up(self) -> None:
         """Bring a new filter on; it is taken once it lacks nothing."""
-        coming = self._coming
+        coming, came, self._came = self._coming, self._came, 0
         if coming is None:
             return
-        for _ in range(min(len(coming.missing), self._came + _CATCHING_UP)):
+        for _ in range(min(len(coming.missing), came + _CATCHING_UP)):
             try:
                 self._use(coming.present, coming.missing.popleft())
             except (LinAlgError, ValueError):
                 continue  # the old filter could use it; the solver says what it makes of it
-        self._came = 0
         if not coming.missing:
             old, self._present, self._coming = self._present, coming.present, None
             self.has_new_camera |= bool(_cameras(coming.present) - _cameras(old))
