@@ -35,6 +35,7 @@ _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
 _LEAST_USED = 3
+_LEAST_WRONG = 4
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
@@ -68,6 +69,8 @@ class BatchSolution:
         self.iterations = 0
         # What was collected without an estimate, and is not in the data set yet.
         self.collected: list[Observation] = []
+        # Entries of which it is not known yet what they mean: they stay set aside.
+        self.undecided: set[int] = set()
         # Of rejected entries, with which places of camera and robot they were read in vain.
         self._in_vain: dict[int, tuple[Pose, Pose]] = {}
 
@@ -75,6 +78,7 @@ class BatchSolution:
 
     def finish(self, known: Filter | None) -> Filter | None:
         """Locate what can be located from all that came in, and solve to the end."""
+        self.undecided = set()
         known = self._take_in(known)
         self.tolerance = FINAL_TOLERANCE
         try:
@@ -229,7 +233,7 @@ class BatchSolution:
         """Give observations that were set aside another chance, and place those without a place."""
         for index, entry in enumerate(self.data.entries):
             observation = entry.observation
-            if observation.camera not in self.state.cameras:
+            if observation.camera not in self.state.cameras or index in self.undecided:
                 continue
             judge.reconsider(self.data, self.state, index)
             if entry.map_from_base is None:
@@ -374,21 +378,47 @@ class BatchSolution:
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
             if accepted * 2 >= len(entries) or may_have_moved(entries):
                 continue
-            cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
-            self.state = State(cameras, self.state.robots)
-            for entry in entries:
-                entry.observation = entry.observation.judged(Verdict.PENDING)
-            self.undetermined[camera] = ("its pictures contradict each other",)
-            self.tries[camera] = len(entries)
+            self._drop(camera, "its pictures contradict each other")
             return True
         return False
 
+    def leave_contradicted(self, known: Filter | None) -> Filter | None:
+        """Take the place from cameras that everything contradicts since a moment, where nothing
+        that may have happened explains it: they must not be stated as if they were sure."""
+        left = [
+            camera
+            for camera in self.state.cameras
+            if camera not in self.data.known.poses
+            and may_have_moved(self.data.of_camera(camera), least_wrong=_LEAST_WRONG)
+        ]
+        for camera in left:
+            self._drop(
+                camera,
+                "position and orientation: since a moment its pictures contradict those before, "
+                "and neither a move of it nor of the robot explains that; drive past it again",
+            )
+        if not left:
+            return known
+        return self.solve(known) if self.state.cameras else Filter.at_origin(self.data)
 
-def may_have_moved(entries: list[Entry]) -> bool:
+    def _drop(self, camera: str, why: str) -> None:
+        """Take the place from a camera; its observations are looked at anew."""
+        cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
+        self.state = State(cameras, self.state.robots)
+        entries = self.data.of_camera(camera)
+        for entry in entries:
+            entry.observation = entry.observation.judged(Verdict.PENDING)
+        self.undetermined[camera] = (why,)
+        self.tries[camera] = len(entries)
+
+
+def may_have_moved(entries: list[Entry], *, least_wrong: int = 1) -> bool:
     """Whether a camera's observations were used up to a moment, and contradict since then."""
     used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
     wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
-    return bool(len(used) >= _LEAST_USED and wrong and min(wrong) > max(used))
+    if len(used) < _LEAST_USED or len(wrong) < least_wrong:
+        return False
+    return min(wrong) > max(used)
 
 
 def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:

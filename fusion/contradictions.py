@@ -2,8 +2,7 @@
 
 - One alone is wrong, and rejected.
 - A camera was moved where it alone contradicts, again and again, while others agree.
-- A robot was lifted where every camera contradicts it, from a moment on, and they agree with each
-  other on where it is.
+- A robot was lifted where every camera contradicts it from a moment on; `upheaval` looks for when.
 
 Until it is decided nothing contradicting is used, and so nothing is corrected by it.
 """
@@ -12,7 +11,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from . import lifted, moved
+from . import moved
 from .batch import BatchSolution
 from .filter import Filter
 from .models import odometry_terms
@@ -37,6 +36,12 @@ class Contradictions:
         self._agreed: dict[str, int] = defaultdict(int)
         self._tried: dict[str, int] = {}
 
+    @property
+    def undecided(self) -> set[int]:
+        """The sightings of which it is not known yet what they mean."""
+        runs = [*self._of_robot.values(), *self._of_camera.values()]
+        return {index for run in runs for index in run}
+
     def note(self, index: int, known: Filter) -> bool:
         """Take note of what became of a located camera's sighting; whether the data set changed by
         it, so that everything must be solved anew."""
@@ -52,7 +57,7 @@ class Contradictions:
         if not self._of_camera[camera]:
             self._agreed[camera] = 0
         self._of_camera[camera].append(index)
-        return self._is_camera_moved(camera, known) or self._is_robot_lifted(robot, known)
+        return self._is_camera_moved(camera, known)
 
     def _agree(self, observation: Observation) -> list[str]:
         """The cameras that contradicted this robot before another one agreed with it."""
@@ -74,12 +79,19 @@ class Contradictions:
         since_ns = min(entries[index].observation.stamp_ns for index in wrong)
         return self._settled(moved.relocate(self._batch, camera, since_ns, known), camera)
 
-    def _is_robot_lifted(self, robot: str, known: Filter) -> bool:
-        wrong = self._of_robot[robot]
+    def is_robot_lifted(self, robot: str) -> bool:
+        """Whether it is time to look for when a robot was lifted: every camera contradicts it."""
+        wrong = self._of_robot.get(robot, [])
         cameras = {self._batch.data.entries[index].observation.camera for index in wrong}
         if len(wrong) < _LEAST_WRONG or len(cameras) < 2:
             return False
-        return self._settled(lifted.put_down(self._batch, robot, wrong, known), *cameras)
+        return self._is_worth_trying(f"robot {robot}", len(wrong))
+
+    def forget(self, robot: str) -> None:
+        """Forget what contradicted a robot."""
+        wrong = set(self._of_robot.pop(robot, []))
+        for camera in [name for name, run in self._of_camera.items() if wrong & set(run)]:
+            del self._of_camera[camera]
 
     def _is_worth_trying(self, camera: str, count: int) -> bool:
         """Whether there is half as much again as at the last try."""

@@ -4,6 +4,8 @@ Each sighting updates the filter at once; the batch solution (`batch`) is redone
 come in since the last one (so its cost stays a fixed share), and whenever a camera is located.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -101,12 +103,18 @@ class Smoother:
         self._go_on_from(self._batch.finish(self._present.known))
         if is_amiss(self._batch):
             self._explain()
+            self._go_on_from(self._batch.leave_contradicted(self._present.known))
 
     def _explain(self) -> bool:
         """Look for a lifted robot or a moved camera behind what contradicts; whether something
         else happened than was thought. Then everything is worked out from the beginning."""
-        entries = sorted(self.data.entries, key=lambda entry: entry.observation.stamp_ns)
-        observations = [entry.observation for entry in entries]
+        observations = sorted(
+            (
+                replace(seen, camera=self.data.site_camera(seen.camera))
+                for seen in (entry.observation for entry in self.data.entries)
+            ),
+            key=lambda observation: observation.stamp_ns,
+        )
         happened = explained(self.data, observations)
         if happened == self.data.happened:
             return False
@@ -133,9 +141,16 @@ class Smoother:
             return self._tie(index)
         correction = self._present.use(entry, self._batch.state)
         self._since_solve += 1
-        if self._contradictions.note(index, self._present.known):
+        is_moved = self._contradictions.note(index, self._present.known)
+        self._batch.undecided = self._contradictions.undecided
+        if is_moved:
             self.solve()
             return Update()
+        robot = entry.observation.robot
+        if self._contradictions.is_robot_lifted(robot) and not self._explain():
+            # Nothing that may have happened explains it, so it was the filter that went astray.
+            self._contradictions.forget(robot)
+            self._batch.undecided = self._contradictions.undecided
         return Update(correction=correction)
 
     def _tie(self, index: int) -> Update:
