@@ -112,7 +112,7 @@ class Contradictions:
 def is_amiss(batch: BatchSolution) -> bool:
     """Whether a solution over everything at once shows signs of a moved camera or a lifted robot:
     sightings in a row that contradict, a camera of many pictures without a place, or a way between
-    two sightings that odometry denies. When it happened only shows sighting by sighting."""
+    two sightings that odometry denies."""
     data = batch.data
     in_order = sorted(data.entries, key=lambda entry: entry.observation.stamp_ns)
     runs: dict[str, int] = defaultdict(int)

@@ -1,0 +1,53 @@
+"""When a robot was lifted or a camera moved, where it shows only much later."""
+
+import numpy as np
+from drives import live
+
+from benchmarks.study.measure import measure_of
+from benchmarks.study.session import simulated_session, worked_out
+from trigpoint import topics
+from trigpoint.clock import to_ns
+from trigpoint.messages import PoseEstimate
+
+HONEST = 3.0  # eᵀP⁻¹e/6n of two or more cameras
+
+
+def test_cameras_that_a_lifted_robot_met_on_either_side_of_the_lift_are_not_made_up() -> None:
+    session = simulated_session("kidnapped", 0)
+    pipeline = worked_out(session)
+    results = pipeline.results()
+    measure = measure_of(session, results, 0.0)
+    assert measure.located == ["c1", "c2"]
+    assert measure.honesty is not None
+    assert measure.honesty < HONEST
+    for name in ("c3", "c5", "c6"):
+        (reason,) = results.network.cameras[name].undetermined
+        assert "r1 was moved by hand some time between 11.0 s and 47.2 s" in reason
+    assert pipeline.left_out["robot_lifted"] == 1
+
+
+def test_camera_that_was_moved_is_found_though_nothing_came_after_its_last_visit() -> None:
+    session = simulated_session("moved", 0)
+    pipeline = worked_out(session)
+    measure = measure_of(session, pipeline.results(), 0.0)
+    assert measure.earlier == ["c2"]
+    assert (measure.wrong, measure.undetermined) == ([], [])
+    assert measure.honesty is not None
+    assert measure.honesty < HONEST
+    assert pipeline.left_out["camera_moved"] == 1
+
+
+def test_robot_gets_no_wrong_correction_once_a_lift_shows() -> None:
+    session = simulated_session("kidnapped", 0)
+    truth = session.simulated.truth
+    _, sent = live(session.inputs, [(m.stamp_ns, node, m) for node, m in session.messages])
+    shows_ns = truth.start_ns + to_ns(47.2)
+    errors = []
+    for _, output in sent:
+        message = output.message
+        if output.topic is topics.CORRECTION and isinstance(message, PoseEstimate):
+            true = truth.map_from_base("r1", np.array([message.stamp_ns]))[0]
+            if message.stamp_ns > shows_ns:
+                errors.append(np.abs(message.pose.difference(true)).max())
+    assert errors  # it is corrected again once it is known where it is
+    assert max(errors) < 0.1
