@@ -288,7 +288,7 @@ class _Search:
         optical = (arm + poses.translation[:, None] - eye) @ rotation
         is_sound = np.all(optical[..., 2] > 1e-3, axis=1)
         optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
-        projected, by_point, _ = self.lens.project_jacobians(optical)
+        projected, by_point = self.lens.project_by_point(optical)
         residual = (projected - self.pixels) * self.weights[:, None]
         by_map = by_point @ rotation.T
         jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)[..., self.tangent]
