@@ -48,6 +48,10 @@ _GROWTH = 3
 _LEAST_PICTURES = 3
 _GROWTH_TO_TIE = 1.2
 _TRIED_SAME = 1e-3
+_BEHIND_A_JUMP = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
 
 
 class BatchSolution:
@@ -357,6 +361,8 @@ class BatchSolution:
         why = ((robot, self._untied.get(robot, unmet)) for robot in robots)
         if (reason := why_untied(self.data, camera)) is not None:
             return (reason,)
+        if self.assembled is not None and robots.keys() & self.assembled.problem.chains.keys():
+            return (_BEHIND_A_JUMP,)
         return tuple(
             f"the robot {robot} that it saw is not tied to the map: {w}" for robot, w in why
         )
