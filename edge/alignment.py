@@ -21,7 +21,7 @@ MOST_BLUR = 3.0
 # A pixel this far off the drawing, of the face's contrast, shows something else.
 FOREIGN_SHARE = 0.25
 # Of a corner's pixels, how many must show the pattern, and how many there must be;
-LEAST_SHOWN = 0.6
+LEAST_SHOWN = 0.8
 LEAST_PIXELS = (2 * LEAST_HALF_PX + 1) ** 2 / 4
 # its contrast, grey levels, and against the face's;
 LEAST_CONTRAST = 8.0

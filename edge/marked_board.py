@@ -18,7 +18,9 @@ from .planar_fit import PlanarFit, settled_fit
 # or three alone must do better, since foreign markers match by chance.
 LEAST_AGREEMENT = 0.5
 # Markers' corners that are all so near their plane need no lens, pixels.
-ENOUGH_PX = 0.7
+ENOUGH_PX = 2.0
+# Corners that scatter so much were measured from too far off: they are measured again, pixels.
+MOST_SCATTER_PX = 0.04
 _LEAST_OF_FEW = {1: 0.8, 2: 0.7, 3: 0.6}
 
 
@@ -46,6 +48,8 @@ class MarkedBoard:
         layout = self.layout[group.numbers].reshape(-1, 2)
         fit = settled_fit(layout, group.corners.reshape(-1, 2), size, ENOUGH_PX)
         found = measured(grey, self.pattern, fit, is_rough=True) if fit else None
+        if found is not None and found.sigma > MOST_SCATTER_PX:
+            found = measured(grey, self.pattern, found.fit, is_rough=True)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
         return found if self.agrees(grey, found.fit, group.numbers, reader) else None

@@ -9,12 +9,13 @@ from trigpoint.messages import FaceSighting
 
 from .detector import Appearance
 from .glimpse import glimpsed
+from .middle import median
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, sound_corners
 from .registration import registered
 
 LEAST_CORNERS = 4
-LEAST_SIGMA_PX = 0.01
+LEAST_SIGMA_PX = 0.003
 # Registered corners that lie this far off their plane are not believed: pixels, and share of the
 # spacing; more is allowed where all scatter, since real boards are not flat.
 LEAST_WILD_PX = 0.1
@@ -116,7 +117,7 @@ def sigma_of(distances: Array, noise: Array) -> float:
     and from their distances (n,) to a plane, as far as noise and the fit's lens explain them not:
     boards are not flat."""
     freedom = max(1, 2 * len(distances) - _PLANE_FREEDOM)
-    usual = float(np.mean(noise**2))
+    usual = median(noise) ** 2
     scatter = float(np.sum(distances**2)) / freedom
     unexplained = max(0.0, scatter - _EXPLAINED * usual - LENS_PX**2)
     return max(LEAST_SIGMA_PX, float(np.sqrt(usual + unexplained)))

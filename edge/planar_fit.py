@@ -192,8 +192,9 @@ def sound_corners(
     """Which corners (n,) lie where a flat face has them, and the fit to those.
 
     `least_px` and `least_share` (of the spacing): what is never called wild; `enough_px`: of
-    `settled_fit`, the same where it is left out; `start`: a fit that is nearly right. Drops the worst beyond WILD_SIGMAS of the others' spread, again and again; no
-    corner is sound where fewer than four remain or all scatter.
+    `settled_fit`, the same where it is left out; `start`: a fit that is nearly right. Drops the
+    worst beyond WILD_SIGMAS of the others' spread, again and again; no corner is sound where fewer
+    than four remain or all scatter.
     """
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 4:

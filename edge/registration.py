@@ -18,7 +18,7 @@ from .middle import median
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
 from .planar_fit import PlanarFit, sound_corners
 
-ROUNDS = 3
+ROUNDS = 6
 ROUGH_ROUNDS = 2
 # By how many corners a face is first brought near.
 ROUGH_CORNERS = 16
@@ -35,6 +35,7 @@ NEAR_STEP_PX = 0.5
 # Steps so short change nothing in how corners look.
 STILL_STEP_PX = 0.3
 SMALL_STEP_PX = 0.03
+SETTLED_STEP_PX = 0.15
 SMALL_BLUR_CHANGE = 0.3
 _AROUND_PX = MOST_HALF_PX + 6
 
@@ -70,7 +71,7 @@ def registered(
         fit = _approached(grey, pattern, fit, _spread(ids), sharp)
     pixels = fit.project(points)
     clear, sigma = np.zeros(len(ids), dtype=bool), np.zeros(len(ids))
-    usual = np.inf
+    usual, moves = np.inf, np.zeros(len(ids))
     for turn in range(ROUNDS):
         if turn > 0 and (usual > STILL_STEP_PX or not clear.all()):
             fit, pixels = _refitted(fit, points, pixels, clear, size)
@@ -78,9 +79,11 @@ def registered(
         change = float(np.abs(found.blur - sharp).max())
         clear, sigma, sharp = found.is_clear, found.sigma, found.blur
         pixels = pixels + np.where(clear[:, None], found.step, 0.0)
-        usual = _usual_length(found)
+        usual, moves = _usual_length(found), np.linalg.norm(found.step, axis=1)
         if usual < SMALL_STEP_PX and change < SMALL_BLUR_CHANGE:
             break
+    # A corner that still moves has not found its place.
+    clear = clear & (moves < SETTLED_STEP_PX)
     return Registration(pixels, clear, sigma, sharp, fit)
 
 

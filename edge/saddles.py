@@ -109,7 +109,7 @@ def _candidates(curvature: Curvature) -> Array:
     """Local maxima of the saddle strength, (n, 2), strongest first."""
     negative_determinant = curvature.xy * curvature.xy - curvature.xx * curvature.yy
     peaks = cv2.dilate(negative_determinant, np.ones((5, 5), np.uint8))
-    strong = cv2.compare(negative_determinant, LEAST_STRENGTH**2, cv2.CMP_GT)
+    strong = (negative_determinant > LEAST_STRENGTH**2).astype(np.uint8)
     margin = int(np.ceil(RING_RADIUS_PX))
     strong[:margin] = strong[-margin:] = 0
     strong[:, :margin] = strong[:, -margin:] = 0
