@@ -21,9 +21,8 @@ from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate
 from .guidance_world import GuidanceWorld
 from .moved import of_its_time
-from .observations import Observation, Verdict
+from .observations import Observation
 from .odometry_track import Added
-from .placement import align_to
 from .present import Present
 from .residuals import CameraResiduals, camera_residuals
 from .survey import joint_covariance
@@ -154,15 +153,10 @@ class Smoother:
         return Update(correction=correction)
 
     def _tie(self, index: int) -> Update:
-        """A robot meets its first located camera: its odometry gets its place in the map."""
-        assert self._present.known is not None
-        entry = self.data.entries[index]
-        aligned = align_to(self.data, self._present.known, entry.observation, None)
-        if aligned is None:
-            return Update()
-        observation, entry.map_from_base = aligned
-        entry.observation = observation.judged(Verdict.ACCEPTED)
-        self.solve()
+        """A robot meets its first located cameras: its odometry gets its place in the map."""
+        robot = self.data.entries[index].observation.robot
+        if self._batch.tie(robot, self._present.known):
+            self.solve()
         return Update()
 
     # -- an observation of a camera that is not located -------------------------------------------
