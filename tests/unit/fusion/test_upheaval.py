@@ -7,7 +7,7 @@ from benchmarks.study.measure import measure_of
 from benchmarks.study.session import simulated_session, worked_out
 from trigpoint import topics
 from trigpoint.clock import to_ns
-from trigpoint.messages import PoseEstimate
+from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
 
 HONEST = 3.0  # eᵀP⁻¹e/6n of two or more cameras
 
@@ -40,7 +40,11 @@ def test_camera_that_was_moved_is_found_though_nothing_came_after_its_last_visit
 def test_robot_gets_no_wrong_correction_once_a_lift_shows() -> None:
     session = simulated_session("kidnapped", 0)
     truth = session.simulated.truth
-    _, sent = live(session.inputs, [(m.stamp_ns, node, m) for node, m in session.messages])
+    arrivals: list[tuple[int, str, Message]] = []
+    for node, message in session.messages:
+        assert isinstance(message, Odometry | Sightings)
+        arrivals.append((message.stamp_ns, node, message))
+    _, sent = live(session.inputs, arrivals)
     shows_ns = truth.start_ns + to_ns(47.2)
     errors = []
     for _, output in sent:
