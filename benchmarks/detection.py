@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from trigpoint.edge.detector import detector_for
+from trigpoint.edge.tracker import TargetTracker
 from trigpoint.target import Target
 
 from .opencv_finders import (
@@ -18,15 +19,21 @@ from .opencv_finders import (
     charuco_each,
     charuco_shared,
     checkerboards,
+    checkerboards_by_sectors,
     checkerboards_in_even_light,
 )
 from .scoring import Found, Score, score_of
 from .table import Row, share_of
 from .timing import worked
-from .views import View, gallery
+from .views import Gallery, TrueFace, View, gallery
 
 OURS = "ours"
-_WITH_FACES, _EMPTY = 36, 12
+# Pictures with faces and without, by size; the larger cost OpenCV half a second each.
+_SIZES: dict[str, tuple[int, int] | None] = {"640 x 480": None, "1280 x 720": (1280, 720)}
+_WITH_FACES, _EMPTY = {"640 x 480": 12, "1280 x 720": 4}, 4
+_SEQUENCES, _LENGTH = {"640 x 480": 5, "1280 x 720": 2}, 6
+# A followed face has been seen twice.
+_SETTLED = 2
 _ROUNDS = 2
 
 
@@ -44,9 +51,14 @@ class Run:
 
 
 def run(effort: float = 1.0) -> list[Row]:
-    """Both kinds of target."""
+    """Both kinds of target, at both sizes, at rest and driving."""
     with one_thread():
-        return [row for target in ("charuco", "checkerboard") for row in _rows(target, effort)]
+        return [
+            row
+            for target in ("charuco", "checkerboard")
+            for size in _SIZES
+            for row in _rows(target, size, effort)
+        ]
 
 
 def our_finder(target: Target) -> Finder:
@@ -70,6 +82,7 @@ def opencv_finders(target: Target, choice: str) -> dict[str, Finder]:
     return {
         "findChessboardCorners": checkerboards(faces),
         "findChessboardCorners, flags=0": checkerboards_in_even_light(faces),
+        "findChessboardCornersSB, exhaustive": checkerboards_by_sectors(faces),
     }
 
 
@@ -98,38 +111,77 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def _rows(choice: str, effort: float) -> list[Row]:
-    """Times beside each of OpenCV's ways; what was found, where those differ in it."""
-    pictures = gallery(choice)
-    others = opencv_finders(pictures.target, choice)
-    finders = {OURS: our_finder(pictures.target)} | others
-    full = pictures.with_faces(share_of(_WITH_FACES, effort))
-    empty = pictures.without_faces(share_of(_EMPTY, effort))
-    on_full, on_empty = runs(finders, full), runs(finders, empty)
-    scores = {
-        name: score_of(full + empty, on_full[name].answers + on_empty[name].answers)
-        for name in finders
-    }
-    rows = []
-    for name in others:
-        for where, on in (("with faces", on_full), ("empty", on_empty)):
-            took = (on[OURS].milliseconds, on[name].milliseconds)
-            rows.append(_row(f"{choice}, a picture {where}", "ms", *took, name))
-    first, *rest = others
-    for name in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
-        rows += _score_rows(choice, scores[OURS], scores[name], name)
-    return rows
+def _rows(choice: str, size: str, effort: float) -> list[Row]:
+    """Times beside each of OpenCV's ways; what was found and how well, near and far."""
+    driving = gallery(choice, size=_SIZES[size])
+    resting = gallery(choice, size=_SIZES[size], is_sharp=True)
+    others = opencv_finders(driving.target, choice)
+    finders = {OURS: our_finder(driving.target)} | others
+    count = share_of(_WITH_FACES[size], effort, least=2)
+    what = f"{choice} {size}"
+    empty = driving.without_faces(share_of(_EMPTY, effort))
+    rows = _time_rows(f"{what}, empty picture", runs(finders, empty), others)
+    for name, pictures in (("at rest", resting), ("driving", driving)):
+        views = sorted(pictures.with_faces(count), key=_spacing)
+        done = runs(finders, views)
+        rows += _time_rows(f"{what} {name}, first search", done, others)
+        half = len(views) // 2
+        for part, which in (("far", slice(None, half)), ("near", slice(half, None))):
+            scores = {n: score_of(views[which], run.answers[which]) for n, run in done.items()}
+            first, *rest = others
+            for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
+                rows += _score_rows(f"{what} {name}, {part}", scores[OURS], scores[other], other)
+    return rows + _tracked_rows(what, driving, others, size, effort)
 
 
-def _score_rows(choice: str, ours: Score, other: Score, name: str) -> list[Row]:
+def _tracked_rows(
+    what: str, pictures: Gallery, others: Mapping[str, Finder], size: str, effort: float
+) -> list[Row]:
+    """Pictures in which a face was found in the last one, and OpenCV on the same ones."""
+    ours, views = Run(), []
+    for sequence in pictures.sequences(share_of(_SEQUENCES[size], effort), _LENGTH):
+        tracker = TargetTracker([pictures.target])
+        was_found = 0
+        for stamp_ns, view in sequence:
+            took, found = worked(lambda t=tracker, v=view, s=stamp_ns: t.detect(v.picture, s))
+            if was_found >= _SETTLED:
+                views.append(view)
+                ours.seconds.append(took)
+                ours.answers.append([Found(s.face, s.corners, s.pixels) for s in found])
+            was_found = was_found + 1 if found else 0
+    if not views:
+        return []
+    done = {OURS: ours, **runs(others, views)}
+    rows = _time_rows(f"{what} driving, found in the last picture", done, others)
+    scores = {name: score_of(views, run.answers) for name, run in done.items()}
+    first = next(iter(others))
+    return rows + _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
+
+
+def _time_rows(what: str, done: Mapping[str, Run], others: Mapping[str, Finder]) -> list[Row]:
+    took = {name: run.milliseconds for name, run in done.items()}
+    return [_row(what, "ms", took[OURS], took[name], name) for name in others]
+
+
+def _spacing(view: View) -> float:
+    """The shortest distance of neighbouring corners of the largest face, pixels."""
+
+    def of(true: TrueFace) -> float:
+        grid = true.pixels.reshape(true.face.rows - 1, true.face.columns - 1, 2)
+        sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
+        return float(min(sides))
+
+    return max((of(true) for true in view.faces if true.is_whole), default=0.0)
+
+
+def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
     both = ours.errors.keys() & other.errors.keys()
     shares = (100 * ours.share, 100 * other.share)
-    return [
-        _row(f"{choice}, faces found", "%", *shares, name, more_is_better=True),
-        _row(f"{choice}, faces found where none is", "faces", ours.wrong, other.wrong, name),
-        _row(f"{choice}, corner error, all that it found", "px", ours.rms(), other.rms(), name),
-        _row(f"{choice}, corner error, found by both", "px", ours.rms(both), other.rms(both), name),
-    ]
+    rows = [_row(f"{what}, faces found", "%", *shares, name, more_is_better=True)]
+    if ours.wrong or other.wrong:
+        rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
+    error = (ours.rms(both), other.rms(both))
+    return [*rows, _row(f"{what}, corner error, found by both", "px", *error, name)]
 
 
 def _row(

@@ -67,6 +67,13 @@ class Gallery:
         moments = [m for m in self._moments() if any(self._is_whole(s) for s in self._seen(*m))]
         return self._views(moments, count)
 
+    def sequences(self, count: int, length: int) -> list[list[tuple[int, View]]]:
+        """Runs of pictures of one camera, with their stamps, nanoseconds; each begins with a whole
+        face."""
+        moments = [m for m in self._moments() if any(self._is_whole(s) for s in self._seen(*m))]
+        chosen = np.linspace(0, len(moments) - 1, count).round().astype(int)
+        return [self._sequence(*moments[i], length=length) for i in chosen]
+
     def without_faces(self, count: int) -> list[View]:
         """Views of the rooms in which no face shows its front."""
         return self._views([m for m in self._moments() if not self._seen(*m)], count)
@@ -91,12 +98,23 @@ class Gallery:
         chosen = np.linspace(0, len(moments) - 1, min(count, len(moments))).round().astype(int)
         return [self._view(*moments[i]) for i in chosen]
 
+    def _sequence(self, camera: str, first: int, *, length: int) -> list[tuple[int, View]]:
+        eye = self.world.camera(camera)
+        last = min(first + length, int(self.world.duration_s * eye.rate))
+        return [
+            (round(float(eye.time_of(index)) * 1e9), self._view(camera, index))
+            for index in range(first, last)
+        ]
+
     def _view(self, camera: str, index: int) -> View:
-        faces = tuple(
-            TrueFace(seen.face, self._pixels(camera, index, seen.face), self._is_whole(seen))
-            for seen in self._seen(camera, index)
-        )
-        return View(self.render(camera, index), faces)
+        whole = {seen.face.id: self._is_whole(seen) for seen in self._seen(camera, index)}
+        faces = [
+            TrueFace(face, self._pixels(camera, index, face), whole.get(face.id, False))
+            for face in self.target.faces
+        ]
+        # Faces too slanted for the world to count them as seen still turn their front.
+        shown = tuple(true for true in faces if true.face.id in whole or _is_front(true))
+        return View(self.render(camera, index), shown)
 
     def _seen(self, camera: str, index: int) -> list[SeenFace]:
         robot = self.world.first_robot
@@ -111,6 +129,13 @@ class Gallery:
         base = self.world.map_from_base(self.world.first_robot, float(eye.time_of(index)))
         camera_from_face = eye.map_from_camera.inverse() @ base @ face.base_from_face
         return eye.model.project(camera_from_face @ face.corners)
+
+
+def _is_front(true: TrueFace) -> bool:
+    """Whether a face's x and y turn in the picture as they are printed."""
+    columns = true.face.columns - 1
+    across, down = true.pixels[1] - true.pixels[0], true.pixels[columns] - true.pixels[0]
+    return bool(across[0] * down[1] - across[1] * down[0] > 0)
 
 
 @cache

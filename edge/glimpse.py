@@ -1,6 +1,8 @@
 """Finds where a face went since it was last seen: a small drawing of it, held against the picture
 about the place where it is expected."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -83,7 +85,7 @@ def _part(grey: np.ndarray, low: np.ndarray, size: np.ndarray) -> np.ndarray:
     return part
 
 
-def _between(match: np.ndarray, place: tuple[int, ...]) -> Array:
+def _between(match: np.ndarray, place: Sequence[int]) -> Array:
     """How far the best match lies beside the best whole place (x, y), by a parabola each way."""
     x, y = place
     offset = np.zeros(2)

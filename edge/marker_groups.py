@@ -113,7 +113,7 @@ def _agreeing(others: np.ndarray, markers: Markers, layout: Array, fit: Array) -
     """Those of `others` that lie where the fit puts them, the nearest one for each number."""
     if len(others) == 0:
         return []
-    expected = cv2.perspectiveTransform(layout[markers.numbers[others]], fit)
+    expected = np.asarray(cv2.perspectiveTransform(layout[markers.numbers[others]], fit), float)
     off = np.linalg.norm(markers.corners[others] - expected, axis=-1).mean(axis=1)
     off = off / _sides(expected)
     best: dict[int, tuple[float, int]] = {}

@@ -78,6 +78,7 @@ class PlanarFit:
         for part, row in zip((above_x, above_y, depth), m, strict=True):
             part *= factor
             part += row[2]
+        depth[depth == 0] = 1e-9  # on the horizon
         above_x /= depth
         above_y /= depth
         return above_x, above_y
@@ -306,7 +307,7 @@ class _State:
         diagonal *= 1 + damping
         diagonal += _TINY
         is_solved, step = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
-        return step[:, 0] if is_solved else None
+        return np.asarray(step, dtype=float)[:, 0] if is_solved else None
 
     def moved(self, step: Array) -> Array:
         """The numbers after a step of the first of them."""

@@ -116,7 +116,7 @@ def _candidates(curvature: Curvature) -> Array:
     places = cv2.findNonZero(strong)
     if places is None:
         return np.zeros((0, 2))
-    columns, rows = places.reshape(-1, 2).T
+    columns, rows = np.asarray(places, dtype=np.intp).reshape(-1, 2).T
     is_peak = negative_determinant[rows, columns] >= peaks[rows, columns]
     rows, columns = rows[is_peak], columns[is_peak]
     if len(rows) > MOST_CANDIDATES:
