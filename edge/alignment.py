@@ -27,10 +27,10 @@ LEAST_PIXELS = (2 * LEAST_HALF_PX + 1) ** 2 / 4
 LEAST_CONTRAST = 8.0
 LEAST_CONTRAST_SHARE = 0.5
 # and how much worse than the face's it may match, beyond a little noise, grey levels².
-MOST_MISMATCH = 2.5
+MOST_MISMATCH = 3.0
 QUIET_POWER = 4.0
 # What is left may have this share of the drawing's variance, and this noise, grey levels².
-MOST_UNEXPLAINED = 0.15
+MOST_UNEXPLAINED = 0.3
 NOISE_POWER = 40.0
 # Of the drawing's grey values.
 _WHITE = 255.0

@@ -52,7 +52,19 @@ class MarkedBoard:
             found = measured(grey, self.pattern, found.fit, is_rough=True)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
-        return found if self.agrees(grey, found.fit, group.numbers, reader) else None
+        agree = self.agrees(grey, found.fit, group.numbers, reader) and self.agrees(
+            grey, found.fit, self._beside(grey, found), reader
+        )
+        return found if agree else None
+
+    def _beside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
+        """The markers (k,) that touch found corners and lie wholly in the picture."""
+        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
+        inside = np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
+        corners = self.pattern.points[found.corners]
+        apart = np.abs(corners[:, None] - self.layout.mean(axis=1)[None])
+        touches = np.any(np.all(apart < 0.75 * self.face.square, axis=-1), axis=0)
+        return np.flatnonzero(inside & touches)
 
     def _least_corners(self, markers: int) -> int:
         """How many corners must be seen beside so many markers: a tag alone has four."""
@@ -84,7 +96,9 @@ class MarkedBoard:
     def agrees(
         self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
     ) -> bool:
-        """Whether the markers `numbers`, where a fit puts them, are the board's."""
+        """Whether the markers `numbers`, where a fit puts them, are the board's; none are."""
+        if len(numbers) == 0:
+            return True
         quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
         return bool(reader.agreement(grey, self.face, quads, numbers).mean() >= least)
