@@ -68,8 +68,8 @@ heading_turn = {per_root_rad!r}
 target_translation = 0.05
 target_rotation = 0.2
 """
-# wrist_from_board as a ruler and a protractor give it, to a centimetre and five degrees.
-RULER = Pose(
+# wrist_from_board to a centimetre and five degrees, from a hand-eye solution of these pictures.
+ABOUT = Pose(
     so3.exp([0.0, 0.0, math.radians(-95.0)])
     @ so3.exp([0.0, math.radians(45.0), 0.0])
     @ so3.exp([math.radians(95.0), 0.0, 0.0]),
@@ -99,7 +99,7 @@ def site_text(poses: list[Pose]) -> str:
 
 
 def target_text() -> str:
-    translation, quaternion = RULER.translation.tolist(), RULER.quaternion.tolist()
+    translation, quaternion = ABOUT.translation.tolist(), ABOUT.quaternion.tolist()
     return TARGET.format(translation=translation, quaternion=quaternion)
 
 

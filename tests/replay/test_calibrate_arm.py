@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_session import ARM, RULER, write_arm_session
+from arm_session import ABOUT, ARM, write_arm_session
 
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.calibrate import calibrated
@@ -24,5 +24,5 @@ def test_camera_before_an_arm_is_located_and_the_board_on_its_wrist_found(tmp_pa
     assert np.linalg.norm(np.subtract(record.map_from_camera.translation, CAMERA_M)) < 0.005
     assert 0.001 < record.position_sigma < 0.01
     (face,) = results.network.robots["r1"].target.faces
-    # The ruler's centimetre and five degrees, and what that leaves at the board's far corners.
-    assert 0.001 < np.linalg.norm(np.subtract(face.translation, RULER.translation)) < 0.015
+    # The start's centimetre and five degrees, and what that leaves at the board's far corners.
+    assert 0.001 < np.linalg.norm(np.subtract(face.translation, ABOUT.translation)) < 0.015
