@@ -10,7 +10,7 @@ from trigpoint import cdr
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.clock import SystemClock
 from trigpoint.config import load_site
-from trigpoint.node import Node, stop_on_signals
+from trigpoint.node import Node, stopped_by_signals
 
 from .inputs import load_inputs
 from .node import KIND, NAME, FusionNode
@@ -42,8 +42,8 @@ def main(
     with open_bus(loaded) as bus:
         fusion = None
         try:
-            with Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock) as node:
-                stop_on_signals([node])
+            node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
+            with stopped_by_signals(node):
                 fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs))
                 fusion.start()
                 node.wait()

@@ -13,7 +13,7 @@ import typer
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.clock import SystemClock, to_seconds
 from trigpoint.config import Site, load_site, parse_site
-from trigpoint.node import Node, stop_on_signals
+from trigpoint.node import Node, stopped_by_signals
 from trigpoint.target import load_target
 
 from . import node as recorder
@@ -55,9 +55,10 @@ def record(
     with (
         open_bus(loaded) as bus,
         recorder.Recorder(loaded, path, clock=clock) as session,
-        Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME) as node,
+        stopped_by_signals(
+            Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)
+        ) as node,
     ):
-        stop_on_signals([node])
         session.start(bus, node)
         typer.echo(f"recording site {loaded.name} to {path}")
         node.wait()
@@ -76,9 +77,8 @@ def view(site: SiteFile, web: Web = False) -> None:
         Viewer(is_web=web) as viewer,
         _streaming(loaded.name, viewer) as stream,
         open_bus(loaded) as bus,
-        Node(bus, site=loaded.name, kind=KIND, name=_own_name()) as node,
+        stopped_by_signals(Node(bus, site=loaded.name, kind=KIND, name=_own_name())) as node,
     ):
-        stop_on_signals([node])
         LiveView(loaded, targets, stream).start(bus, node)
         node.thread("viewer", lambda: _watch(viewer, node))
         _say_viewer(viewer)
@@ -137,8 +137,8 @@ def replay(
     clock = SystemClock()
     with open_bus(loaded) as bus:
         plan = player.plan(recording, bus, site=loaded.name, keys=keys)
-        with Node(bus, site=loaded.name, kind="replay", name=_own_name()) as node:
-            stop_on_signals([node])
+        node = Node(bus, site=loaded.name, kind="replay", name=_own_name())
+        with stopped_by_signals(node):
             _say_plan(recording, plan, loaded.name, rate)
             counts = player.replay(
                 recording, bus, plan.routes, rate=rate, clock=clock, stopping=node.stopping

@@ -7,7 +7,7 @@ import typer
 
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import load_site
-from trigpoint.node import Node, stop_on_signals
+from trigpoint.node import Node, stopped_by_signals
 
 from .dry_run import look
 from .node import KIND, RobotNode
@@ -32,7 +32,8 @@ def main(
     if dry_run:
         look(loaded, robot, typer.echo)
         return
-    with open_bus(loaded) as bus, Node(bus, site=loaded.name, kind=KIND, name=robot) as node:
-        stop_on_signals([node])
-        RobotNode(bus, node, loaded, robot).start()
-        node.wait()
+    with open_bus(loaded) as bus:
+        node = Node(bus, site=loaded.name, kind=KIND, name=robot)
+        with stopped_by_signals(node):
+            RobotNode(bus, node, loaded, robot).start()
+            node.wait()

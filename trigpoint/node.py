@@ -1,9 +1,9 @@
 """A node's life: liveliness token, diagnostics once a second, orderly stop.
 
-A part's `node.py` reads:
+A command reads:
 
-    with open_bus(site) as bus, Node(bus, site=site.name, kind="edge", name=camera) as node:
-        stop_on_signals([node])
+    node = Node(bus, site=site.name, kind="edge", name=camera)
+    with stopped_by_signals(node):
         ...node.thread("detect", run) for threads that watch node.stopping...
         node.wait()   # until SIGINT, SIGTERM, node.stop() or an error in one of the threads
 """
@@ -30,7 +30,7 @@ from .peers import Peers
 from .topics import DIAGNOSTICS, alive_key
 from .watchdog import Watchdog
 
-__all__ = ["Health", "Node", "stop_on_signals"]
+__all__ = ["Health", "Node", "stop_on_signals", "stopped_by_signals"]
 
 _log = logging.getLogger(__name__)
 
@@ -248,6 +248,13 @@ class Node:
         is_elder = self._peers.meet(status)
         if is_elder and self._uptime_s < _NEWCOMER_S:
             raise OperationError(self._second)
+
+
+def stopped_by_signals(node: Node) -> Node:
+    """The node, which SIGINT and SIGTERM stop from before its life begins: a signal that came as it
+    began would leave it half begun. Call it on the main thread."""
+    stop_on_signals([node])
+    return node
 
 
 class Stoppable(Protocol):

@@ -19,15 +19,16 @@ from pathlib import Path
 from trigpoint import cli
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import load_site
-from trigpoint.node import Node, stop_on_signals
+from trigpoint.node import Node, stopped_by_signals
 
 def main() -> None:
     site = load_site(Path(sys.argv[1]))
-    with open_bus(site) as bus, Node(bus, site=site.name, kind="edge", name="c1") as node:
-        stop_on_signals([node])
-        bus.serve("lab/clock", lambda payload: payload)
-        node.thread("works", lambda: node.stopping.wait())
-        node.wait()
+    with open_bus(site) as bus:
+        node = Node(bus, site=site.name, kind="edge", name="c1")
+        with stopped_by_signals(node):
+            bus.serve("lab/clock", lambda payload: payload)
+            node.thread("works", lambda: node.stopping.wait())
+            node.wait()
 
 cli.COMMANDS["edge"] = cli.Command("__main__:main", "A node.", service=True)
 sys.exit(cli.run(["edge"]))
