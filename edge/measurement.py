@@ -15,9 +15,8 @@ from .planar_fit import PlanarFit, sound_corners
 from .registration import registered
 
 LEAST_CORNERS = 4
-# The noise of sharp pictures allows less, but no lens model and no print is true to that: the demo's
-# camera that the robot stands before came out 3.5 of its sigmas (0.03 mm) off with 0.003, and 2.1 and
-# 3.1 with 0.01.
+# The noise of sharp pictures allows less, but no lens model and no print is true to that: a camera
+# before which the demo's robot stood came out 3.5 of its sigmas (0.03 mm) off with 0.003 here.
 LEAST_SIGMA_PX = 0.02
 # Registered corners that lie this far off their plane are not believed: pixels, and share of the
 # spacing; more is allowed where all scatter, since real boards are not flat.
