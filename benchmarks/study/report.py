@@ -17,7 +17,7 @@ from .summary import Ratio, Summary, summary_of
 _HEAD = """# Accuracy
 
 ```
-make study                              # {seeds} sessions of each situation, and this page
+make study SEEDS={seeds}                     # as many sessions of each situation, and this page
 make study SEEDS=5 SITUATIONS=drive     # some
 ```
 
