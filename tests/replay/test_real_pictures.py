@@ -62,6 +62,11 @@ def distances(one: dict[int, np.ndarray], other: dict[int, np.ndarray]) -> list[
     return [float(np.linalg.norm(one[i] - other[i])) for i in one.keys() & other.keys()]
 
 
+SMEARED = pytest.mark.xfail(
+    strict=True, reason="corners of real prints that gleam or smear do not settle and are left out"
+)
+
+
 @pytest.mark.skipif(not ARM.is_dir(), reason=f"the real pictures of {ARM.name} are not here")
 def test_more_of_the_arms_corners_are_found_than_opencv_finds_and_at_the_same_places() -> None:
     detector = detector_for([target_of(ARM_BOARD)])
@@ -74,7 +79,7 @@ def test_more_of_the_arms_corners_are_found_than_opencv_finds_and_at_the_same_pl
         off += distances(mine, reference)
     found, reference_found = np.sum(counts, axis=0)
     assert found > 1.2 * reference_found > 300
-    assert np.percentile(off, 95) < 0.25  # OpenCV's own scatter is in it
+    assert np.percentile(off, 95) < 0.25
 
 
 @pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
@@ -89,6 +94,40 @@ def test_videos_give_more_corners_than_opencv_finds() -> None:
     found, reference_found = np.sum(counts, axis=0)
     assert found >= reference_found > 600
     assert np.median(off) < 0.2
+
+
+@SMEARED
+@pytest.mark.skipif(not ARM.is_dir(), reason=f"the real pictures of {ARM.name} are not here")
+def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
+    detector = detector_for([target_of(ARM_BOARD)])
+    off = []
+    for file in pictures_in(ARM):
+        picture = read_picture(file)
+        mine, reference = ours(detector, picture), theirs(ARM_BOARD, picture)
+        assert len(mine) == 24, file.name
+        assert len(mine) >= len(reference)
+        off += distances(mine, reference)
+    assert len(off) > 200
+    assert np.percentile(off, 95) < 0.2
+
+
+@pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
+@pytest.mark.parametrize(
+    "camera",
+    [0, 1, pytest.param(2, marks=SMEARED), pytest.param(3, marks=SMEARED)],
+)
+def test_every_picture_of_a_video_gives_as_many_corners_as_opencv_finds(camera: int) -> None:
+    detector = detector_for([target_of(VIDEO_BOARD)])
+    counts, off = [], []
+    for picture in every_third(VIDEO / f"cam_{camera}.mp4"):
+        mine, reference = ours(detector, picture), theirs(VIDEO_BOARD, picture)
+        counts.append((len(mine), len(reference)))
+        off += distances(mine, reference)
+        # OpenCV gives lone corners too, of a board that hardly is in the picture.
+        assert len(mine) >= len(reference) or len(reference) < 2
+    found, reference_found = np.sum(counts, axis=0)
+    assert found >= reference_found > 50
+    assert np.median(off) < 0.4
 
 
 def every_third(file: Path) -> list[np.ndarray]:
