@@ -16,7 +16,7 @@ from .inputs import load_inputs
 from .node import KIND, NAME, FusionNode
 from .orders import Solver
 from .pipeline import Inputs
-from .solver_process import SolverProcess
+from .solver_process import START_S, SolverProcess
 
 
 def main(
@@ -44,7 +44,9 @@ def main(
         try:
             node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
             with stopped_by_signals(node):
-                fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs))
+                fusion = FusionNode(
+                    bus, node, inputs, folder, clock, solver=solver_for(inputs, node)
+                )
                 fusion.start()
                 node.wait()
         finally:
@@ -52,8 +54,9 @@ def main(
                 fusion.finish()
 
 
-def solver_for(inputs: Inputs) -> Callable[[], Solver] | None:
+def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
     """Who solves beside the corrections; None for the estimators that need nobody."""
     if inputs.site.fusion.estimator != "smoother":
         return None
-    return lambda: SolverProcess(inputs.data_set())
+    pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
+    return lambda: SolverProcess(inputs.data_set(), pulse)

@@ -7,6 +7,7 @@ from trigpoint.bus import Bus, Publisher
 from trigpoint.messages import PoseStamped
 from trigpoint.node import Node
 from trigpoint.topics import SUGGESTION
+from trigpoint.watchdog import Pulse
 
 from .guidance import suggestions
 from .guidance_world import GuidanceWorld
@@ -31,11 +32,13 @@ class Guide:
         self._period_s = period_s
         self._publishers: dict[str, Publisher] = {}
 
-    def run(self) -> None:
-        """Until the node ends; on a thread of its own."""
+    def run(self, pulse: Pulse) -> None:
+        """Until the node ends; on a thread of its own, which beats the pulse."""
         while not self._node.stopping.wait(self._period_s):
+            pulse.beat()
             world = self._world()
             for robot in world.robots if world is not None else ():
+                pulse.beat()
                 if self._node.stopping.is_set():
                     return
                 assert world is not None

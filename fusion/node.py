@@ -15,6 +15,7 @@ from trigpoint.messages import Message
 from trigpoint.network import encode_network
 from trigpoint.node import Node
 from trigpoint.topics import Topic, command_key
+from trigpoint.watchdog import Pulse
 
 from .checkpoint import Checkpoint
 from .guidance_world import GuidanceWorld
@@ -35,6 +36,10 @@ _LAST_SOLUTION_S = 1.2
 # Where the estimator solves at its turn: the last solution takes several times the longest turn.
 _LONG_TURN_S = 0.25
 _ANSWER_S = 2.0
+# A turn of a filter that has fallen behind on a small machine; after it the thread is hung.
+_TURN_MOST_S = 60.0
+# One robot's suggestions among a hundred cameras, on a small machine.
+_GUIDE_S = 120.0
 _LOOK_S = 0.01
 
 _log = logging.getLogger(__name__)
@@ -85,10 +90,10 @@ class FusionNode:
             ("clock", self._answer_clock),
         ):
             self._bus.serve(command_key(name, path), answer)
-        self._node.thread("estimate", self._run)
+        self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
         if self._solver is None:  # who solves also says where to go
             guide = Guide(self._bus, self._node, name, self._guidance_world)
-            self._node.thread("guide", guide.run)
+            self._node.work("guides", guide.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
         """Write what is known, worked out to the end where that is quick enough for a stop.
@@ -138,9 +143,10 @@ class FusionNode:
 
     # -- the working thread -----------------------------------------------------------------------
 
-    def _run(self) -> None:
-        self._resume()
+    def _run(self, pulse: Pulse) -> None:
+        self._resume(pulse)
         while not self._node.stopping.is_set():
+            pulse.beat()
             first = self._subscriptions[0][1].take(_TURN_S)
             with self._lock:
                 if first is not None:
@@ -217,7 +223,7 @@ class FusionNode:
             raise OperationError("fusion is just starting; ask again in a moment")
         return self._checkpoint
 
-    def _resume(self) -> None:
+    def _resume(self, pulse: Pulse) -> None:
         """Take up the map that a killed fusion left; on the working thread.
 
         What comes meanwhile is set aside, and follows.
@@ -227,6 +233,7 @@ class FusionNode:
         pipeline, count = self._pipeline, 0
         aside: list[tuple[str, Message]] = []
         for key, payload in self._checkpoint.records():
+            pulse.beat()
             if self._node.stopping.is_set() or self._pipeline is not pipeline:
                 return  # stopped, or reset
             if not count:

@@ -6,6 +6,7 @@ sees to it that neither side ever waits for the other.
 """
 
 import logging
+import math
 import os
 import pickle
 import queue
@@ -13,10 +14,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 from trigpoint.errors import OperationError
+from trigpoint.watchdog import Pulse
 
 from .dataset import DataSet
 from .guidance import suggestions
@@ -24,16 +27,32 @@ from .guidance_world import GuidanceWorld
 from .orders import News, Order, Suggested
 from .solving import Solving
 
+START_S = 60.0
+"""How long the process may take to begin, also on a small machine that is busy."""
 _GUIDANCE_PERIOD_S = 3.0
 _JOIN_S = 1.0
+_SIGN_PERIOD_S = 1.0
+# For one order: a long session takes a minute to solve, and no solution ten times the longest.
+_PATIENCE_S = 300.0
+_TIMES_THE_LONGEST = 10.0
 
 _log = logging.getLogger(__name__)
 
 
-class SolverProcess:
-    """See `Solver`. `data`: empty but for what is known beforehand; it is copied."""
+@dataclass(frozen=True, slots=True)
+class _AtWork:
+    """A sign of life of the thread that solves; the next comes within this time."""
 
-    def __init__(self, data: DataSet) -> None:
+    within_s: float
+
+
+class SolverProcess:
+    """See `Solver`. `data`: empty but for what is known beforehand; it is copied. `pulse` is beaten
+    by the work in the process."""
+
+    def __init__(self, data: DataSet, pulse: Pulse | None = None) -> None:
+        self._pulse = pulse
+        self._beat(START_S)
         context = get_context("spawn")
         theirs, self._orders = context.Pipe(duplex=False)
         self._news, theirs_too = context.Pipe(duplex=False)
@@ -96,9 +115,17 @@ class SolverProcess:
     def _receive(self) -> None:
         try:
             while True:
-                self._inbox.put(pickle.loads(self._news.recv_bytes()))
+                item = pickle.loads(self._news.recv_bytes())
+                if isinstance(item, _AtWork):
+                    self._beat(item.within_s)
+                else:
+                    self._inbox.put(item)
         except (EOFError, OSError):
             self._is_gone.set()
+
+    def _beat(self, within_s: float) -> None:
+        if self._pulse is not None:
+            self._pulse.beat(within_s)
 
 
 # -- in the process -------------------------------------------------------------------------------
@@ -119,11 +146,14 @@ def _serve(orders: Connection, news: Connection, data: DataSet) -> None:
             return solving.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    sign = _Sign(say, time.monotonic)
     while True:
-        for order in arrived.get():
+        for order in _next(arrived):
+            sign.give()
             with lock:
                 for item in solving.carry_out(order):
                     say(item)
+        sign.give()
         if arrived.empty() and solving.is_report_due:
             with lock:
                 say(solving.report())
@@ -137,13 +167,38 @@ def _listen(orders: Connection, arrived: "queue.SimpleQueue[Sequence[Order]]") -
         os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
 
 
+def _next(arrived: "queue.SimpleQueue[Sequence[Order]]") -> Sequence[Order]:
+    """What is to be done next; nothing where nothing comes for a while."""
+    try:
+        return arrived.get(timeout=_SIGN_PERIOD_S)
+    except queue.Empty:
+        return ()
+
+
+class _Sign:
+    """Says that the work goes on, once a second at most. What may be waited for grows with the
+    longest time between two calls, since solutions take longer as a session grows."""
+
+    def __init__(self, say: Callable[[_AtWork], None], seconds: Callable[[], float]) -> None:
+        self._say, self._seconds = say, seconds
+        self._called_s, self._said_s, self._longest_s = seconds(), -math.inf, 0.0
+
+    def give(self) -> None:
+        now_s = self._seconds()
+        self._longest_s = max(self._longest_s, now_s - self._called_s)
+        self._called_s = now_s
+        if now_s - self._said_s >= _SIGN_PERIOD_S:
+            self._said_s = now_s
+            self._say(_AtWork(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
+
+
 class _Voice:
-    """Says news, one at a time."""
+    """Says news and signs of life, one at a time."""
 
     def __init__(self, news: Connection) -> None:
         self._news, self._lock = news, threading.Lock()
 
-    def say(self, news: News) -> None:
+    def say(self, news: News | _AtWork) -> None:
         with self._lock:
             self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
 

@@ -11,6 +11,7 @@ from trigpoint.errors import MessageError
 from trigpoint.messages import Message
 from trigpoint.node import Node
 from trigpoint.topics import IMAGE, TOPICS, Topic, topic_of
+from trigpoint.watchdog import Pulse
 
 Take = Callable[[Topic, Sample, Message], None]
 
@@ -40,10 +41,11 @@ class Intake:
             deep = replace(topic, queue=max(topic.queue, _LEAST_QUEUE))
             subscription = bus.subscribe(deep, topic.expression(site.name))
             node.health.watch(topic.name, subscription)
-            node.thread(topic.name, partial(self._run, topic, subscription))
+            node.work(topic.name, partial(self._run, topic, subscription))
 
-    def _run(self, topic: Topic, subscription: Subscription) -> None:
+    def _run(self, topic: Topic, subscription: Subscription, pulse: Pulse) -> None:
         while not self._node.stopping.is_set():
+            pulse.beat()
             if sample := subscription.take(_PATIENCE_S):
                 self._hand_on(topic, sample)
         subscription.close()

@@ -14,6 +14,7 @@ from trigpoint.network import decode_network
 from trigpoint.node import Node
 from trigpoint.target import parse_target
 from trigpoint.topics import Topic, command_key
+from trigpoint.watchdog import Pulse
 
 from .intake import Intake, recorded_topics
 from .recording import NETWORK_ATTACHMENT, SITE_ATTACHMENT
@@ -25,6 +26,8 @@ FILE = "session.mcap"
 _NETWORK_PERIOD_S = 10.0
 _NETWORK_TIMEOUT_S = 1.0
 _TOML = "application/toml"
+# A worn SD card may take half a minute to synchronise; what waits meanwhile is kept in memory.
+_DISK_S = 60.0
 
 
 class Recorder:
@@ -53,7 +56,8 @@ class Recorder:
         node.health.gauge("file.depth", lambda: self.sink.depth)
         topics = recorded_topics(pictures=self._site.recorder.pictures)
         Intake(bus, node, self._site, topics, self._write)
-        node.thread("network", self._ask_for_network)
+        self.sink.watch(node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S))
+        node.work("network", self._ask_for_network)
 
     def __enter__(self) -> Self:
         return self
@@ -83,10 +87,11 @@ class Recorder:
         else:
             self._node.health.lose("file")
 
-    def _ask_for_network(self) -> None:
+    def _ask_for_network(self, pulse: Pulse) -> None:
         """Ask fusion now and then and once at the end, since it may end before the recorder."""
         key = command_key(self._site.name, "fusion/network")
         while True:
+            pulse.beat()
             is_last = self._node.stopping.wait(_NETWORK_PERIOD_S)
             for reply in self._bus.query(key, timeout_s=_NETWORK_TIMEOUT_S):
                 if not reply.error and self._is_network(reply.payload):

@@ -16,6 +16,7 @@ from typing import Self
 from trigpoint.clock import Clock, to_ns
 from trigpoint.errors import OperationError
 from trigpoint.topics import Topic
+from trigpoint.watchdog import Pulse
 
 from .mcap_writer import McapWriter
 
@@ -58,9 +59,14 @@ class McapSink:
         self._is_closing = False
         self._error: OperationError | None = None
         self._condition = threading.Condition()
+        self._pulse: Pulse | None = None
         self._flushed_ns = self._synchronised_ns = clock.elapsed_ns()
         self._thread = threading.Thread(target=self._run, name="mcap", daemon=True)
         self._thread.start()
+
+    def watch(self, pulse: Pulse) -> None:
+        """Have the writing thread beat this from now on: a disk that hangs is noticed."""
+        self._pulse = pulse
 
     @property
     def path(self) -> Path:
@@ -136,6 +142,8 @@ class McapSink:
     def _run(self) -> None:
         try:
             while not self._is_closing:
+                if self._pulse is not None:
+                    self._pulse.beat()
                 with self._condition:
                     self._condition.wait_for(lambda: self._is_closing, _TICK_S)
                 self._write_all()

@@ -23,6 +23,14 @@ PATIENCE_S = 5.0
 _LONGEST_WAIT_S = 0.25
 
 
+Beat = Callable[[], object]
+"""What a thread calls from within its work, so that one that hangs is noticed."""
+
+
+def _unwatched() -> None:
+    """For a line that nobody watches."""
+
+
 class OpenPort(Interface):
     """What the line needs of a port; `Port` is one."""
 
@@ -68,18 +76,20 @@ class Line:
             self._protocol.correct(correction)
             self._changed.notify()
 
-    def read_until(self, stopping: threading.Event) -> None:
+    def read_until(self, stopping: threading.Event, beat: Beat = _unwatched) -> None:
         """The reader's thread: read, and reopen with growing pauses, until `stopping` is set.
 
-        Raises PortError where the port does not open at all within `patience_s`.
+        `beat` is called at every turn. Raises PortError where the port does not open at all within
+        `patience_s`.
         """
         pause_s, last_trouble = FIRST_PAUSE_S, ""
         give_up_ns = self._clock.elapsed_ns() + to_ns(self._patience_s)
         while not stopping.is_set():
+            beat()
             try:
                 self._open()
                 pause_s, last_trouble = FIRST_PAUSE_S, ""
-                self._read(stopping)
+                self._read(stopping, beat)
             except PortError as trouble:
                 if not self.opened and self._clock.elapsed_ns() >= give_up_ns:
                     raise
@@ -92,9 +102,10 @@ class Line:
             self._clock.wait(stopping, pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
-    def write_until(self, stopping: threading.Event) -> None:
-        """The writer's thread: write what is due, until `stopping` is set."""
+    def write_until(self, stopping: threading.Event, beat: Beat = _unwatched) -> None:
+        """The writer's thread: write what is due, until `stopping` is set; `beat` as above."""
         while not stopping.is_set():
+            beat()
             with self._changed:
                 self._changed.wait_for(self._is_due, self._wait_s())
                 events = self._protocol.elapse(self._clock.elapsed_ns())
@@ -118,10 +129,11 @@ class Line:
             self.opened += 1
             self._changed.notify()
 
-    def _read(self, stopping: threading.Event) -> None:
+    def _read(self, stopping: threading.Event, beat: Beat) -> None:
         port = self._port
         assert port is not None
         while not stopping.is_set():
+            beat()
             data, received_ns = port.read()
             if data:
                 with self._changed:

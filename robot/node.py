@@ -9,6 +9,7 @@ from trigpoint.errors import MessageError
 from trigpoint.messages import PoseEstimate
 from trigpoint.node import Node
 from trigpoint.topics import CORRECTION, ODOMETRY
+from trigpoint.watchdog import Pulse
 
 from .bridge import Bridge, Offset
 from .line import Line
@@ -50,9 +51,9 @@ class RobotNode:
         corrections = self._bus.subscribe(CORRECTION, key)
         self._show()
         node = self._node
-        node.thread("reads", lambda: self._line.read_until(node.stopping))
-        node.thread("writes", lambda: self._line.write_until(node.stopping))
-        node.thread("corrects", lambda: self._take(corrections))
+        node.work("reads", lambda pulse: self._line.read_until(node.stopping, pulse.beat))
+        node.work("writes", lambda pulse: self._line.write_until(node.stopping, pulse.beat))
+        node.work("corrects", lambda pulse: self._take(corrections, pulse))
 
     def _show(self) -> None:
         health, bridge = self._node.health, self._bridge
@@ -86,8 +87,9 @@ class RobotNode:
             self._publisher.put(encode(odometry))
             self._node.health.count(f"sent {self._odometry_key}")
 
-    def _take(self, corrections: Subscription) -> None:
+    def _take(self, corrections: Subscription, pulse: Pulse) -> None:
         while not self._node.stopping.is_set():
+            pulse.beat()
             sample = corrections.take(_TAKE_S)
             if sample is not None:
                 self._correct(sample)

@@ -1,5 +1,6 @@
 """Small things that tests need: sites, targets, messages, waiting."""
 
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -88,3 +89,13 @@ def eventually(holds: Callable[[], bool], timeout_s: float = 10.0) -> bool:
             return False
         time.sleep(0.01)
     return True
+
+
+def told(manager: socket.socket) -> list[str]:
+    """What the service manager was told since the last call."""
+    messages = []
+    while True:
+        try:
+            messages.append(manager.recv(1000).decode())
+        except BlockingIOError:
+            return messages

@@ -1,7 +1,9 @@
 """systemd units for a site's nodes: started at boot, started again, and watched.
 
-`WatchdogSec` ends a process that has not said for so long that its work goes on; the nodes say so
-once a second, an agent only while none of its cameras' threads hangs.
+`WatchdogSec` ends a process that has not said for so long that its work goes on. A node says so
+once a second, but only while each of its working threads has given a sign of life from within its
+work: one for a camera, for each direction of a robot's port, for each topic that is recorded, for
+the disk, for the estimator and for the process that solves for it.
 """
 
 import getpass

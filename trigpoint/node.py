@@ -28,7 +28,7 @@ from .health import Health, Level
 from .messages import Diagnostics, DiagnosticStatus
 from .peers import Peers
 from .topics import DIAGNOSTICS, alive_key
-from .watchdog import Watchdog
+from .watchdog import Pulse, Watchdog
 
 __all__ = ["Health", "Node", "stop_on_signals", "stopped_by_signals"]
 
@@ -38,6 +38,8 @@ STOP_S = 2.0
 _TAKEOVER_S = 2.0
 _NEWCOMER_S = 5.0
 _PULSE_S = 10.0
+# What a turn of work takes is far below this, also on a small machine that is busy.
+_WORK_S = 20.0
 
 
 class Node:
@@ -134,6 +136,19 @@ class Node:
         thread = threading.Thread(target=self._guard, args=(run,), name=title, daemon=True)
         self._threads.append(thread)
         thread.start()
+
+    def work(self, name: str, run: Callable[[Pulse], object], *, within_s: float = _WORK_S) -> None:
+        """Start a thread as `thread` does that the watchdog asks after: `run` beats its pulse from
+        within its work, at least so often; one that hangs is named in the diagnostics."""
+        pulse = self.watchdog.pulse(f"{self.label} {name}", within_s=within_s)
+
+        def watched() -> None:
+            try:
+                run(pulse)
+            finally:
+                self.watchdog.forget(pulse)
+
+        self.thread(name, watched)
 
     def stop(self) -> None:
         """Ask the node to end."""

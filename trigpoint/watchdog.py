@@ -23,12 +23,13 @@ class Pulse:
 
     def __init__(self, name: str, within_s: float, clock: Clock) -> None:
         self.name = name
-        self._clock = clock
-        self.beat(within_s)
+        self._within_s, self._clock = within_s, clock
+        self.beat()
 
-    def beat(self, within_s: float) -> None:
-        """The thread is well, and says so again within this time."""
-        self._due_ns = self._clock.elapsed_ns() + to_ns(within_s)
+    def beat(self, within_s: float | None = None) -> None:
+        """The thread is well, and says so again within this time; without one, within the usual."""
+        usual_s = self._within_s
+        self._due_ns = self._clock.elapsed_ns() + to_ns(usual_s if within_s is None else within_s)
 
     @property
     def is_overdue(self) -> bool:

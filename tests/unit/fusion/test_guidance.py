@@ -273,7 +273,7 @@ def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
     ):
         heard = other.subscribe(topics.SUGGESTION, topics.SUGGESTION.expression("lab"))
         guide = Guide(bus, node, "lab", lambda: drive.world, period_s=0.01)
-        node.thread("guide", guide.run)
+        node.work("guides", guide.run)
         assert eventually(lambda: heard.depth > 0)
         node.stop()
         sample = heard.take(1.0)

@@ -1,34 +1,15 @@
 """The service manager is told that all is well only while every thread says so."""
 
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from builders import eventually
+from builders import eventually, told
 
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.clock import ManualClock
 from trigpoint.node import Node
 from trigpoint.watchdog import SOCKET, Watchdog
-
-
-@pytest.fixture
-def manager(tmp_path: Path) -> Iterator[socket.socket]:
-    """The service manager's end of the socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(str(tmp_path / "notify"))
-        receiver.setblocking(False)
-        yield receiver
-
-
-def told(manager: socket.socket) -> list[str]:
-    messages = []
-    while True:
-        try:
-            messages.append(manager.recv(1000).decode())
-        except BlockingIOError:
-            return messages
 
 
 def watchdog_of(manager: socket.socket, clock: ManualClock) -> Watchdog:
@@ -56,6 +37,19 @@ def test_overdue_thread_silences_it_until_it_is_back(
     pulse.beat(5.0)
     watchdog.tick()
     assert len(told(manager)) == 1
+
+
+def test_beat_without_a_time_is_good_for_the_usual_one() -> None:
+    clock = ManualClock()
+    watchdog = Watchdog({}, clock)
+    pulse = watchdog.pulse("c1", within_s=5.0)
+    pulse.beat(100.0)
+    clock.advance(50.0)
+    pulse.beat()
+    clock.advance(4.0)
+    assert watchdog.hung == ()
+    clock.advance(2.0)
+    assert watchdog.hung == ("c1",)
 
 
 def test_thread_that_has_ended_is_not_waited_for(manager: socket.socket) -> None:
