@@ -15,9 +15,12 @@ from trigpoint.geometry.rotation import Array
 from .middle import median
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
-# Bounds of the blur's variances, pixel²; the upper is that of 6 pixels of motion.
-LEAST_BLUR = 0.12
+# Bounds of the blur's variances, pixel²: below 0 the camera sharpens, as most webcams do; the upper
+# one is that of 6 pixels of motion.
+LEAST_BLUR = -1.5
 MOST_BLUR = 3.0
+# As far as the drawing is blurred at least; what is less is made up by second derivatives.
+LEAST_GAUSSIAN = 0.2
 # A pixel this far off the drawing, of the face's contrast, shows something else.
 FOREIGN_SHARE = 0.25
 # Of a corner's pixels, how many must show the pattern, and how many there must be;
@@ -190,16 +193,23 @@ def _blur_change(drawing: _Drawing, match: _Match, clear: np.ndarray) -> Array:
 
 
 def _blurred(drawn: np.ndarray, blur: Array) -> np.ndarray:
-    """Patches (n, l, l) blurred by a Gaussian of variances and covariance `blur`, pixel²."""
+    """Patches (n, l, l) blurred by variances and covariance `blur`, pixel²."""
     n, side, _ = drawn.shape
-    spread = STEP**2 * np.array([[blur[0], blur[2]], [blur[2], blur[1]]])
-    radius = int(np.clip(np.ceil(2.6 * np.sqrt(np.linalg.eigvalsh(spread)[1])), 2, 6))
-    places = np.arange(-radius, radius + 1)
-    offsets = np.stack(np.meshgrid(places, places), axis=-1)
-    kernel = np.exp(-0.5 * np.einsum("ija,ab,ijb->ij", offsets, np.linalg.inv(spread), offsets))
-    tall = drawn.reshape(n * side, side)
-    soft = cv2.filter2D(tall, cv2.CV_32F, (kernel / kernel.sum()).astype(np.float32))
+    soft = cv2.filter2D(drawn.reshape(n * side, side), cv2.CV_32F, _kernel(blur))
     return soft.reshape(n, side, side)
+
+
+def _kernel(blur: Array) -> np.ndarray:
+    """What blurs so on the lattice, (2r + 1, 2r + 1) float32: a Gaussian along each principal axis,
+    of LEAST_GAUSSIAN at least; less than that by its second derivative (the heat equation)."""
+    variances, axes = np.linalg.eigh(STEP**2 * np.array([[blur[0], blur[2]], [blur[2], blur[1]]]))
+    spread = np.maximum(variances, STEP**2 * LEAST_GAUSSIAN)
+    radius = int(np.clip(np.ceil(2.6 * np.sqrt(spread.max())), 2, 6))
+    places = np.arange(-radius, radius + 1)
+    along = np.stack(np.meshgrid(places, places), axis=-1) @ axes / np.sqrt(spread)
+    short = (variances - spread) / spread
+    kernel = np.exp(-0.5 * (along**2).sum(axis=-1)) * (1 + 0.5 * (along**2 - 1) @ short)
+    return (kernel / kernel.sum()).astype(np.float32)
 
 
 def _derivatives(soft: np.ndarray) -> tuple[np.ndarray, ...]:

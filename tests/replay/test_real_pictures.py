@@ -63,7 +63,7 @@ def distances(one: dict[int, np.ndarray], other: dict[int, np.ndarray]) -> list[
 
 
 SMEARED = pytest.mark.xfail(
-    strict=True, reason="corners of real prints that gleam or smear do not settle and are left out"
+    strict=True, reason="corners where the light clips or the board curls are left out"
 )
 
 
@@ -82,20 +82,6 @@ def test_more_of_the_arms_corners_are_found_than_opencv_finds_and_at_the_same_pl
     assert np.percentile(off, 95) < 0.25
 
 
-@pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
-def test_videos_give_more_corners_than_opencv_finds() -> None:
-    detector = detector_for([target_of(VIDEO_BOARD)])
-    counts, off = [], []
-    for camera in range(4):
-        for picture in every_third(VIDEO / f"cam_{camera}.mp4"):
-            mine, reference = ours(detector, picture), theirs(VIDEO_BOARD, picture)
-            counts.append((len(mine), len(reference)))
-            off += distances(mine, reference)
-    found, reference_found = np.sum(counts, axis=0)
-    assert found >= reference_found > 600
-    assert np.median(off) < 0.2
-
-
 @SMEARED
 @pytest.mark.skipif(not ARM.is_dir(), reason=f"the real pictures of {ARM.name} are not here")
 def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
@@ -112,10 +98,7 @@ def test_every_corner_of_the_arms_board_is_found_where_opencv_sees_it() -> None:
 
 
 @pytest.mark.skipif(not VIDEO.is_dir(), reason=f"the real videos of {VIDEO.name} are not here")
-@pytest.mark.parametrize(
-    "camera",
-    [0, 1, pytest.param(2, marks=SMEARED), pytest.param(3, marks=SMEARED)],
-)
+@pytest.mark.parametrize("camera", range(4))
 def test_every_picture_of_a_video_gives_as_many_corners_as_opencv_finds(camera: int) -> None:
     detector = detector_for([target_of(VIDEO_BOARD)])
     counts, off = [], []
@@ -127,7 +110,7 @@ def test_every_picture_of_a_video_gives_as_many_corners_as_opencv_finds(camera: 
         assert len(mine) >= len(reference) or len(reference) < 2
     found, reference_found = np.sum(counts, axis=0)
     assert found >= reference_found > 50
-    assert np.median(off) < 0.4
+    assert np.median(off) < 0.2
 
 
 def every_third(file: Path) -> list[np.ndarray]:
