@@ -1,0 +1,99 @@
+"""rosbags' objects of ROS 2 messages: their types, how they are built, and how their common pieces
+are read and checked. The one place that knows rosbags.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from .cdr_layout import UNIT_TOLERANCE
+from .errors import MessageError
+from .geometry import Pose
+from .geometry.rotation import Array
+from .messages import SIGHTINGS
+
+_SIGHTINGS_DEFINITION = """std_msgs/Header header
+uint32 width
+uint32 height
+trigpoint_msgs/FaceSighting[] faces
+"""
+
+_FACE_SIGHTING_DEFINITION = """string target
+int32 face
+uint16[] corners
+float32[] pixels
+float32 sigma
+"""
+
+
+@cache
+def store() -> Typestore:
+    """ROS 2's types and ours; made once."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg(_FACE_SIGHTING_DEFINITION, "trigpoint_msgs/msg/FaceSighting"))
+    types.register(get_types_from_msg(_SIGHTINGS_DEFINITION, SIGHTINGS))
+    return types
+
+
+class Builder:
+    """Builds rosbags' objects by short type names (`std_msgs/Header`)."""
+
+    def __call__(self, ros_type: str, /, **fields: Any) -> Any:
+        package, short = ros_type.split("/")
+        return store().types[f"{package}/msg/{short}"](**fields)
+
+    def header(self, stamp_ns: int, frame_id: str) -> Any:
+        if stamp_ns < 0:
+            raise MessageError(f"a stamp of {stamp_ns} ns lies before 1970; check the clock")
+        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+        time = self("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
+        return self("std_msgs/Header", stamp=time, frame_id=frame_id)
+
+    def vector(self, values: Array) -> Any:
+        x, y, z = (float(value) for value in values)
+        return self("geometry_msgs/Vector3", x=x, y=y, z=z)
+
+    def point(self, values: Array) -> Any:
+        x, y, z = (float(value) for value in values)
+        return self("geometry_msgs/Point", x=x, y=y, z=z)
+
+    def quaternion(self, pose: Pose) -> Any:
+        x, y, z, w = (float(value) for value in pose.quaternion)
+        return self("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+
+    def pose(self, pose: Pose) -> Any:
+        return self(
+            "geometry_msgs/Pose",
+            position=self.point(pose.translation),
+            orientation=self.quaternion(pose),
+        )
+
+
+def stamp_of(header: Any) -> int:
+    """A header's stamp, nanoseconds."""
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def finite(values: Any, what: str) -> Array:
+    """Numbers as an array of float; raise MessageError, which says of what, where one is none."""
+    array = np.asarray(values, dtype=float)
+    if not np.all(np.isfinite(array)):
+        raise MessageError(f"{what} holds a number that is not finite")
+    return array
+
+
+def xyz_of(vector: Any, what: str) -> Array:
+    """The three coordinates of a point or vector; raises as `finite`."""
+    return finite([vector.x, vector.y, vector.z], what)
+
+
+def pose_of(pose: Any) -> Pose:
+    """A pose; raise MessageError where its orientation is no rotation or a number is none."""
+    q = pose.orientation
+    quaternion = finite([q.x, q.y, q.z, q.w], "an orientation")
+    if abs(np.linalg.norm(quaternion) - 1) > UNIT_TOLERANCE:
+        raise MessageError("an orientation is no unit quaternion")
+    return Pose.from_quaternion(xyz_of(pose.position, "a position"), quaternion)
