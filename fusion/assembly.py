@@ -12,7 +12,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .dataset import DataSet, KnownCameras
-from .observations import Observation
+from .observations import Observation, moving
 from .odometry_track import Motion
 from .padded import padded_points
 from .problem import (
@@ -64,7 +64,7 @@ def assemble(
     priors = _priors(data, cameras, list(chains), anchored=anchored)
     layout = layout_of(cameras, chains, priors, start)
     start = State(_of_one_lens(start.cameras, priors.owners), start.robots)
-    batches = _batches(data, chains, entries, node_of)
+    batches = _batches(data, state, chains, entries, node_of)
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
@@ -173,27 +173,40 @@ def _start_poses(count: int, motion: Motion | None, guesses: dict[int, Pose | No
 
 
 def _batches(
-    data: DataSet, chains: dict[str, Chain], entries: list[int], node_of: dict[int, int]
+    data: DataSet,
+    state: State,
+    chains: dict[str, Chain],
+    entries: list[int],
+    node_of: dict[int, int],
 ) -> tuple[Batch, ...]:
     pairs: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index in entries:
         observation = data.entries[index].observation
         pairs[observation.camera, observation.robot].append(index)
     return tuple(
-        _batch(data, chains[robot], camera, indices, node_of)
+        _batch(data, state, chains[robot], camera, indices, node_of)
         for (camera, robot), indices in pairs.items()
     )
 
 
 def _batch(
-    data: DataSet, chain: Chain, camera: str, indices: list[int], node_of: dict[int, int]
+    data: DataSet,
+    state: State,
+    chain: Chain,
+    camera: str,
+    indices: list[int],
+    node_of: dict[int, int],
 ) -> Batch:
     target: Target = data.targets[chain.robot]
     observations = [data.entries[index].observation for index in indices]
+    stamps_ns = np.array([observation.stamp_ns for observation in observations])
+    since_epoch_s = data.since_epoch_s(stamps_ns)
+    offset_s = state.cameras[camera].offset_s(since_epoch_s)
+    times_ns = stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
+    observations = moving(observations, chain.track, times_ns, chain.scales)
     points = padded_points(observations, target)
     shares = np.array([data.entries[index].share for index in indices])
     nodes = np.array([node_of[index] for index in indices])
-    stamps_ns = np.array([observation.stamp_ns for observation in observations])
     return Batch(
         camera=camera,
         robot=chain.robot,
@@ -205,7 +218,7 @@ def _batch(
         shares=shares,
         sources=np.array(indices),
         after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
-        since_epoch_s=data.since_epoch_s(stamps_ns),
+        since_epoch_s=since_epoch_s,
     )
 
 

@@ -64,7 +64,8 @@ def body_of(target: Target) -> Body:
 def by_reading(view: View, body: Body) -> Array:
     """A view's corners in the base frame by each of its readings, (r, n, 3)."""
     faces, is_turned = _ways(view.readings)
-    return corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
+    points = corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
+    return points if view.sweep is None else points + view.sweep.shift(points)
 
 
 def corners_in_base(

@@ -12,7 +12,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network
 from trigpoint.target import Target
 
-from .observations import Observation, Verdict, base_from_faces
+from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry_track import OdometryTrack
 from .problem import CameraState, RobotState, State
 
@@ -163,6 +163,16 @@ class DataSet:
         del self.entries[index:]
         self._by_camera.clear()
         self._sorted = 0
+
+    def moving(
+        self, observation: Observation, time_ns: int, scales: Array | None = None
+    ) -> Observation:
+        """An observation with its robot's twist at the true time at which it was seen."""
+        if not observation.is_swept:
+            return observation
+        track = self.tracks[observation.robot]
+        scales = np.zeros(2) if scales is None else scales
+        return moving([observation], track, np.array([time_ns]), scales)[0]
 
     def usable(self, cameras: Iterable[str]) -> list[int]:
         """Indices of the accepted observations of these cameras that odometry covers."""

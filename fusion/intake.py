@@ -90,10 +90,11 @@ class Intake:
     def _views(self, camera: str, message: Sightings) -> dict[str, list[View]]:
         views: dict[str, list[View]] = {}
         shared: list[dict[str, View]] = []
+        eye = self._site.cameras[camera]
         for face in message.faces:
             robots = self._robots_of(face)
             if len(robots) > 1 and self._shared is not None:
-                by_robot = {robot: view_of(self._targets[robot], face) for robot in robots}
+                by_robot = {robot: view_of(self._targets[robot], face, eye) for robot in robots}
                 possible = {robot: view for robot, view in by_robot.items() if view is not None}
                 if possible:
                     shared.append(possible)
@@ -106,7 +107,7 @@ class Intake:
                     f"{len(robots) or 'no'} robots carry; give each robot its own target",
                 )
                 continue
-            view = view_of(self._targets[robots[0]], face)
+            view = view_of(self._targets[robots[0]], face, eye)
             if view is None:
                 self._leave_out(
                     "unknown_face",

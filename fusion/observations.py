@@ -9,10 +9,15 @@ from enum import Enum
 
 import numpy as np
 
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import CameraConfig
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Face, Target
+
+from .odometry_track import OdometryTrack
+from .shutter import Sweep, joined, sweep_of
 
 
 class Verdict(Enum):
@@ -35,18 +40,20 @@ class Reading:
 class View:
     """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate.
 
-    `readings`: every way in which the view can be read.
+    `readings`: every way in which the view can be read; `sweep`: by a rolling shutter.
     """
 
     corners: np.ndarray
     pixels: Array
     sigma: float
     readings: tuple[Reading, ...]
+    sweep: Sweep | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One robot in one picture. `chosen`: a reading for each view, or None where that is open.
+    """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
+    camera's clock. `chosen`: a reading for each view, or None where that is open.
 
     `outliers`: for each view, (n,) bool, the corners that contradict the rest.
     """
@@ -70,6 +77,19 @@ class Observation:
         return replace(self, outliers=outliers)
 
     @property
+    def is_swept(self) -> bool:
+        """Whether its camera has a rolling shutter."""
+        return any(view.sweep is not None for view in self.views)
+
+    def moving(self, twist: Array) -> "Observation":
+        """The same of a robot that moved by a twist (6,)."""
+        views = (
+            replace(view, sweep=view.sweep.moving(twist)) if view.sweep is not None else view
+            for view in self.views
+        )
+        return replace(self, views=tuple(views))
+
+    @property
     def used_views(self) -> int:
         """How many of its views are used."""
         if self.verdict is not Verdict.ACCEPTED:
@@ -83,8 +103,8 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """An observation's corners in one row: (n, 3) in their face's frame, face index (n,), pixels
-    (n, 2), and 1/sigma (n,), 0 for outliers."""
+    """An observation's corners in one row: (n, 3) in their face's frame, swept on by a rolling
+    shutter, face index (n,), pixels (n, 2), and 1/sigma (n,), 0 for outliers."""
 
     face_points: Array
     faces: np.ndarray
@@ -97,7 +117,7 @@ class Points:
         return (faces.rotation @ self.face_points[..., None])[..., 0] + faces.translation
 
 
-def view_of(target: Target, sighting: FaceSighting) -> View | None:
+def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> View | None:
     """The view that a sighting gives, or None where it does not fit the target."""
     if sighting.face >= 0:
         indices = [i for i, face in enumerate(target.faces) if face.id == sighting.face]
@@ -115,14 +135,42 @@ def view_of(target: Target, sighting: FaceSighting) -> View | None:
     if not readings:
         return None
     pixels = np.asarray(sighting.pixels, dtype=float)
-    return View(sighting.corners.astype(int), pixels, float(sighting.sigma), readings)
+    sweep = sweep_of(camera, pixels)
+    return View(sighting.corners.astype(int), pixels, float(sighting.sigma), readings, sweep)
 
 
 def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ...]) -> Observation:
-    """A new observation; its reading is chosen where there is only one."""
+    """A new observation; its reading is chosen where there is only one.
+
+    Where a shutter rolls, it is of the moment when the middle of the corners was exposed;
+    `stamp_ns`: after which the views have their corners.
+    """
     is_plain = all(len(view.readings) == 1 for view in views)
     chosen = tuple(view.readings[0] for view in views) if is_plain else None
+    sweep = joined(views)
+    if sweep is not None:
+        later_ns = to_ns(float(np.mean(sweep.after_s)))
+        stamp_ns += later_ns
+        views = tuple(
+            replace(view, sweep=view.sweep.later(to_seconds(later_ns))) if view.sweep else view
+            for view in views
+        )
     return Observation(camera, robot, stamp_ns, views, chosen)
+
+
+def moving(
+    observations: list[Observation], track: OdometryTrack, times_ns: np.ndarray, scales: Array
+) -> list[Observation]:
+    """Observations of a robot with its twists at the true times (n,) at which it was seen, by its
+    odometry; those that no rolling shutter made stay as they are. `scales`: of the odometry, (2,).
+    """
+    if not any(observation.is_swept for observation in observations):
+        return observations
+    _, twists = track.carried(times_ns, np.zeros(len(times_ns)), scales)
+    return [
+        observation.moving(twist) if observation.is_swept else observation
+        for observation, twist in zip(observations, twists, strict=True)
+    ]
 
 
 def face_points(face: Face, corners: np.ndarray, *, is_turned: bool) -> Array:
@@ -142,9 +190,13 @@ def points_of(observation: Observation, target: Target) -> Points:
         weights = np.full(len(view.corners), 1 / view.sigma)
         if observation.outliers:
             weights[observation.outliers[index]] = 0.0
+        points = face_points(face, view.corners, is_turned=reading.is_turned)
+        if view.sweep is not None:
+            base_from_face = face.base_from_face
+            points = points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
         parts.append(
             (
-                face_points(face, view.corners, is_turned=reading.is_turned),
+                points,
                 np.full(len(view.corners), reading.face),
                 view.pixels,
                 weights,

@@ -4,7 +4,8 @@ import numpy as np
 
 from trigpoint.target import Target
 
-from .observations import Observation, Points
+from .observations import Observation, Points, base_from_faces
+from .shutter import joined
 
 
 def padded_points(observations: list[Observation], target: Target) -> Points:
@@ -29,7 +30,13 @@ def padded_points(observations: list[Observation], target: Target) -> Points:
     points = Points(
         np.zeros((*shape, 3)), np.zeros(shape, int), np.zeros((*shape, 2)), np.zeros(shape)
     )
-    points.face_points[at] = np.concatenate([f.corners for f in target.faces])[first[faces] + ids]
+    in_face = np.concatenate([f.corners for f in target.faces])[first[faces] + ids]
+    sweep = joined(views)
+    if sweep is not None:
+        poses = base_from_faces(target)[faces]
+        shift = sweep.shift((poses.rotation @ in_face[..., None])[..., 0] + poses.translation)
+        in_face = in_face + (shift[:, None] @ poses.rotation)[:, 0]
+    points.face_points[at] = in_face
     points.faces[at] = faces
     points.pixels[at] = np.concatenate([view.pixels for view in views])
     points.weights[at] = weights

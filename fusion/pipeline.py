@@ -260,6 +260,8 @@ class Pipeline:
                 f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
                 "make no corrections; synchronise the clocks, or see what is slow"
             )
+        # Its camera's time offset is left out; what uses it puts that right.
+        observation = self._data.moving(observation, observation.stamp_ns)
         if not self._is_live and isinstance(self._estimator, Collecting):
             self._estimator.collect(observation)
             return

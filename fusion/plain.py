@@ -9,6 +9,7 @@ from trigpoint.target import Target
 
 from .body import are_seen, body_of, corners_in_base
 from .observations import Observation
+from .shutter import joined
 
 _NEAREST_M = 1e-3
 
@@ -35,6 +36,9 @@ def are_possible(
     starts = np.cumsum(sizes) - sizes
     corners = np.concatenate([view.corners for view in views])
     points = corners_in_base(body, corners, np.repeat(faces, sizes), np.repeat(is_turned, sizes))
+    sweep = joined(views)
+    if sweep is not None:
+        points = points + sweep.shift(points)
     pose = camera_from_base[np.repeat(owner, sizes)]
     depth = np.sum(pose.rotation[:, 2] * points, axis=1) + pose.translation[:, 2]
     is_good = np.logical_and.reduceat(depth > _NEAREST_M, starts)

@@ -1,9 +1,7 @@
 """What is known at the moment: a filter, carried on sighting by sighting, and its last steps.
 
 A sighting that comes late is put before the ones that are later than it, which are then taken in
-again. Filters are immutable, so that going back costs nothing; but one of a hundred cameras takes
-3 MB. Where they are large only the last few steps keep theirs, and now and then one before; from
-there the steps between are taken in once more.
+again. Filters are immutable and share what a step leaves alone, so that going back costs nothing.
 """
 
 from collections.abc import Iterable
@@ -22,16 +20,14 @@ from .survey import camera_estimates, is_placed
 # the robot or the camera is not where the rest says.
 _SURPRISING = 3.0
 _MOST_STEPS = 64
-_MOST_BYTES = 32_000_000
-_FLOAT_BYTES = 8
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Step:
-    """A used entry, and the filter before it; None where that was given up for its size."""
+    """A used entry, and the filter before it."""
 
     time_ns: int
-    before: Filter | None
+    before: Filter
     entry: Entry
 
 
@@ -45,7 +41,6 @@ class Present:
         self.data = data
         self.known: Filter | None = None
         self._steps: list[_Step] = []
-        self._count = 0
         # (camera, robot) -> stamp and share of the last observation.
         self._shares: dict[tuple[str, str], tuple[int, float]] = {}
         # Where each robot is by its odometry since the filter's last step, and by which filter;
@@ -82,6 +77,8 @@ class Present:
         """
         assert self.known is not None
         time_ns = true_time_ns(self.data, entry.observation, state)
+        scales = self.known.scales(entry.observation.robot)
+        entry.observation = self.data.moving(entry.observation, time_ns, scales)
         later = self._rewind(entry.observation.robot, time_ns)
         correction = self._apply(entry, time_ns)
         for step in later:
@@ -95,20 +92,12 @@ class Present:
             return []
         for row in range(len(self._steps) - 1, -1, -1):
             before = self._steps[row].before
-            if before is not None and before.stamps_ns[robot] <= time_ns:
-                steps = self._steps[row:]
-                del self._steps[row:]
+            if before.stamps_ns[robot] <= time_ns:
                 self.known = before
-                return self._up_to(steps, robot, time_ns)
+                later = self._steps[row:]
+                del self._steps[row:]
+                return later
         return []  # older than all of it; the next solution has it
-
-    def _up_to(self, steps: list[_Step], robot: str, time_ns: int) -> list[_Step]:
-        """Take the steps in again that come before a moment; the others."""
-        for count, step in enumerate(steps):
-            if step.entry.observation.robot == robot and step.time_ns > time_ns:
-                return steps[count:]
-            self._apply(step.entry, step.time_ns)
-        return []
 
     def _apply(self, entry: Entry, time_ns: int) -> RobotEstimate | None:
         """Update the filter by an observation; None where it was rejected or came too late."""
@@ -133,24 +122,11 @@ class Present:
             return None
         entry.observation = observation.judged(Verdict.ACCEPTED)
         self._steps.append(_Step(time_ns, current, entry))
-        self._give_up_filters()
+        del self._steps[:-_MOST_STEPS]
         self._note_share(entry)
         self.known = after
         estimate = after.robot(self.data, robot)
         return estimate if is_placed(estimate.covariance) else None
-
-    def _give_up_filters(self) -> None:
-        """Keep what memory allows: half of it for the last steps, half for every so manieth."""
-        del self._steps[:-_MOST_STEPS]
-        assert self.known is not None
-        most = max(4, _MOST_BYTES // (_FLOAT_BYTES * self.known.layout.size**2))
-        if most >= _MOST_STEPS:
-            return
-        number, last = self._count, most // 2
-        self._count += 1
-        stride = -(-_MOST_STEPS // (most - last))
-        if len(self._steps) > last and (number - last) % stride:
-            self._steps[-1 - last].before = None
 
     def _share_before(self, observation: Observation) -> float:
         """The share of the same camera's last observation, while the robot stands as it did."""

@@ -149,6 +149,7 @@ class SharedLooks:
             views = tuple(face[robot] for face in picture.faces if robot in face)
             is_possible = bool(views) and track.covers(picture.stamp_ns)
             observation = observation_of(camera, robot, picture.stamp_ns, views)
+            observation = self._data.moving(observation, observation.stamp_ns)
             entries.append(Entry(observation, path[row] if is_possible else None))
         return replace(self._data, entries=entries)
 
@@ -165,16 +166,18 @@ class SharedLooks:
         for index, picture in enumerate(visit):
             base = located.map_from_base.get(index)
             own, other = [], []
+            views_of_robot = iter(data.entries[index].observation.views)
             for face in picture.faces:
                 is_own = False
-                if base is not None and robot in face:
+                view = next(views_of_robot) if robot in face else None
+                if base is not None and view is not None:
                     _, rms, _ = best_reading(
-                        face[robot],
+                        view,
                         self._data.targets[robot],
                         located.camera.lens,
                         located.map_from_camera.inverse() @ base,
                     )
-                    is_own = rms < limit * face[robot].sigma
+                    is_own = rms < limit * view.sigma
                 (own if is_own else other).append(face)
             if own:
                 views = tuple(face[robot] for face in own)

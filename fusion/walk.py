@@ -174,6 +174,8 @@ class Walk:
         belief, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
         if predicted is not None:
             entry.map_from_base = predicted.map_from_base
+        scales = belief.scales(entry.observation.robot)
+        entry.observation = self._data.moving(entry.observation, time_ns, scales)
         sight = sight_of(self._data, belief, entry.observation, predicted)
         if sight is None:
             return None

@@ -19,9 +19,11 @@ from trigpoint.fusion.observations import (
     View,
     base_from_faces,
     face_points,
+    observation_of,
 )
 from trigpoint.fusion.odometry_track import OdometryTrack
 from trigpoint.fusion.problem import CameraState, Problem, RobotState, State
+from trigpoint.fusion.shutter import sweep_of
 from trigpoint.fusion.solver import moved_state
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -84,12 +86,16 @@ def reported(robot: str, seconds: Array) -> Pose:
 MAP_FROM_ODOM = {"r1": Pose.identity(), "r2": Pose.planar(0.4, -0.6, 0.7)}
 
 
-def small_data(*, known: bool = False, noise_px: float = 0.0, seed: int = 0) -> DataSet:
+def small_data(
+    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, seed: int = 0
+) -> DataSet:
     """Two robots that two cameras see at a few moments; all is true where there is no noise.
 
-    `known`: the cameras have a joint prior instead of r1's first pose.
+    `known`: the cameras have a joint prior instead of r1's first pose; `line_delay_s`: of c2's
+    rolling shutter.
     """
-    site, random = parse_site(SITE, directory=Path()), np.random.default_rng(seed)
+    text = SITE.replace("[robots.r1]", f"line_delay = {line_delay_s}\n[robots.r1]", 1)
+    site, random = parse_site(text, directory=Path()), np.random.default_rng(seed)
     lenses = {name: lens(62.0, (-0.2, 0.05, 1e-3, -5e-4, 0.01)) for name in site.cameras}
     targets = {name: make_target() for name in site.robots}
     data = DataSet(site, targets, lenses, known_eyes(random) if known else KnownCameras.none())
@@ -98,8 +104,8 @@ def small_data(*, known: bool = False, noise_px: float = 0.0, seed: int = 0) -> 
     for number in range(12):
         robot, camera = ("r1", "r2")[number % 2], ("c1", "c2")[number // 2 % 2]
         stamp_ns = EPOCH_NS + to_ns(SECONDS * (number + 0.63) / 13)
-        pose = true_pose(data, robot, stamp_ns)
-        observation = see(data, camera, robot, stamp_ns, pose, noise_px, random)
+        observation = see(data, camera, robot, stamp_ns, noise_px, random)
+        pose = true_pose(data, robot, observation.stamp_ns)
         data.entries.append(Entry(observation, pose))
     return data
 
@@ -131,22 +137,34 @@ def see(
     camera: str,
     robot: str,
     stamp_ns: int,
-    map_from_base: Pose,
     noise_px: float,
     random: np.random.Generator,
 ) -> Observation:
     """Both faces, whichever way they look: their readings are chosen already."""
-    views, chosen = [], []
-    camera_from_base = eyes()[camera].inverse() @ map_from_base
+    views, config = [], data.site.cameras[camera]
     for index, face in enumerate(data.targets[robot].faces):
         corners = np.arange(index, face.corner_count, EVERY_CORNER)
         points = face.base_from_face @ face_points(face, corners, is_turned=False)
-        pixels = data.lenses[camera].project(camera_from_base @ points)
+        pixels = exposed(data, camera, robot, stamp_ns, points)
         pixels = pixels + noise_px * random.standard_normal(pixels.shape)
-        views.append(View(corners, pixels, SIGMA, (Reading(index),)))
-        chosen.append(Reading(index))
-    observation = Observation(camera, robot, stamp_ns, tuple(views), tuple(chosen))
-    return observation.judged(Verdict.ACCEPTED)
+        sweep = sweep_of(config, pixels)
+        views.append(View(corners, pixels, SIGMA, (Reading(index),), sweep))
+    return observation_of(camera, robot, stamp_ns, tuple(views)).judged(Verdict.ACCEPTED)
+
+
+def exposed(data: DataSet, camera: str, robot: str, stamp_ns: int, points: Array) -> Array:
+    """The pixels (n, 2) of points (n, 3) on a robot, each while its row is exposed."""
+    config, camera_from_map = data.site.cameras[camera], eyes()[camera].inverse()
+
+    def project(point: Array, at_ns: int) -> Array:
+        return data.lenses[camera].project(camera_from_map @ true_pose(data, robot, at_ns) @ point)
+
+    pixels = np.array([project(point, stamp_ns) for point in points])
+    for _ in range(3 if config.line_delay else 0):
+        after_s = config.line_delay * (pixels[:, 1] - (config.height - 1) / 2)
+        at = zip(points, after_s, strict=True)
+        pixels = np.array([project(p, stamp_ns + to_ns(float(s))) for p, s in at])
+    return pixels
 
 
 def first_state(data: DataSet, *, off: float = 0.0) -> State:
@@ -163,9 +181,11 @@ def first_state(data: DataSet, *, off: float = 0.0) -> State:
     return State(cameras, robots)
 
 
-def small_problem(*, known: bool = False, noise_px: float = 0.0, off: float = 0.0) -> Assembled:
+def small_problem(
+    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, off: float = 0.0
+) -> Assembled:
     """The problem over everything."""
-    data = small_data(known=known, noise_px=noise_px)
+    data = small_data(known=known, noise_px=noise_px, line_delay_s=line_delay_s)
     return assemble(data, first_state(data, off=off), list(range(len(data.entries))))
 
 

@@ -34,6 +34,7 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (CameraConfig, "distortion_sigma"): "each distortion coefficient",
     (CameraConfig, "time_offset_sigma"): "prior sigma of the time offset, s; estimated above 0",
     (CameraConfig, "time_drift_sigma"): "of the clock's drift, s/s; only with a time offset",
+    (CameraConfig, "line_delay"): "of a rolling shutter: s from one row to the next, like 30e-6",
     (CameraConfig, "picture_rate"): "pictures a second that are sent where someone looks",
     (CameraConfig, "picture_quality"): "of their JPEG, 1 to 100",
     (RobotConfig, "port"): "or any URL that pyserial opens",

@@ -23,6 +23,8 @@ _ENDPOINT = re.compile(
     rf"(?:{'|'.join(ENDPOINT_PROTOCOLS)})/(?P<host>\[[0-9a-fA-F:.%]+\]|[^\s:/?#\[\]]+)"
     r":(?P<port>[0-9]{1,5})(?:[?#]\S*)?$"
 )
+# Rows that come more slowly than this make a picture that takes half a second.
+_LONGEST_LINE_DELAY_S = 1e-3
 PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
 
 
@@ -59,6 +61,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     distortion_sigma: Positive = 0.5
     time_offset_sigma: NotNegative = 0.0
     time_drift_sigma: NotNegative = 20e-6
+    line_delay: float = 0.0
     picture_rate: Positive = 2.0
     picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80
 
@@ -67,6 +70,15 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         if not separator or not scheme:
             known = ", ".join(f"{name}://" for name in PICTURE_SCHEMES)
             raise ValueError(f"source «{self.source}» is no URL; write one of {known}")
+        if not abs(self.line_delay) <= _LONGEST_LINE_DELAY_S:
+            raise ValueError(
+                f"line_delay is {self.line_delay:g} s from one row to the next; 30 µs is 30e-6"
+            )
+
+    @property
+    def readout_s(self) -> float:
+        """How much later than its first row a picture's last one is exposed, either way."""
+        return abs(self.line_delay) * (self.height - 1)
 
     @property
     def estimates_intrinsics(self) -> bool:

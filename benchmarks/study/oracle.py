@@ -8,12 +8,17 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.bound import Bound, Oracle, cramer_rao
 from trigpoint.fusion.dataset import DataSet, KnownCameras
-from trigpoint.fusion.observations import Observation, Reading, base_from_faces, view_of
+from trigpoint.fusion.observations import (
+    Observation,
+    Reading,
+    base_from_faces,
+    observation_of,
+    view_of,
+)
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
-from trigpoint.target import Target
 from trigpoint.tools.simulation.memory import Simulated, Truth
 from trigpoint.tools.simulation.wrong_sightings import Labelled
 
@@ -95,8 +100,10 @@ def _places(data: DataSet, truth: Truth) -> list[tuple[Observation, Pose]]:
             shown = [face for face in faces if face.robot == robot and face.is_good.any()]
             if shown:
                 name = _as_it_hung(truth, camera, true_ns)
-                observations.append(_observation(name, stamp_ns, shown, data.targets[robot]))
-                stamps.append(true_ns)
+                observation = _observation(data, name, stamp_ns, shown)
+                # A rolling shutter sees it a little before or after the picture's stamp.
+                observations.append(observation)
+                stamps.append(true_ns + observation.stamp_ns - stamp_ns)
     places = []
     for observation, true_ns in zip(observations, stamps, strict=True):
         pose = truth.map_from_base(observation.robot, np.array([true_ns]))[0]
@@ -110,14 +117,16 @@ def _as_it_hung(truth: Truth, camera: str, true_ns: int) -> str:
     return camera if k == len(moved_ns) else f"{camera}@{k}"
 
 
-def _observation(camera: str, stamp_ns: int, shown: list[Labelled], target: Target) -> Observation:
+def _observation(data: DataSet, name: str, stamp_ns: int, shown: list[Labelled]) -> Observation:
+    """What a camera saw of one robot, under the name of where it hung."""
+    target, camera = data.targets[shown[0].robot], data.site.cameras[name]
     views, readings, outliers = [], [], []
     index = {face.id: i for i, face in enumerate(target.faces)}
     for face in shown:
-        view = view_of(target, replace(face.sighting, face=face.face))
+        view = view_of(target, replace(face.sighting, face=face.face), camera)
         assert view is not None  # it is the face that was simulated
         views.append(view)
         readings.append(Reading(index[face.face], face.is_turned))
         outliers.append(~face.is_good)
-    observation = Observation(camera, shown[0].robot, stamp_ns, tuple(views), tuple(readings))
-    return observation.with_outliers(tuple(outliers))
+    observation = observation_of(name, shown[0].robot, stamp_ns, tuple(views))
+    return observation.read_as(tuple(readings)).with_outliers(tuple(outliers))

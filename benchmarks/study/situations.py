@@ -65,6 +65,12 @@ SITUATIONS: dict[str, Situation] = {
         disturbance=Disturbance(time_offset_s=0.05),
         camera={"time_offset_sigma": 0.05},
     ),
+    "rolling": Situation(
+        "rolling shutters of 30 µs a row",
+        "drive",
+        disturbance=Disturbance(line_delay_s=30e-6),
+        camera={"line_delay": 30e-6},
+    ),
     "scale": Situation(
         "unknown odometry scale errors of 2 %",
         "drive",

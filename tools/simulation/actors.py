@@ -38,7 +38,8 @@ class SimulatedCamera:
     """One camera. It takes picture k at `phase + k / rate` seconds. Standard deviations: `blur_px`
     of the lens, `noise` of a grey value (of 255), `sigma` of a coordinate in sightings that are
     simulated without pictures, pixels. `map_from_camera`: where it hangs at first; its stamps are
-    `time_offset_s` ahead of the true time."""
+    `time_offset_s` ahead of the true time; each row is exposed `line_delay_s` after the one above,
+    the middle one at the picture's time."""
 
     name: str
     map_from_camera: Pose
@@ -50,6 +51,7 @@ class SimulatedCamera:
     noise: float
     sigma: float
     time_offset_s: float = 0.0
+    line_delay_s: float = 0.0
     moves: tuple[Move, ...] = ()
 
     def time_of(self, index: ArrayLike) -> Array:
@@ -60,6 +62,15 @@ class SimulatedCamera:
         """World times of its pictures (n,) up to the end."""
         count = int(np.floor((duration_s - self.phase) * self.rate)) + 1
         return self.time_of(np.arange(count))
+
+    def row_delay_s(self, v: ArrayLike) -> Array:
+        """How long after the picture's time rows v (…) are exposed, seconds."""
+        return self.line_delay_s * (np.asarray(v, dtype=float) - (self.model.height - 1) / 2)
+
+    @property
+    def open_s(self) -> float:
+        """For how long light reaches the picture, from the first row's to the last one's."""
+        return self.exposure_s + abs(self.line_delay_s) * (self.model.height - 1)
 
     def map_from_camera_at(self, t_s: float) -> Pose:
         """Where it hangs at a world time."""

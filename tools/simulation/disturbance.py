@@ -42,8 +42,8 @@ class Disturbance:
     """Nothing of it unless it is written.
 
     Of the world: `time_offset_s`, standard deviation of the cameras' time offsets; `lens`, of their
-    lenses; `mount_m` and `mount_rad`, of each face's pose on its robot; `moves` and `lifts`, by
-    camera and robot.
+    lenses; `mount_m` and `mount_rad`, of each face's pose on its robot; `line_delay_s`, which all
+    cameras have; `moves` and `lifts`, by camera and robot.
 
     Of the sightings: a `displaced_share` of them lies `displaced_px` off as a whole; of the corners
     a `wild_share` lies up to `wild_px` off; a `misnamed_share` is named as another face.
@@ -54,6 +54,7 @@ class Disturbance:
     """
 
     time_offset_s: float = 0.0
+    line_delay_s: float = 0.0
     lens: LensSpread | None = None
     mount_m: float = 0.0
     mount_rad: float = 0.0
@@ -122,7 +123,10 @@ def _camera(world: World, camera: SimulatedCamera, disturbance: Disturbance) -> 
     if disturbance.lens is not None:
         model = _drawn_lens(model, disturbance.lens, random)
     moves = disturbance.moves.get(camera.name, ())
-    return replace(camera, time_offset_s=offset_s, model=model, moves=moves)
+    line_delay_s = disturbance.line_delay_s or camera.line_delay_s
+    return replace(
+        camera, time_offset_s=offset_s, line_delay_s=line_delay_s, model=model, moves=moves
+    )
 
 
 def _drawn_lens(told: CameraModel, spread: LensSpread, random: np.random.Generator) -> CameraModel:

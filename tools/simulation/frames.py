@@ -64,12 +64,12 @@ class SimulatedFrames:
 
     def _newest(self) -> int:
         """The last picture whose exposure is over; negative before the first."""
-        ready_s = to_seconds(self._clock.now_ns() - self._epoch_ns) - self._camera.exposure_s / 2
+        ready_s = to_seconds(self._clock.now_ns() - self._epoch_ns) - self._camera.open_s / 2
         return int((ready_s - self._camera.phase) * self._camera.rate // 1)
 
     def _wait_for(self, index: int, stopping: threading.Event) -> bool:
         """Wait for the end of a picture's exposure; False where `stopping` came first."""
-        ready_ns = self._captured_ns(index) + to_ns(self._camera.exposure_s / 2)
+        ready_ns = self._captured_ns(index) + to_ns(self._camera.open_s / 2)
         while not stopping.is_set():
             left_ns = ready_ns - self._clock.now_ns()
             if left_ns <= 0:

@@ -37,9 +37,10 @@ def directions_on_grid(camera: CameraModel, u: Array, v: Array) -> Array:
 
 def subpixel_rays(camera: CameraModel) -> np.ndarray:
     """Directions of every subpixel of a picture, (SUBPIXELS · h, SUBPIXELS · w, 2) float32."""
-    u, v = _subpixel_centres(camera.width), _subpixel_centres(camera.height)
+    u, v = subpixel_centres(camera.width), subpixel_centres(camera.height)
     return directions_on_grid(camera, u, v).astype(np.float32)
 
 
-def _subpixel_centres(pixels: int) -> Array:
+def subpixel_centres(pixels: int) -> Array:
+    """Where the subpixels of so many pixels in a row are, in pixels."""
     return (np.arange(pixels * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5

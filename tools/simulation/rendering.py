@@ -14,6 +14,7 @@ from .actors import SimulatedRobot
 from .background import draw_background, vignette
 from .lens_grid import subpixel_rays
 from .robot_drawing import Canvas, Region, draw_robot, region_of
+from .rolling import at_rows
 from .world import World
 
 EXPOSURES = 4  # instants over the exposure time that are averaged where a robot moves
@@ -69,9 +70,15 @@ class CameraRenderer:
 
     def _draw(self, light: np.ndarray, region: Region, robot: SimulatedRobot, t_s: float) -> None:
         """Draw a robot over its part of the picture, where no wall is before it."""
+        # A rolling shutter sees the robot when the middle of its rows is exposed, and goes on.
+        middle = (region[0].start + region[0].stop - 1) / 2
+        seen_s = t_s + float(self._camera.row_delay_s(middle))
         canvas = Canvas(self._camera.model, self._rays, region, light[region].copy())
+        if self._camera.line_delay_s:
+            before = robot.map_from_base(seen_s).inverse()
+            canvas.onward = lambda v: before @ at_rows(self._camera, robot, t_s, v)
         camera_from_map = self._camera.map_from_camera.inverse()
-        draw_robot(canvas, robot, camera_from_map, self._instants(robot, t_s))
+        draw_robot(canvas, robot, camera_from_map, self._instants(robot, seen_s))
         near = self._ground_distance(robot.map_from_base(t_s))
         free = self._background.wall_distance[region] > near
         np.copyto(light[region], canvas.grey, where=free)

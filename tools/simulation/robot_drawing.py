@@ -1,10 +1,11 @@
 """Draws a robot into a part of a picture: shadow, body, mast, and the target's sheets.
 
 The sheets are exact: each subpixel's ray, through the lens, meets the sheet's plane, and the
-texture is averaged over the pixel and over the exposure, so corners have no bias. Body and shadow
-are outlines, good enough for the eye.
+texture is averaged over the pixel and over the exposure, each row's own where the shutter rolls, so
+corners have no bias. Body and shadow are outlines, good enough for the eye.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,12 +17,13 @@ from trigpoint.geometry.rotation import Array, wrap
 from trigpoint.target import Face, Target
 
 from .actors import SimulatedRobot
-from .lens_grid import SUBPIXELS
+from .lens_grid import SUBPIXELS, subpixel_centres
 from .targets import HALF_THICKNESS, panel
 from .textures import level_for, texture
 
 _BODY_RADIUS, _BODY_HEIGHT, _MAST_RADIUS = 0.19, 0.22, 0.022
 _SHIFT = 4  # fractional bits of outlines
+_ROLLED_MARGIN = 12  # pixels that a robot may go while its sheet's rows are exposed
 _LAMP = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])
 
 Region = tuple[slice, slice]
@@ -30,12 +32,14 @@ Region = tuple[slice, slice]
 @dataclass(slots=True, eq=False)
 class Canvas:
     """A part of a picture. `rays`: the whole picture's `subpixel_rays`; `grey`: the part's values,
-    (h, w) float32, drawn on in place, before vignetting."""
+    (h, w) float32, drawn on in place, before vignetting; `onward`: the robot's motion, from_later,
+    until rows (n,) are exposed, None where all are at once."""
 
     model: CameraModel
     rays: np.ndarray
     region: Region
     grey: np.ndarray
+    onward: Callable[[Array], Pose] | None = None
 
     @property
     def corner(self) -> Array:
@@ -96,7 +100,7 @@ def _draw_sheet(canvas: Canvas, face: Face, poses: Pose, map_from_base: Pose) ->
 def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
     outline = poses @ face.base_from_face @ panel(face)
     pixels = _projected(canvas.model, outline.reshape(-1, 3))
-    box = _box(canvas.model, pixels, margin=2)
+    box = _box(canvas.model, pixels, margin=2 if canvas.onward is None else _ROLLED_MARGIN)
     box = box and _common(box, canvas.region)
     if box is None:
         return
@@ -104,8 +108,10 @@ def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
     sheet = texture(face, level_for(_square_px(canvas.model, poses[0] @ face.base_from_face, face)))
     rays = canvas.rays[_finer(box[0]), _finer(box[1])]
     total = np.zeros((height, width, 2), np.float32)
+    at_rows = canvas.onward and canvas.onward(subpixel_centres(canvas.model.height)[_finer(box[0])])
     for i in range(len(poses)):
-        face_from_camera = (poses[i] @ face.base_from_face).inverse()
+        pose = poses[i] if at_rows is None else poses[i] @ at_rows
+        face_from_camera = (pose @ face.base_from_face).inverse()
         u, v = _meet(sheet.matrix @ _plane_from_ray(face_from_camera), rays)
         sampled = cv2.remap(sheet.texels, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         total += cv2.resize(
@@ -117,16 +123,17 @@ def _draw_face(canvas: Canvas, face: Face, poses: Pose, light: float) -> None:
 
 
 def _plane_from_ray(face_from_camera: Pose) -> Array:
-    """(3, 3): where the ray of (x, y, 1) in the camera meets z = 0 of a face, as x, y, w there."""
-    rotation, eye = face_from_camera.rotation, face_from_camera.translation
+    """(…, 3, 3): where the ray of (x, y, 1) in the camera meets z = 0 of a face, as x, y, w
+    there."""
+    rotation, eye = face_from_camera.rotation, face_from_camera.translation[..., None]
     # The point eye + share · (R ray) has z = 0 at share = -eye_z / (R ray)_z.
-    along, fall = rotation[:2], rotation[2:]
-    return np.vstack([eye[:2, None] * fall - eye[2] * along, fall])
+    along, fall = rotation[..., :2, :], rotation[..., 2:, :]
+    return np.concatenate([eye[..., :2, :] * fall - eye[..., 2:, :] * along, fall], axis=-2)
 
 
 def _meet(texel_from_ray: Array, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texel coordinates of `rays` (h, w, 2), each (h, w) float32."""
-    m = texel_from_ray.astype(np.float32)
+    """Texel coordinates of `rays` (h, w, 2), each (h, w) float32; one matrix, or one a row."""
+    m = texel_from_ray.astype(np.float32).reshape(-1, 3, 3).transpose(1, 2, 0)[..., None]
     x, y = rays[..., 0], rays[..., 1]
     w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
     u = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w

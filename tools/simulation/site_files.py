@@ -51,7 +51,10 @@ def write_site(
         write_camera_info(directory / f"{name}.yaml", camera.model, name)
         source = (sources or {}).get(name) or sim_url(world, name)
         size = {"width": camera.model.width, "height": camera.model.height, "rate": camera.rate}
-        lines += _table(f"cameras.{name}", {"source": source, **size, "intrinsics": f"{name}.yaml"})
+        lens: dict[str, object] = {"intrinsics": f"{name}.yaml"}
+        if camera.line_delay_s:
+            lens["line_delay"] = camera.line_delay_s
+        lines += _table(f"cameras.{name}", {"source": source, **size, **lens})
     for name, robot in world.robots.items():
         port = (ports or {}).get(name, "loop://")
         lines += _table(f"robots.{name}", {"port": port, "target": targets[name]})

@@ -24,6 +24,7 @@ from trigpoint.target import Pattern, Target
 from .actors import SimulatedCamera, SimulatedRobot
 from .odometry import OdometryLog, chained, drawn_scales, reported
 from .path import Drive, rounded_path
+from .rolling import rolled
 from .targets import target_of
 from .visibility import SeenFace, Wall, seen_faces
 from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
@@ -95,7 +96,7 @@ class World:
         """The faces of a robot that show a camera their front, with the corners in sight."""
         eye = self.camera(camera)
         others = [other for name, other in self.robots.items() if name != robot]
-        return seen_faces(
+        faces = seen_faces(
             self.robot(robot).carried,
             self.map_from_base(robot, t_s),
             eye.map_from_camera_at(t_s),
@@ -103,6 +104,7 @@ class World:
             self.walls,
             tuple((other.carried, other.map_from_base(t_s)) for other in others),
         )
+        return [rolled(face, eye, self.robot(robot), t_s) for face in faces]
 
     def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:
         """What a good detector finds at world time `t_s`, simulated without a picture."""
@@ -226,6 +228,7 @@ def _camera(
         rate=picture_rate or spec.rate,
         phase=spec.phase,
         exposure_s=spec.exposure,
+        line_delay_s=spec.line_delay,
         blur_px=spec.blur,
         noise=spec.noise,
         sigma=spec.sigma,

@@ -34,7 +34,8 @@ class CameraSpec(Struct, frozen=True, forbid_unknown_fields=True):
     """One camera: where it hangs and looks (degrees), its lens, its time grid and its noise.
 
     `blur` (of the lens, pixels), `noise` (of a grey value of 255) and `sigma` (of a coordinate in a
-    sighting that is simulated without a picture, pixels) are standard deviations.
+    sighting that is simulated without a picture, pixels) are standard deviations; `line_delay` of a
+    rolling shutter: seconds from one row to the next.
     """
 
     position: tuple[float, float, float]
@@ -49,6 +50,7 @@ class CameraSpec(Struct, frozen=True, forbid_unknown_fields=True):
     rate: Positive = 5.0
     phase: NotNegative = 0.0
     exposure: NotNegative = 0.008
+    line_delay: float = 0.0
     blur: NotNegative = 0.5
     noise: NotNegative = 2.0
     sigma: Positive = 0.15

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from drives import lens, looking_at
 
+from trigpoint.config import CameraConfig
 from trigpoint.fusion import alignment, faces, looks
 from trigpoint.fusion.observations import Observation, Reading, View, observation_of, view_of
 from trigpoint.fusion.odometry_track import PLANAR, SPATIAL
@@ -39,7 +40,7 @@ def picture(
             (pixels[::-1] if can_turn else pixels).astype(np.float32),
             SIGMA,
         )
-        view = view_of(target, sighting)
+        view = view_of(target, sighting, CameraConfig("sim://c1"))
         assert view is not None
         views.append(view)
         truth.append(Reading(target.faces.index(face.face), can_turn))

@@ -23,10 +23,16 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 
-@pytest.fixture(scope="module", params=["map held by the first pose", "map held by known cameras"])
+@pytest.fixture(
+    scope="module",
+    params=["map held by the first pose", "map held by known cameras", "a rolling shutter"],
+)
 def assembled(request: pytest.FixtureRequest) -> Assembled:
     """Every kind of unknown with its prior, away from what the priors say."""
-    return small_problem(known="known" in request.param, noise_px=0.5, off=1.0)
+    line_delay_s = 3e-4 if "rolling" in request.param else 0.0
+    return small_problem(
+        known="known" in request.param, noise_px=0.5, line_delay_s=line_delay_s, off=1.0
+    )
 
 
 def kinds(problem: Problem) -> dict[str, list[tuple[str, int]]]:
