@@ -26,6 +26,22 @@ def checkerboard(columns: int = 9, rows: int = 7, *, number: int = 0) -> Face:
     return Face(number, Pattern.CHECKERBOARD, columns, rows, 0.03, **NOWHERE)
 
 
+CHARUCO_TARGET = """\
+name = "box"
+[[faces]]
+id = 0
+pattern = "charuco"
+columns = 5
+rows = 4
+square = 0.06
+marker = 0.045
+dictionary = "DICT_4X4_250"
+translation = [0.0, 0.0, 0.0]
+quaternion = [0.0, 0.0, 0.0, 1.0]
+"""
+"""The file of a target that is the board `charuco()` alone."""
+
+
 def charuco(
     columns: int = 5,
     rows: int = 4,

@@ -61,9 +61,11 @@ def test_busy_port_says_to_stop_the_other_bridge(pty: Pty) -> None:
 
 
 def test_port_can_be_opened_again_after_it_was_closed(pty: Pty) -> None:
-    for _ in range(2):
-        with Port(pty.path, 115200):
-            pass
+    with Port(pty.path, 115200):
+        pass
+    with Port(pty.path, 115200) as port:
+        port.write(b"again")
+        assert os.read(pty.ours, 10) == b"again"
 
 
 def test_port_that_does_not_exist_is_named_beside_those_that_do(tmp_path: Path) -> None:

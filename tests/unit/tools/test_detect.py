@@ -7,30 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, charuco, picture_of, placed, plain_picture, worst_error
+from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed, plain_picture, worst_error
 
 from trigpoint.cli import run
 
 BOARD = charuco()
 VIEW = placed(BOARD, distance=0.8, tilt_deg=15)
-TARGET = """\
-name = "box"
-[[faces]]
-id = 0
-pattern = "charuco"
-columns = 5
-rows = 4
-square = 0.06
-marker = 0.045
-dictionary = "DICT_4X4_250"
-translation = [0.0, 0.0, 0.0]
-quaternion = [0.0, 0.0, 0.0, 1.0]
-"""
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "target.toml").write_text(TARGET)
+    (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
     shots = tmp_path / "shots"
     shots.mkdir()
     cv2.imwrite(str(shots / "a.png"), picture_of([VIEW]))
@@ -131,7 +118,7 @@ def test_pictures_of_two_sizes_are_no_sequence(
 def test_bad_target_is_one_line_and_status_2(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (folder / "target.toml").write_text(TARGET.replace("DICT_4X4_250", "DICT_3X3"))
+    (folder / "target.toml").write_text(CHARUCO_TARGET.replace("DICT_4X4_250", "DICT_3X3"))
     assert detect(folder, str(folder / "shots")) == 2
     assert "DICT_3X3" in capsys.readouterr().err
     (folder / "target.toml").unlink()

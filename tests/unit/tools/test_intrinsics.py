@@ -6,25 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, charuco, picture_of, placed
+from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
 from builders import site_text
 
 from trigpoint.camera_info import read_camera_info
 from trigpoint.cli import run
 
-TARGET = """\
-name = "box"
-[[faces]]
-id = 0
-pattern = "charuco"
-columns = 5
-rows = 4
-square = 0.06
-marker = 0.045
-dictionary = "DICT_4X4_250"
-translation = [0.0, 0.0, 0.0]
-quaternion = [0.0, 0.0, 0.0, 1.0]
-"""
 PLACES = [
     (-0.13, -0.1, 0.62, 30, 20),
     (0.14, -0.09, 0.65, -35, 10),
@@ -40,7 +27,7 @@ PLACES = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pictures of a board, a target file, and a site file that names it."""
     made = tmp_path_factory.mktemp("lens")
-    (made / "target.toml").write_text(TARGET)
+    (made / "target.toml").write_text(CHARUCO_TARGET)
     (made / "site.toml").write_text(site_text())
     (made / "shots").mkdir()
     for number, (x, y, distance, tilt, yaw) in enumerate(PLACES):

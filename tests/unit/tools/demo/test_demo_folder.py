@@ -83,12 +83,14 @@ def test_folder_of_a_running_demo_is_refused(folder):
         finally:
             process.kill()
     folder.claim()
+    assert not folder.site.exists()
 
 
 def test_process_that_has_got_an_old_number_does_not_matter(folder):
     prepare(folder)
     folder.write(DemoRecord("lab", 2, "charuco", 20.0, 10**18, {"fusion": os.getppid()}))
     folder.claim()
+    assert not folder.site.exists()
 
 
 def test_file_that_is_no_record_is_named(folder):

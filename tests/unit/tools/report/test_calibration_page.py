@@ -2,12 +2,12 @@
 
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from drives import CameraPlan, lab_cameras, lab_plan, looking_at, make_session, write_session
+from pages import read_page
 
 from trigpoint.cli import run
 from trigpoint.fusion.guidance import Suggestion
@@ -28,44 +28,12 @@ from trigpoint.tools.report.calibration import (
 from trigpoint.tools.report.calibration_page import calibration_page
 from trigpoint.tools.report.residual_charts import covered_share
 
-VOID = {"meta", "br"}
 LENS = CameraModel(640, 480, 500.0, 501.0, 320.0, 240.0, (-0.2, 0.05, 1e-3, 0.0, 0.0))
 EYE = looking_at((2.0, 0.0, 1.6), (0.0, 0.0, 0.6))
 
 
-class Reader(HTMLParser):
-    """Checks that every element is closed in its place, and collects tags, attributes and text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: set[str] = set()
-        self.attributes: list[tuple[str, str]] = []
-        self.words: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if not self.open or self.open[-1] != "style":
-            self.words.append(data)
-
-
-def read(page: str) -> Reader:
-    reader = Reader()
-    reader.feed(page)
-    assert reader.open == []
-    return reader
-
-
 def words(page: str) -> str:
-    return " ".join(" ".join(read(page).words).split())
+    return " ".join(" ".join(read_page(page).words).split())
 
 
 def located(place: tuple[float, float, float] = (2.0, 0.0, 1.6), sigma: float = 0.02):
@@ -137,7 +105,7 @@ def test_page_is_whole_and_every_number_in_it_is_one(results: CalibrationResults
     page = calibration_page(results)
     text = words(page)
     assert not {"nan", "inf", "None", "nan°", "-0.00"} & set(text.split())
-    for name, value in read(page).attributes:
+    for name, value in read_page(page).attributes:
         if name in ("points", "x", "y", "cx", "cy", "x1", "y1", "x2", "y2", "width", "height"):
             assert "nan" not in value, (name, value)
             assert "inf" not in value, (name, value)
@@ -145,7 +113,7 @@ def test_page_is_whole_and_every_number_in_it_is_one(results: CalibrationResults
 
 def test_page_needs_nothing_from_elsewhere() -> None:
     page = calibration_page(make_results())
-    reader = read(page)
+    reader = read_page(page)
     assert not reader.tags & {"script", "link", "img", "iframe", "object", "use", "image"}
     assert not {name for name, _ in reader.attributes} & {"src", "href", "onclick", "onload"}
     assert "url(" not in page
@@ -189,7 +157,7 @@ def test_what_was_left_out_stands_in_words() -> None:
 
 def test_names_from_files_cannot_break_the_page() -> None:
     results = make_results(note="<script>", left_out={"<b>": 1}, session="a&b <i>.mcap")
-    reader = read(calibration_page(results))
+    reader = read_page(calibration_page(results))
     assert "script" not in reader.tags
     assert "trigpoint review a&b <i>.mcap" in " ".join(reader.words)
 

@@ -1,7 +1,6 @@
 """The page as a reader's browser gets it."""
 
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -12,44 +11,16 @@ from builders_demo import (
     make_robot,
     make_unlocated,
 )
+from pages import PageReader, read_page
 
 from trigpoint.geometry import Pose
 from trigpoint.tools.demo.results import DemoResults, Track
 from trigpoint.tools.report.map import magnification, map_drawing, plan_of
 from trigpoint.tools.report.page import report_page
 
-VOID = {"meta", "br"}
 
-
-class Reader(HTMLParser):
-    """Checks that every element is closed in its place, and collects tags, attributes and text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: set[str] = set()
-        self.attributes: list[tuple[str, str]] = []
-        self.words: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not self.open or self.open[-1] != "style":
-            self.words.append(data)
-
-
-def read(results: DemoResults) -> Reader:
-    reader = Reader()
-    reader.feed(report_page(results, folder="out"))
-    assert reader.open == []
-    return reader
+def read(results: DemoResults) -> PageReader:
+    return read_page(report_page(results, folder="out"))
 
 
 EMPTY = Track(np.zeros(0), np.zeros((0, 2)), np.zeros(0))
