@@ -21,6 +21,7 @@ from .measurement import Located, followed, measured
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 from .saddles import Curvature, find_saddles, sampled
+from .workspace import Workspace
 
 # Of a board's corners, how many must be seen.
 LEAST_SHARE = 0.75
@@ -49,12 +50,15 @@ class CheckerboardDetector(FaceFinder):
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
         self._least = min(LEAST_SHARE * width * height for width, height in extents)
+        self._spaces = {1: Workspace(), 2: Workspace()}
 
     def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
         """The boards in a picture; a second look at half the size is for blurred ones."""
         found = self._search(grey, grey, 1, is_over)
         if not found and min(grey.shape) >= 64 and not is_over():
-            found = self._search(cv2.pyrDown(grey), grey, 2, is_over)
+            height, width = grey.shape
+            half = self._spaces[2].array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
+            found = self._search(cv2.pyrDown(grey, dst=half), grey, 2, is_over)
         return found
 
     def follow(
@@ -77,7 +81,7 @@ class CheckerboardDetector(FaceFinder):
         self, small: np.ndarray, grey: np.ndarray, step: int, is_over: IsOver
     ) -> list[Located]:
         """The boards found in a picture `step` times smaller, measured in the full one."""
-        curvature = Curvature.of(small)
+        curvature = Curvature.of(small, self._spaces[step])
         saddles = find_saddles(curvature)
         if len(saddles) < min(self._least, LEAST_SEED):
             return []
@@ -116,6 +120,10 @@ class CheckerboardDetector(FaceFinder):
         if len(grid) < max(least, LEAST_KEPT * whole):
             return None
         look = self._look_of(grid)
+        if look is None:
+            # Chance corners beside a whole board.
+            grid = trimmed(grid)
+            look = self._look_of(grid)
         if look is None or len(grid) < look.face.corner_count:
             grid = trimmed(grown(grid, curvature, self._largest))
             look = self._look_of(grid)

@@ -9,6 +9,7 @@ that fails slowly.
 from collections import deque
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
@@ -21,6 +22,7 @@ LEAST_CORNERS = 4
 LONGEST_RATIO = 2.2
 # Of a step, how much the next one and those beside it may differ.
 MOST_CHANGED = 0.5
+_LEAST_COSINE = float(np.cos(ANGLE_TOLERANCE_RAD))
 # Steps of the four directions of a corner: x, y, -x, -y.
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
@@ -75,39 +77,47 @@ def _mutual_links(saddles: Saddles) -> np.ndarray:
 
 def _chosen(saddles: Saddles) -> tuple[np.ndarray, np.ndarray]:
     """Each corner's nearest fitting neighbour by direction (n, 4), and its direction back."""
-    near, distance, angle = _nearest(saddles.pixels)
+    near, towards = _nearest(saddles.pixels)
+    axes = saddles.directions[:, :2]
+    axes = np.stack([np.cos(axes), np.sin(axes)], axis=-1).astype(np.float32)
     # Which of this corner's directions points to the other, and which of the other's points back.
-    ahead, off_ahead = _closest_direction(saddles.directions[:, None, :], angle)
-    behind, off_behind = _closest_direction(saddles.directions[near], angle + np.pi)
-    same_sides = (ahead + behind) % 2 == 1
-    fits = same_sides & (off_ahead < ANGLE_TOLERANCE_RAD) & (off_behind < ANGLE_TOLERANCE_RAD)
+    ahead, is_ahead = _closest_direction(axes[:, None], towards)
+    behind, is_behind = _closest_direction(axes[near], -towards)
+    fits = ((ahead + behind) % 2 == 1) & is_ahead & is_behind
     neighbour = np.full((len(saddles), 4), -1)
     back = np.full((len(saddles), 4), -1)
     for direction in range(4):
-        cost = np.where(fits & (ahead == direction), distance, np.inf)
-        best = np.argmin(cost, axis=1)
-        rows = np.flatnonzero(np.isfinite(cost[np.arange(len(near)), best]))
+        usable = fits & (ahead == direction)
+        best = np.argmax(usable, axis=1)  # the first one is the nearest
+        rows = np.flatnonzero(usable[np.arange(len(near)), best])
         neighbour[rows, direction] = near[rows, best[rows]]
         back[rows, direction] = behind[rows, best[rows]]
     return neighbour, back
 
 
-def _nearest(pixels: Array) -> tuple[np.ndarray, Array, Array]:
-    """The NEAREST corners of each (n, k), their distances and the angles to them."""
-    squared = np.sum((pixels[:, None] - pixels[None]) ** 2, axis=-1)
-    np.fill_diagonal(squared, np.inf)
+def _nearest(pixels: Array) -> tuple[np.ndarray, np.ndarray]:
+    """The NEAREST corners of each (n, k), rising by distance, and unit vectors (n, k, 2) there."""
+    spots = pixels.astype(np.float32)
     count = min(NEAREST, len(pixels) - 1)
-    near = np.argpartition(squared, count - 1, axis=1)[:, :count]
-    offset = pixels[near] - pixels[:, None]
-    angle = np.arctan2(offset[..., 1], offset[..., 0])
-    return near, np.sqrt(np.take_along_axis(squared, near, axis=1)), angle
+    # The nearest of all is the corner itself.
+    distance, near = cv2.batchDistance(spots, spots, cv2.CV_32F, K=count + 1)
+    distance, near = np.asarray(distance)[:, 1:], np.asarray(near, dtype=np.intp)[:, 1:]
+    offset = spots[near] - spots[:, None]
+    return near, offset / np.maximum(distance, np.float32(1e-6))[..., None]
 
 
-def _closest_direction(directions: Array, angle: Array) -> tuple[np.ndarray, Array]:
-    """Index of the direction (…, 4) nearest to an angle (…), and how far off it is, radians."""
-    off = np.abs((directions - angle[..., None] + np.pi) % (2 * np.pi) - np.pi)
-    index = np.argmin(off, axis=-1)
-    return index, np.take_along_axis(off, index[..., None], axis=-1)[..., 0]
+def _closest_direction(axes: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the direction nearest to `towards` (…, 2), and whether it is near enough.
+
+    `axes`: (…, 2, 2) unit vectors of directions 0 and 1; directions 2 and 3 are their opposites.
+    """
+    first, second = (
+        axes[..., axis, 0] * towards[..., 0] + axes[..., axis, 1] * towards[..., 1]
+        for axis in (0, 1)
+    )
+    is_second = np.abs(second) > np.abs(first)
+    best = np.where(is_second, second, first)
+    return is_second + 2 * (best < 0), np.abs(best) > _LEAST_COSINE
 
 
 def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
@@ -126,7 +136,7 @@ def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
 
 def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
     """The connected grids of a link table that are large enough."""
-    seen = np.zeros(len(links), dtype=bool)
+    seen = [False] * len(links)
     count = (links[..., 0] >= 0).sum(axis=1)
     # A grid has a corner with two neighbours.
     order = np.argsort(-count, kind="stable")[: np.count_nonzero(count >= 2)]
@@ -141,7 +151,7 @@ def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
 
 
 def _walk_from(
-    seed: int, links: list[list[list[int]]], seen: np.ndarray, spots: list[complex]
+    seed: int, links: list[list[list[int]]], seen: list[bool], spots: list[complex]
 ) -> dict[int, tuple[int, int, int]]:
     """Place (x, y) and turn of every corner that links reach from the seed, by corner.
 

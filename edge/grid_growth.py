@@ -5,7 +5,8 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
-from .planar_fit import PlanarFit, fit_plane, settled_fit, sound_corners
+from .middle import median
+from .planar_fit import LEAST_WILD_PX, WILD_SIGMAS, PlanarFit, fit_plane, settled_fit, sound_corners
 from .saddles import Curvature, Saddles, examine
 
 LEAST_SEED = 9
@@ -14,6 +15,8 @@ MOST_SEEDS = 6
 SEED_REACH = 2
 FLAT = 0.15
 MOST_ROUNDS = 6
+# How often the wildest corners of a grid are dropped before its lens is looked at.
+MOST_DROPS = 3
 # Corners that are all so near their plane need no lens, pixels.
 ENOUGH_PX = 0.7
 # A predicted corner may be this much weaker than one that nothing predicted,
@@ -24,8 +27,29 @@ REACH = 0.3
 
 def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
     """The grid without corners that lie off its plane; `size`: width and height of the picture."""
-    keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
+    keep = _near_plane(grid, size)
+    if keep is None:
+        keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
     return grid.only(keep)
+
+
+def _near_plane(grid: Grid, size: tuple[int, int]) -> np.ndarray | None:
+    """Which corners (n,) are on a plane without a lens, where that is plain: after the wildest are
+    dropped all are near it. None where it is not, since a lens or chance made the grid."""
+    places, keep = grid.places.astype(float), np.ones(len(grid), dtype=bool)
+    for _ in range(MOST_DROPS):
+        fit = fit_plane(places[keep], grid.pixels[keep], size, has_lens=False)
+        if fit is None:
+            return None
+        distances = fit.residuals(places, grid.pixels)
+        worst = float(distances[keep].max())
+        if worst <= LEAST_WILD_PX:
+            return keep
+        limit = max(LEAST_WILD_PX, WILD_SIGMAS * median(distances[keep]))
+        if worst <= limit:
+            return None
+        keep &= distances < max(limit, 0.7 * worst)
+    return None
 
 
 def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:

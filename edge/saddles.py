@@ -13,6 +13,8 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .workspace import Workspace
+
 SMOOTHING_PX = 1.0
 RING_RADIUS_PX = 2.5
 RING_SAMPLES = 16
@@ -27,8 +29,20 @@ LEAST_SECOND_HARMONIC = 0.35
 # Curvature across a thin line against that along it; a square seen at 80 degrees has 0.03.
 LEAST_CURVATURE_RATIO = 0.02
 
+_BEND = np.array([[1, -2, 1]], np.float32)
+_SLOPE = np.array([-0.5, 0, 0.5], np.float32)
+_AROUND = np.ones((5, 5), np.uint8)
 _RING_ANGLES = np.arange(RING_SAMPLES) * (2 * np.pi / RING_SAMPLES)
 _RING = RING_RADIUS_PX * np.stack([np.cos(_RING_ANGLES), np.sin(_RING_ANGLES)], axis=-1)
+# Of a ring, cosine and sine amplitudes of harmonics 1 to 8, columns; and which of their squares
+# make up the power of all, of the odd ones, and of the second.
+_WAVES = np.arange(1, RING_SAMPLES // 2 + 1)
+_HARMONICS = np.hstack(
+    [np.cos(np.outer(_RING_ANGLES, _WAVES)), np.sin(np.outer(_RING_ANGLES, _WAVES))]
+).astype(np.float32) / np.float32(RING_SAMPLES)
+_POWERS = np.tile(
+    np.stack([np.ones(len(_WAVES)), _WAVES % 2 == 1, _WAVES == 2], axis=-1), (2, 1)
+).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +62,30 @@ class Saddles:
         return len(self.pixels)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Curvature:
-    """A smoothed picture and its second derivatives, (height, width) float32 each."""
+    """A smoothed picture and its second derivatives, (height, width) float32 each, which lie in
+    `space`: they last until it is used for the next picture."""
 
     smooth: np.ndarray
     xx: np.ndarray
     yy: np.ndarray
     xy: np.ndarray
+    space: Workspace
 
     @classmethod
-    def of(cls, grey: np.ndarray) -> "Curvature":
+    def of(cls, grey: np.ndarray, space: Workspace | None = None) -> "Curvature":
         """Smooth and differentiate a grey picture, (height, width) uint8."""
-        smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTHING_PX).astype(np.float32)
-        xx = cv2.filter2D(smooth, -1, np.array([[1, -2, 1]], np.float32))
-        yy = cv2.filter2D(smooth, -1, np.array([[1], [-2], [1]], np.float32))
-        xy = cv2.sepFilter2D(
-            smooth, -1, np.array([-0.5, 0, 0.5], np.float32), np.array([-0.5, 0, 0.5], np.float32)
+        space = space or Workspace()
+        smooth, xx, yy, xy = (
+            space.array(name, grey.shape) for name in ("smooth", "xx", "yy", "xy")
         )
-        return cls(smooth, xx, yy, xy)
+        blurred = space.array("blurred", grey.shape, np.uint8)
+        np.copyto(smooth, cv2.GaussianBlur(grey, (0, 0), SMOOTHING_PX, dst=blurred))
+        cv2.filter2D(smooth, cv2.CV_32F, _BEND, dst=xx)
+        cv2.filter2D(smooth, cv2.CV_32F, _BEND.T, dst=yy)
+        cv2.sepFilter2D(smooth, cv2.CV_32F, _SLOPE, _SLOPE, dst=xy)
+        return cls(smooth, xx, yy, xy, space)
 
 
 def find_saddles(curvature: Curvature) -> Saddles:
@@ -80,12 +99,13 @@ def examine(curvature: Curvature, pixels: Array, *, tolerance: float = 1.0) -> S
     `tolerance` above 1 lets weaker ones pass, where it is known that one should be there.
     """
     pixels = _settled(curvature, pixels)
+    # The cheaper questions first: of a room's candidates they leave a third.
+    pixels = pixels[_bends_both_ways(curvature, pixels)]
     rings = ring_brightness(curvature.smooth, pixels)
     amplitude, passes = _judge(rings, tolerance)
-    levels = sampled(curvature.smooth, pixels)
-    directions, has_four_edges = _edge_directions(rings, levels)
-    passes &= has_four_edges & _bends_both_ways(curvature, pixels)
-    kept = np.flatnonzero(passes)
+    pixels, rings, amplitude = pixels[passes], rings[passes], amplitude[passes]
+    directions, has_four_edges = _edge_directions(rings, sampled(curvature.smooth, pixels))
+    kept = np.flatnonzero(has_four_edges)
     kept = kept[np.argsort(-amplitude[kept], kind="stable")[:MOST_SADDLES]]
     return Saddles(pixels[kept], directions[kept], amplitude[kept])
 
@@ -106,23 +126,27 @@ def ring_brightness(smooth: np.ndarray, pixels: Array) -> Array:
 
 
 def _candidates(curvature: Curvature) -> Array:
-    """Local maxima of the saddle strength, (n, 2), strongest first."""
-    negative_determinant = curvature.xy * curvature.xy - curvature.xx * curvature.yy
-    peaks = cv2.dilate(negative_determinant, np.ones((5, 5), np.uint8))
-    strong = (negative_determinant > LEAST_STRENGTH**2).astype(np.uint8)
+    """Local maxima of the saddle strength, (n, 2); the strongest where there are many."""
+    xx, yy, xy, space = curvature.xx, curvature.yy, curvature.xy, curvature.space
+    strength, peaks = space.array("strength", xx.shape), space.array("peaks", xx.shape)
+    strong, is_peak = (space.array(name, xx.shape, np.uint8) for name in ("strong", "is_peak"))
+    # The determinant, negative; `peaks` serves twice.
+    cv2.multiply(xy, xy, dst=strength)
+    cv2.subtract(strength, cv2.multiply(xx, yy, dst=peaks), dst=strength)
+    cv2.dilate(strength, _AROUND, dst=peaks)
+    np.greater(strength, LEAST_STRENGTH**2, out=strong)
+    cv2.bitwise_and(strong, cv2.compare(strength, peaks, cv2.CMP_GE, dst=is_peak), dst=strong)
     margin = int(np.ceil(RING_RADIUS_PX))
     strong[:margin] = strong[-margin:] = 0
     strong[:, :margin] = strong[:, -margin:] = 0
     places = cv2.findNonZero(strong)
     if places is None:
         return np.zeros((0, 2))
-    columns, rows = np.asarray(places, dtype=np.intp).reshape(-1, 2).T
-    is_peak = negative_determinant[rows, columns] >= peaks[rows, columns]
-    rows, columns = rows[is_peak], columns[is_peak]
-    if len(rows) > MOST_CANDIDATES:
-        strongest = np.argsort(-negative_determinant[rows, columns])[:MOST_CANDIDATES]
-        rows, columns = rows[strongest], columns[strongest]
-    return np.stack([columns, rows], axis=-1).astype(float)
+    places = np.asarray(places, dtype=np.intp).reshape(-1, 2)
+    if len(places) > MOST_CANDIDATES:
+        strengths = strength[places[:, 1], places[:, 0]]
+        places = places[np.argpartition(-strengths, MOST_CANDIDATES)[:MOST_CANDIDATES]]
+    return places.astype(float)
 
 
 def _settled(curvature: Curvature, pixels: Array) -> Array:
@@ -149,15 +173,14 @@ def _settled(curvature: Curvature, pixels: Array) -> Array:
 
 def _judge(rings: Array, tolerance: float) -> tuple[Array, np.ndarray]:
     """Half the light-dark difference of each ring (n,), and whether it is that of an X corner."""
-    spectrum = np.fft.rfft(rings, axis=-1) / RING_SAMPLES
-    power = np.abs(spectrum[:, 1:]) ** 2
-    total = power.sum(axis=-1) + 1e-9
-    odd = power[:, 0::2].sum(axis=-1)
-    amplitude = 2 * np.sqrt(power[:, 1])
+    parts = rings.astype(np.float32) @ _HARMONICS
+    total, odd, second = (parts * parts @ _POWERS).astype(float).T
+    total = total + 1e-9
+    amplitude = 2 * np.sqrt(second)
     passes = (
         (amplitude * tolerance > LEAST_RING_AMPLITUDE)
         & (odd < tolerance * MOST_ODD_POWER * total)
-        & (power[:, 1] * tolerance > LEAST_SECOND_HARMONIC * total)
+        & (second * tolerance > LEAST_SECOND_HARMONIC * total)
     )
     return amplitude, passes
 
