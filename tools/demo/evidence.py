@@ -99,6 +99,7 @@ def _cameras(
                 rejected=camera.rejected,
                 pictures=agent.get("pictures"),
                 skipped=agent.get("pictures.lost", 0) if agent else None,
+                given_up=agent.get("given_up.lost", 0),
             )
         )
     return tuple(results)

@@ -12,6 +12,9 @@ from trigpoint.tools.truth import CameraError
 PAPER_DISTANCE_ERROR_M = 0.0211
 """Mean error of the distances between cameras that the paper reached with this method."""
 
+_MOST_UNSEEN = 0.03
+"""The share of pictures that may go unseen before the figures suffer by it."""
+
 MOST_SIGMAS = 5.0
 """Of three values that are normally distributed, one in 65 000 lies further out than this."""
 
@@ -19,8 +22,9 @@ MOST_SIGMAS = 5.0
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResult:
     """One camera. `estimate`, `covariance` (6, 6) and `error` only where it is located; `came_by`:
-    whether the robot showed it its target long enough; `pictures` it made and how many of them were
-    `skipped` unseen, None where its agent did not say."""
+    whether the robot showed it its target long enough; `pictures` that were looked at and how many
+    more were `skipped`, None where its agent did not say; `given_up`: how many of those looked at
+    took so long that they were searched in part."""
 
     name: str
     truth: Pose
@@ -34,6 +38,7 @@ class CameraResult:
     rejected: int = 0
     pictures: int | None = None
     skipped: int | None = None
+    given_up: int = 0
 
     @property
     def is_missed(self) -> bool:
@@ -185,6 +190,19 @@ class DemoResults:
     def expected(self) -> list[CameraResult]:
         """The cameras that the robot came by."""
         return [camera for camera in self.cameras if camera.came_by]
+
+    @property
+    def overload(self) -> str:
+        """That the machine was too busy for the cameras, in words; "" where it was not."""
+        skipped = sum(camera.skipped or 0 for camera in self.cameras)
+        given_up = sum(camera.given_up for camera in self.cameras)
+        made = skipped + sum(camera.pictures or 0 for camera in self.cameras)
+        if skipped + given_up <= _MOST_UNSEEN * made:
+            return ""
+        return (
+            f"this machine was too busy for its cameras: of {made} pictures {skipped} were missed "
+            f"and {given_up} searched in part, so the cameras are known less well than they might"
+        )
 
     @property
     def pairs(self) -> list[PairResult]:

@@ -32,6 +32,8 @@ def _cameras(results: DemoResults) -> list[str]:
     lines = aligned(rows)
     for camera in results.cameras:
         lines += [f"{_INDENT}{camera.name} is not determined: {u}" for u in camera.undetermined]
+    if results.overload:
+        lines.append(f"{_INDENT}{results.overload}")
     return lines
 
 

@@ -53,6 +53,8 @@ def missing_words(results: DemoResults) -> str:
     unvisited = [camera.name for camera in results.cameras if not camera.came_by]
     if unvisited:
         words += f" The robot did not come by {', '.join(unvisited)} in this time."
+    if results.overload:
+        words += f" {results.overload.capitalize()}."
     return escape(words)
 
 

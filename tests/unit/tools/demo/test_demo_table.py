@@ -25,6 +25,16 @@ def test_reason_of_an_undetermined_camera_is_told():
     assert "c2 is not determined: its height" in text
 
 
+def test_machine_that_was_too_busy_for_its_cameras_is_told():
+    busy = make_camera("c1", pictures=80, skipped=20, given_up=5)
+    lines = table(make_results(cameras=(busy, make_camera("c2", pictures=100, skipped=0))))
+    assert (
+        "too busy for its cameras: of 200 pictures 20 were missed and 5 searched in part" in lines
+    )
+    little = make_camera("c1", pictures=98, skipped=2, given_up=1)
+    assert "too busy" not in table(make_results(cameras=(little,)))
+
+
 def test_paper_stands_beside_the_distance_error():
     text = table(make_results())
     assert line_of(text, "distances between").endswith("0.40 cm")
