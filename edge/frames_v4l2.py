@@ -52,7 +52,7 @@ class V4l2Frames(LiveFrames):
             lambda: _open(str(device), camera, options),
             clock=clock,
             rate=camera.rate,
-            stamp=kernel_stamp(options.exposure_ms or 0.0),
+            stamp=kernel_stamp(options.exposure_ms or 0.0, readout_s=camera.readout_s),
         )
 
 
@@ -135,22 +135,26 @@ def fourcc(letters: str) -> int:
     return int.from_bytes(letters.encode("ascii"), "little")
 
 
-def kernel_stamp(exposure_ms: float) -> Callable[[Capture, Clock], tuple[int, Stamp]]:
+def kernel_stamp(
+    exposure_ms: float, *, readout_s: float = 0.0
+) -> Callable[[Capture, Clock], tuple[int, Stamp]]:
     """A stamp by the driver's: the middle of an exposure that ended when the first data came.
 
     The kernel stamps USB cameras with the first packet of a picture (uvc_video.c), by its monotonic
     clock or, as a module's parameter says, the real-time one; OpenCV hands it out in ms. Where it
-    can be neither, the picture's arrival has to do.
+    can be neither, the picture's arrival has to do. A rolling shutter, whose last row is exposed
+    `readout_s` after the first, has its middle row's exposure later than the first data's, and
+    before the arrival of the last.
     """
-    half_ns = to_ns(exposure_ms / 2e3)
+    half_ns, to_middle_ns = to_ns(exposure_ms / 2e3), to_ns(readout_s / 2)
 
     def stamp(capture: Capture, clock: Clock) -> tuple[int, Stamp]:
         driver_ns, now_ns = to_ns(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3), clock.now_ns()
         age_ns = clock.elapsed_ns() - driver_ns
         if 0 <= age_ns <= _OLDEST_NS:
-            return now_ns - age_ns - half_ns, Stamp.MONOTONIC
+            return now_ns - age_ns - half_ns + to_middle_ns, Stamp.MONOTONIC
         if 0 <= now_ns - driver_ns <= _OLDEST_NS:
-            return driver_ns - half_ns, Stamp.REALTIME
-        return now_ns - half_ns, Stamp.ARRIVAL
+            return driver_ns - half_ns + to_middle_ns, Stamp.REALTIME
+        return now_ns - half_ns - to_middle_ns, Stamp.ARRIVAL
 
     return stamp

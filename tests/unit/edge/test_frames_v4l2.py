@@ -149,3 +149,11 @@ def test_stamp_is_the_middle_of_an_exposure_that_is_known() -> None:
     capture.set(cv2.CAP_PROP_POS_MSEC, 99_950.0)
     captured_ns, _ = kernel_stamp(20.0)(capture, TwoClocks(NOW))
     assert captured_ns == NOW - to_ns(0.05) - to_ns(0.01)
+
+
+@pytest.mark.parametrize(("driver_s", "later_ms"), [(99.95, -50 + 15), (0.0, -15)])
+def test_stamp_of_a_rolling_shutter_is_its_middle_rows(driver_s: float, later_ms: float) -> None:
+    capture = FakeVideoCapture()
+    capture.set(cv2.CAP_PROP_POS_MSEC, driver_s * 1e3)
+    captured_ns, _ = kernel_stamp(20.0, readout_s=0.03)(capture, TwoClocks(NOW))
+    assert abs(captured_ns - (NOW - to_ns(0.01) + to_ns(later_ms / 1e3))) < 1000

@@ -52,6 +52,8 @@ def test_unknown_key_of_a_camera_names_the_camera() -> None:
         (site_text(more="[cameras.c9]\nwidth = 3"), "cameras.c9 needs the key «source»"),
         (site_text(more='[cameras.c9]\nsource = "nowhere"'), "source «nowhere» is no URL"),
         (site_text(more='[cameras.c9]\nsource = "a://b"\nrate = -1.0'), "cameras.c9.rate"),
+        (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = 30.0'), "30 µs is 30e-6"),
+        (site_text(more='[cameras.c9]\nsource = "a://b"\nline_delay = nan'), "line_delay is nan"),
         (site_text(more="[robots.r9.odometry]\ndistance = -1.0"), "robots.r9"),
         (site_text(more='[fusion]\nestimator = "magic"'), "fusion.estimator"),
         (site_text(cameras=0, more="[cameras]"), "at least one camera"),
@@ -112,3 +114,9 @@ def test_a_robots_own_target_wins() -> None:
 )
 def test_endpoint_is_taken_apart(endpoint: str, host: str, port: int) -> None:
     assert (endpoint_host(endpoint), endpoint_port(endpoint)) == (host, port)
+
+
+def test_a_picture_read_out_from_below_takes_as_long() -> None:
+    more = '[cameras.c9]\nsource = "a://b"\nheight = 481\nline_delay = -30e-6'
+    camera = parse_site(site_text(more=more), directory=Path()).camera("c9")
+    assert camera.readout_s == pytest.approx(0.0144)
