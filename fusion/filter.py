@@ -3,15 +3,14 @@
 The state is the dense part of the problem (cameras, lenses, scales and each robot's last pose) as
 mean and covariance about a fixed point. A new sighting appends a node, odometry ties it to the
 robot's last one, and the last one is forgotten; that is exact but for the fixed point, which the
-next batch solution moves. A step costs time in the square of the state's size. Filters are
-immutable, so that going back to an earlier one, for a sighting that came late, costs nothing.
+next batch solution moves. A step costs the same in a state of any size (see `gaussian`). Filters
+are immutable, so that going back to an earlier one, for a sighting that came late, costs nothing.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from trigpoint.clock import NANOSECONDS
 from trigpoint.geometry import Pose
@@ -19,6 +18,7 @@ from trigpoint.geometry.rotation import Array, hat
 
 from .dataset import DataSet
 from .equations import EXACT
+from .gaussian import Gaussian
 from .models import batch_jacobian, odometry_terms
 from .observations import Observation, points_of
 from .problem import (
@@ -43,20 +43,6 @@ class RobotEstimate:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Gaussian:
-    """Of the dense part's step from the fixed point: `mean` (size,), `covariance` (size, size)."""
-
-    mean: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, reduced: Reduced) -> "Gaussian":
-        """Raises LinAlgError where something is not determined at all."""
-        covariance = reduced.covariance()
-        return cls(-covariance @ reduced.gradient, covariance)
-
-
 @dataclass(frozen=True, eq=False)
 class Filter:
     """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those;
@@ -69,12 +55,16 @@ class Filter:
 
     @cached_property
     def known(self) -> Gaussian:
-        """What is known; raise LinAlgError where something is not determined at all."""
-        return self.source if isinstance(self.source, Gaussian) else Gaussian.of(self.source)
+        """The step from the fixed point; raise LinAlgError where something is not determined at
+        all."""
+        if isinstance(self.source, Gaussian):
+            return self.source
+        covariance = self.source.covariance()
+        return Gaussian.of(-covariance @ self.source.gradient, covariance)
 
     def settled(self) -> "Filter":
         """The same, worked out as far as it is known; raise LinAlgError as `known` does."""
-        return replace(self, source=self.known)
+        return replace(self, source=self.known.settled())
 
     @property
     def reduced(self) -> Reduced:
@@ -139,12 +129,11 @@ class Filter:
 
         Raises LinAlgError where nothing determines it.
         """
-        step, covariance = self.known.mean, self.known.covariance
-        last = self.layout.last[robot]
+        last = self._columns(self.layout.last[robot])
         tangent = data.tracks[robot].tangent
         disturbance, full = np.zeros(6), np.zeros((6, 6))
-        disturbance[tangent] = step[last]
-        full[np.ix_(tangent, tangent)] = covariance[last, last]
+        disturbance[tangent] = self.known.mean_of(last)
+        full[np.ix_(tangent, tangent)] = self.known.covariance_of(last)
         pose = self.state.robots[robot].map_from_base[0].disturbed(disturbance)
         estimate = RobotEstimate(self.stamps_ns[robot], pose, full)
         if stamp_ns is None or stamp_ns <= estimate.stamp_ns:
@@ -168,7 +157,8 @@ class Filter:
 
     def camera_sigma_px(self, camera: str, distance_m: float) -> float:
         """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
-        variances = np.diagonal(self.known.covariance)[self.layout.pose[camera]]
+        pose = self._columns(self.layout.pose[camera])
+        variances = np.diagonal(self.known.covariance_of(pose))
         turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
         return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
 
@@ -184,21 +174,24 @@ class Filter:
         terms = odometry_terms(
             before.map_from_base, _one(guess), motion, data.tracks[robot].tangent
         )
-        last, scales = self.layout.last[robot], self.layout.scales.get(robot, slice(0, 0))
+        last = self._columns(self.layout.last[robot])
+        scales = self._columns(self.layout.scales.get(robot, slice(0, 0)))
         inverse = np.linalg.inv(terms.by_later[0])
-        by_last = -inverse @ terms.by_earlier[0]
-        by_scales = -inverse @ terms.by_scale[0][:, : scales.stop - scales.start]
-        mean, covariance = self.known.mean.copy(), self.known.covariance.copy()
-        rows = by_last @ covariance[last] + by_scales @ covariance[scales]
-        own = rows[:, last] @ by_last.T + rows[:, scales] @ by_scales.T + inverse @ inverse.T
-        moved = by_last @ mean[last] + by_scales @ mean[scales] - inverse @ terms.residual[0]
-        covariance[last], covariance[:, last], covariance[last, last] = rows, rows.T, own
-        mean[last] = moved
+        by_start = np.concatenate(
+            [terms.by_earlier[0], terms.by_scale[0][:, : len(scales)]], axis=1
+        )
+        moved = self.known.moved(
+            last,
+            np.concatenate([last, scales]),
+            -inverse @ by_start,
+            -inverse @ terms.residual[0],
+            inverse @ inverse.T,
+        )
         return Filter(
             self._with(robot, replace(before, map_from_base=_one(guess))),
             self.stamps_ns | {robot: stamp_ns},
             self.layout,
-            Gaussian(mean, covariance),
+            moved,
         )
 
     def updated(
@@ -207,32 +200,24 @@ class Filter:
         """With an observation of the robot at its last node; also its surprise, χ² over twice the
         corners (the normalised innovation squared). `share`: how much the observation counts.
 
-        The Jacobian's triangular factor R stands for it (J = QR), so that the innovation is as
-        small as the unknowns that a sighting bears on: K = P Rᵀ (1 + R P Rᵀ)⁻¹.
+        The Jacobian's triangular factor R stands for it (J = QR), so that there are only as many
+        equations as unknowns that a sighting bears on.
         """
         chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
         chain = replace(chain, scales=self.scales(observation.robot))
         batch = _batch(data, chain, observation, share)
         problem = Problem({observation.robot: chain}, (batch,), _no_priors(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
-        where = np.concatenate(
-            [np.arange(self.layout.size)[self.layout.last[observation.robot]], columns]
-        )
-        flat, mean, covariance = (
-            jacobian.reshape(-1, jacobian.shape[-1]),
-            self.known.mean,
-            self.known.covariance,
-        )
-        expected = residual.reshape(-1) + flat @ mean[where]
+        where = np.concatenate([self._columns(self.layout.last[observation.robot]), columns])
+        flat, residual = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
         basis, factor = np.linalg.qr(flat)
-        innovation = basis.T @ expected
-        spread = covariance[:, where] @ factor.T
-        root = np.linalg.cholesky(np.eye(len(factor)) + factor @ spread[where])
-        gain = solve_triangular(root, spread.T, lower=True).T
-        whitened = solve_triangular(root, innovation, lower=True)
-        after = Gaussian(mean - gain @ whitened, covariance - gain @ gain.T)
-        surprise = expected @ expected - innovation @ innovation + whitened @ whitened
-        return replace(self, source=after), float(surprise)
+        compressed = basis.T @ residual
+        after, whitened = self.known.updated(where, factor, compressed)
+        left_over = residual @ residual - compressed @ compressed
+        return replace(self, source=after), float(left_over + whitened @ whitened)
+
+    def _columns(self, part: slice) -> np.ndarray:
+        return np.arange(part.start, part.stop)
 
     def _with(self, robot: str, state: RobotState) -> State:
         return State(self.state.cameras, self.state.robots | {robot: state})

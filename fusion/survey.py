@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .estimator import CameraEstimate
@@ -25,50 +26,62 @@ def camera_estimates(
 ) -> dict[str, CameraEstimate]:
     """Those of the named cameras that are located, in this order; with their time offsets at that
     time after the data set's epoch."""
-    layout = known.layout
-    covariance, step = known.known.covariance, known.known.mean
-    located = _placed(layout, covariance, names)
-    return {name: _estimate(known, name, covariance, step, since_epoch_s) for name in located}
+    located, covariances = _placed(known, names)
+    if not located:
+        return {}
+    step = known.known.mean
+    disturbances = np.stack([step[known.layout.pose[name]] for name in located])
+    poses = Pose.stack([known.state.cameras[name].map_from_camera for name in located])
+    moved = poses.disturbed(disturbances)
+    return {
+        name: _estimate(known, name, moved[row], covariances[row], since_epoch_s)
+        for row, name in enumerate(located)
+    }
 
 
-def _placed(layout: Layout, covariance: Array, names: list[str]) -> list[str]:
-    return [
-        name
-        for name in names
-        if name in layout.pose and is_placed(covariance[layout.pose[name], layout.pose[name]])
-    ]
+def _placed(known: Filter, names: list[str]) -> tuple[list[str], Array]:
+    """The located ones of some cameras, and the covariance (n, 6, 6) of each."""
+    here = [name for name in names if known.has_camera(name)]
+    if not here:
+        return [], np.zeros((0, 6, 6))
+    covariances = known.known.blocks(np.stack([_columns(known.layout, name) for name in here]))
+    kept = [row for row in range(len(here)) if is_placed(covariances[row])]
+    return [here[row] for row in kept], covariances[kept]
+
+
+def _columns(layout: Layout, camera: str) -> np.ndarray:
+    pose = layout.pose[camera]
+    return np.arange(pose.start, pose.stop)
 
 
 def _estimate(
-    known: Filter, name: str, covariance: Array, step: Array, since_epoch_s: float
+    known: Filter, name: str, pose: Pose, covariance: Array, since_epoch_s: float
 ) -> CameraEstimate:
-    layout, camera = known.layout, known.state.cameras[name]
-    pose, sigmas = layout.pose[name], np.sqrt(np.diagonal(covariance))
+    camera = known.state.cameras[name]
     lens, lens_sigma = camera.lens, np.zeros(len(camera.lens.parameters))
-    if name in layout.lens:
-        lens_sigma = sigmas[layout.lens[name]]
-        lens = lens.with_parameters(lens.parameters + step[layout.lens[name]])
+    if name in known.layout.lens:
+        step, spread = _of_part(known, known.layout.lens[name])
+        lens_sigma = np.sqrt(np.diagonal(spread))
+        lens = lens.with_parameters(lens.parameters + step)
     offset, offset_sigma = float(camera.offset_s(np.array(since_epoch_s))), 0.0
-    if name in layout.time_offset:
-        columns, by_drift = layout.time_offset[name], np.array([1.0, since_epoch_s])
-        offset += float(by_drift @ step[columns])
-        offset_sigma = float(np.sqrt(by_drift @ covariance[columns, columns] @ by_drift))
-    return CameraEstimate(
-        camera.map_from_camera.disturbed(step[pose]),
-        covariance[pose, pose],
-        lens,
-        lens_sigma,
-        offset,
-        offset_sigma,
-    )
+    if name in known.layout.time_offset:
+        by_drift = np.array([1.0, since_epoch_s])
+        step, spread = _of_part(known, known.layout.time_offset[name])
+        offset += float(by_drift @ step)
+        offset_sigma = float(np.sqrt(by_drift @ spread @ by_drift))
+    return CameraEstimate(pose, covariance, lens, lens_sigma, offset, offset_sigma)
+
+
+def _of_part(known: Filter, part: slice) -> tuple[Array, Array]:
+    """Step and covariance of a part of the state."""
+    columns = np.arange(part.start, part.stop)
+    return known.known.mean[part], known.known.covariance_of(columns)
 
 
 def joint_covariance(known: Filter, names: list[str]) -> Array:
     """(6n, 6n) over the poses of those of the named cameras that are located, in this order."""
-    layout, covariance = known.layout, known.known.covariance
-    every = np.arange(layout.size)
-    columns = [every[layout.pose[name]] for name in _placed(layout, covariance, names)]
-    if not columns:
+    located, _ = _placed(known, names)
+    if not located:
         return np.zeros((0, 0))
-    chosen = np.concatenate(columns)
-    return covariance[np.ix_(chosen, chosen)]
+    chosen = np.concatenate([_columns(known.layout, name) for name in located])
+    return known.known.covariance[np.ix_(chosen, chosen)]

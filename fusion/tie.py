@@ -289,7 +289,7 @@ class _Search:
         """These cameras as they are known by now."""
         every = np.arange(self.known.layout.size)
         columns = np.concatenate([every[self.known.layout.pose[name]] for name in cameras])
-        covariance = self.known.known.covariance[np.ix_(columns, columns)]
+        covariance = self.known.known.covariance_of(columns)
         poses = {name: self.known.state.cameras[name].map_from_camera for name in cameras}
         return KnownCameras(poses, np.linalg.inv(covariance + _FLOOR * np.eye(len(columns))))
 

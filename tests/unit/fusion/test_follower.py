@@ -17,7 +17,7 @@ from trigpoint.bus import Publisher
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.clock import SystemClock, to_ns
 from trigpoint.errors import OperationError
-from trigpoint.fusion import present
+from trigpoint.fusion import gaussian
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.orders import News, Order, Solver
@@ -165,13 +165,13 @@ def test_sighting_that_comes_late_right_after_a_swap_makes_a_correction(charuco:
     assert late.stamp_ns in corrected(pipeline.advance(after.stamp_ns + to_ns(0.3)))
 
 
-def test_late_sighting_is_put_in_its_place_where_few_filters_are_kept(
+def test_late_sighting_is_put_in_its_place_where_much_is_known(
     charuco: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Filters that are too large to keep one for every step are made again from an earlier one."""
+    """What is known of many cameras is worked out anew now and then, between filters that stay."""
     ends = []
-    for most_bytes in (present._MOST_BYTES, 1):
-        monkeypatch.setattr(present, "_MOST_BYTES", most_bytes)
+    for most_near in (gaussian._MOST_NEAR, 1):
+        monkeypatch.setattr(gaussian, "_MOST_NEAR", most_near)
         early, held = Pipeline(charuco.inputs), pictures(charuco, "c1")[9]
         kept = tuple(item for item in charuco.messages if item[1] is not held)
         until = next(i for i, item in enumerate(kept) if item[1] is pictures(charuco, "c1")[15])

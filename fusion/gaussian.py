@@ -1,0 +1,185 @@
+"""A Gaussian of many unknowns that is updated by looks at few of them.
+
+A sighting bears on one robot and one camera, and what it says of all the others follows from their
+covariance with those two. So only the columns that were looked at lately, the near ones (n), are
+kept as they are now; of the far ones (f) it is kept how they follow from a Gaussian of before,
+marked by ⁰ (Guivant and Nebot, «Optimization of the simultaneous localization and map-building
+algorithm for real-time implementation», 2001):
+
+    P_nf = Φ P⁰_nf        P_ff = P⁰_ff - P⁰_fn Ψ P⁰_nf        m_f = m⁰_f + P⁰_fn θ
+
+A step then costs time by the number of near columns alone, and is exact. A column is brought near
+when it is asked for; where there would be too many near ones, everything is worked out once and
+becomes the Gaussian of before.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from trigpoint.geometry.rotation import Array
+
+# So many columns are near at most: a step by all of them is still quicker than anything else in it.
+_MOST_NEAR = 64
+
+
+@dataclass(frozen=True, slots=True)
+class _Near:
+    """The near columns (k,) with their mean and covariance, and Φ (`carry`), Ψ (`weight`), θ
+    (`pull`) of the module's formulas."""
+
+    columns: np.ndarray
+    mean: Array
+    covariance: Array
+    carry: Array
+    weight: Array
+    pull: Array
+
+    @classmethod
+    def none(cls) -> "_Near":
+        nothing, square = np.zeros(0), np.zeros((0, 0))
+        return cls(np.zeros(0, dtype=int), nothing, square, square, square, nothing)
+
+    def rows(self, columns: np.ndarray) -> np.ndarray:
+        """Where columns (m,), all of them near, are among the near ones."""
+        order = np.argsort(self.columns, kind="stable")
+        return order[np.searchsorted(self.columns, columns, sorter=order)]
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Of n unknowns; immutable. `before`: mean (n,) and covariance (n, n) that it came from."""
+
+    before: tuple[Array, Array]
+    _near: _Near = field(default_factory=_Near.none)
+
+    @classmethod
+    def of(cls, mean: Array, covariance: Array) -> "Gaussian":
+        """From its mean (n,) and covariance (n, n), which must not change any more."""
+        return cls((mean, covariance))
+
+    @cached_property
+    def mean(self) -> Array:
+        """(n,)."""
+        near, (mean, covariance) = self._near, self.before
+        whole = mean + covariance[:, near.columns] @ near.pull
+        whole[near.columns] = near.mean
+        return whole
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(n, n); takes time and memory by the square of n."""
+        near, (_, covariance) = self._near, self.before
+        across = covariance[near.columns]
+        whole = covariance - across.T @ (near.weight @ across)
+        rows = near.carry @ across
+        whole[near.columns], whole[:, near.columns] = rows, rows.T
+        whole[np.ix_(near.columns, near.columns)] = near.covariance
+        return whole
+
+    def settled(self) -> "Gaussian":
+        """The same with no column near, and nothing of before kept."""
+        return Gaussian.of(self.mean, self.covariance) if len(self._near.columns) else self
+
+    def mean_of(self, columns: np.ndarray) -> Array:
+        """Of some columns (m,), (m,)."""
+        near = self._with_near(columns)
+        return near.mean[near.rows(columns)]
+
+    def covariance_of(self, columns: np.ndarray) -> Array:
+        """Of some columns (m,), (m, m)."""
+        near = self._with_near(columns)
+        rows = near.rows(columns)
+        return near.covariance[np.ix_(rows, rows)]
+
+    def blocks(self, columns: np.ndarray) -> Array:
+        """Covariances (b, m, m) of groups of columns (b, m), each by itself."""
+        near, (_, covariance) = self._near, self.before
+        across = covariance[np.ix_(near.columns, columns.reshape(-1))]
+        across = np.moveaxis(across.reshape(len(near.columns), *columns.shape), 0, 1)
+        pairs = covariance[columns[:, :, None], columns[:, None, :]]
+        found = pairs - np.swapaxes(across, 1, 2) @ (near.weight @ across)
+        for group in np.flatnonzero(np.isin(columns, near.columns).any(axis=1)):
+            found[group] = self.covariance_of(columns[group])
+        return found
+
+    def moved(
+        self, columns: np.ndarray, of: np.ndarray, matrix: Array, shift: Array, noise: Array
+    ) -> "Gaussian":
+        """With columns (m,) replaced by matrix (m, k) times columns `of` (k,), plus a shift (m,)
+        and noise of covariance (m, m)."""
+        ready = self._ready(np.union1d(columns, of))
+        near = ready._near
+        rows, source = near.rows(columns), near.rows(of)
+        mean, covariance, carry = near.mean.copy(), near.covariance.copy(), near.carry.copy()
+        mean[rows], carry[rows] = matrix @ mean[source] + shift, matrix @ carry[source]
+        across = matrix @ covariance[source]
+        own = across[:, source] @ matrix.T + noise
+        covariance[rows], covariance[:, rows] = across, across.T
+        covariance[np.ix_(rows, rows)] = own
+        moved = replace(near, mean=mean, covariance=covariance, carry=carry)
+        return Gaussian(ready.before, moved)
+
+    def updated(
+        self, columns: np.ndarray, jacobian: Array, residual: Array
+    ) -> tuple["Gaussian", Array]:
+        """After equations residual (r,) + jacobian (r, m) · columns (m,) = noise of unit variance;
+        and the whitened innovation (r,).
+
+        `residual`: at a step of 0, as the mean is one. With H the Jacobian by the near columns, S =
+        1 + H P_nn Hᵀ = L Lᵀ and G = P_nn Hᵀ L⁻ᵀ the gain of the near ones, that of the far ones
+        is P⁰_fn W, W = Φᵀ Hᵀ L⁻ᵀ.
+        """
+        ready = self._ready(columns)
+        near = ready._near
+        rows = near.rows(columns)
+        spread = near.covariance[:, rows] @ jacobian.T
+        root = np.linalg.cholesky(np.eye(len(jacobian)) + jacobian @ spread[rows])
+        innovation = residual + jacobian @ near.mean[rows]
+        both = np.concatenate([spread, near.carry[rows].T @ jacobian.T, innovation[None]])
+        solved = solve_triangular(root, both.T, lower=True, check_finite=False).T
+        gain, far, whitened = np.split(solved, [len(spread), 2 * len(spread)])
+        after = _Near(
+            near.columns,
+            near.mean - gain @ whitened[0],
+            near.covariance - gain @ gain.T,
+            near.carry - gain @ far.T,
+            near.weight + far @ far.T,
+            near.pull - far @ whitened[0],
+        )
+        return Gaussian(ready.before, after), whitened[0]
+
+    def _ready(self, columns: np.ndarray) -> "Gaussian":
+        """The same with these columns (m,) among the near ones."""
+        near = self._with_near(columns)
+        if near is self._near:
+            return self
+        if len(near.columns) > max(_MOST_NEAR, len(columns)):
+            return self.settled()._ready(columns)
+        return Gaussian(self.before, near)
+
+    def _with_near(self, columns: np.ndarray) -> _Near:
+        """The near columns and these (m,) besides, each of them once."""
+        near, (mean, covariance) = self._near, self.before
+        added = columns[~np.isin(columns, near.columns)]
+        if not len(added):
+            return near
+        k, m = len(near.columns), len(added)
+        across = covariance[np.ix_(near.columns, added)]
+        weighted = near.weight @ across
+        larger, carry, weight = np.zeros((3, k + m, k + m))
+        larger[:k, :k], larger[:k, k:] = near.covariance, near.carry @ across
+        larger[k:, :k] = larger[:k, k:].T
+        larger[k:, k:] = covariance[np.ix_(added, added)] - across.T @ weighted
+        carry[:k, :k], carry[k:, :k], carry[k:, k:] = near.carry, -weighted.T, np.eye(m)
+        weight[:k, :k] = near.weight
+        return _Near(
+            np.concatenate([near.columns, added]),
+            np.concatenate([near.mean, mean[added] + across.T @ near.pull]),
+            larger,
+            carry,
+            weight,
+            np.concatenate([near.pull, np.zeros(m)]),
+        )
