@@ -16,28 +16,26 @@ _RAYS = 48
 def coverage(map_from_camera: Pose, lens: CameraModel, target: Target) -> Array:
     """The polygon (n, 3) on the floor z = 0 over which the target's middle is in the picture and
     its squares are large enough; (0, 3) where there is no such floor."""
-    height = float(np.mean([face.base_from_face.translation[2] for face in target.faces]))
+    height = float(np.mean([face.translation[2] for face in target.faces]))
     square = min(face.square for face in target.faces)
     eye = map_from_camera.translation
     ahead = map_from_camera.rotation[:, 2]
     middle = np.arctan2(ahead[1], ahead[0])
     angles = middle + np.linspace(-np.pi, np.pi, _RAYS * 4, endpoint=False)
     radii = np.arange(_STEP_M, _FURTHEST_M, _STEP_M)
-    x = eye[0] + np.cos(angles)[:, None] * radii
-    y = eye[1] + np.sin(angles)[:, None] * radii
-    points = np.stack([x, y, np.full_like(x, height)], axis=-1)
-    optical = map_from_camera.inverse() @ points.reshape(-1, 3)
-    large = lens.fx * square / np.maximum(optical[:, 2], 1e-3) >= _LEAST_SQUARE_PX
-    # Most points are too far off; only for the others it matters what the lens does.
-    near_enough = np.flatnonzero(large & (optical[:, 2] > 0))
-    seen = np.zeros(x.size, dtype=bool)
-    seen[near_enough] = lens.sees(optical[near_enough])
-    seen = seen.reshape(x.shape)
-    rays = np.flatnonzero(seen.any(axis=1))
-    if len(rays) < 2:
+    along = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    below = np.array([eye[0], eye[1], height])
+    # Most points are too far off or behind the camera; only for the others it matters what the
+    # lens does.
+    depth = np.outer(along @ ahead, radii) + (below - eye) @ ahead
+    ray, step = np.nonzero((depth > 0) & (depth <= lens.fx * square / _LEAST_SQUARE_PX))
+    points = below + along[ray] * radii[step, None]
+    seen = lens.sees((points - eye) @ map_from_camera.rotation)
+    points, ray = points[seen], ray[seen]
+    near = np.flatnonzero(np.diff(ray, prepend=-1))
+    if len(near) < 2:
         return np.zeros((0, 3))
-    near = np.array([np.flatnonzero(seen[ray])[0] for ray in rays])
-    far = np.array([np.flatnonzero(seen[ray])[-1] for ray in rays])
-    outline = np.concatenate([points[rays, far], points[rays, near][::-1]])
+    far = np.append(near[1:], len(ray)) - 1
+    outline = np.concatenate([points[far], points[near][::-1]])
     outline[:, 2] = 0.0
     return outline

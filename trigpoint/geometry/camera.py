@@ -161,7 +161,8 @@ class CameraModel:
         return _by_polynomial(normalised, self.distortion)
 
     def _determinant(self, points: Array) -> Array:
-        return np.linalg.det(self._distort(points[..., :2] / points[..., 2:])[1])
+        by_point = self._distort(points[..., :2] / points[..., 2:])[1]
+        return by_point[..., 0, 0] * by_point[..., 1, 1] - by_point[..., 0, 1] * by_point[..., 1, 0]
 
     def _directions_equidistant(self, target: Array) -> Array:
         radius = np.linalg.norm(target, axis=-1)
