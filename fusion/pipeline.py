@@ -18,7 +18,6 @@ from trigpoint.messages import (
     CameraInfo,
     Message,
     Odometry,
-    Polygon,
     PoseArray,
     PoseEstimate,
     PoseStamped,
@@ -30,7 +29,7 @@ from trigpoint.network import Network
 from trigpoint.target import Target
 from trigpoint.topics import Topic
 
-from .coverage import coverage
+from .announcements import CameraAnnouncements, Output
 from .dataset import DataSet, Event, KnownCameras
 from .estimator import CameraEstimate, Collecting, Estimator, Inspectable, Live, Sampled
 from .estimators import make_estimator
@@ -47,19 +46,7 @@ from .shared import SharedLooks
 
 _TF_PERIOD_NS = to_ns(0.1)
 _PARTICLES_PERIOD_NS = to_ns(0.5)
-_CAMERA_PERIOD_NS = to_ns(1.0)
-_COVERAGE_PERIOD_NS = to_ns(5.0)
 _SEQUENCE_MARGIN = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """A message to send: `node` is the camera or robot of its key."""
-
-    topic: Topic
-    node: str
-    message: Message
-    attachment: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +84,7 @@ class Pipeline:
         self._sequence: Counter[str] = Counter()
         self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
-        # Cameras whose coverage is to be said: when it became due, and what was known then.
-        self._uncovered: dict[str, tuple[int, CameraEstimate]] = {}
+        self._announcements = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._early: list[tuple[str, Sightings]] = []
         self._problem = ""
 
@@ -225,14 +211,16 @@ class Pipeline:
 
         `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
         """
+        is_quiet = True
         for robot, track in self._data.tracks.items():
             if not len(track):
                 continue
             for observation in self._intake.ready(robot, track.first_ns, track.last_ns):
                 self._use(observation, now_ns)
+                is_quiet = False
         if self._follower is not None:
             self._attend(self._follower)
-        self._say_coverage()
+        self._outputs += self._announcements.next(is_quiet=is_quiet)
         outputs, self._outputs = self._outputs, []
         return outputs
 
@@ -246,7 +234,7 @@ class Pipeline:
         if follower.has_new_camera:
             follower.has_new_camera = False
             last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
-            self._say_cameras(last_ns, is_urgent=True)
+            self._take_cameras(last_ns, is_urgent=True)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):
@@ -272,7 +260,7 @@ class Pipeline:
         self._note_events()
         if update.correction is not None and not is_late:
             self._correct(observation.robot, update.correction)
-        self._say_cameras(observation.stamp_ns, is_urgent=bool(update.located))
+        self._take_cameras(observation.stamp_ns, is_urgent=bool(update.located))
 
     def _note_events(self) -> None:
         """Count what happened to the site, and say it."""
@@ -306,36 +294,16 @@ class Pipeline:
         self._correction_due_ns[robot] = due_ns + period_ns
         return True
 
-    def _say_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
-        period_ns = 0 if is_urgent else _CAMERA_PERIOD_NS
-        if not self._is_live or not self._is_due("cameras", stamp_ns, period_ns):
+    def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
+        """Have the cameras said where that is due."""
+        if not self._is_live or not (is_urgent or self._announcements.is_due(stamp_ns)):
             return
         cameras = self._estimator.cameras()
         if not cameras:
             return
         for name, camera in cameras.items():
             self._intake.learn(name, camera.time_offset_s, camera.time_offset_sigma_s)
-        transforms = []
-        for name, camera in cameras.items():
-            pose = camera.map_from_camera
-            self._send(
-                topics.CAMERA_POSE, name, PoseEstimate(stamp_ns, "map", pose, camera.covariance)
-            )
-            transforms.append(Transform(stamp_ns, "map", f"{name}/optical", pose))
-        self._send(topics.TF, "", Transforms(tuple(transforms)))
-        if self._is_due("coverage", stamp_ns, 0 if is_urgent else _COVERAGE_PERIOD_NS):
-            self._uncovered |= {name: (stamp_ns, camera) for name, camera in cameras.items()}
-
-    def _say_coverage(self) -> None:
-        """Say it of the next camera whose turn it is: of one at a time, since it takes long."""
-        if not self._uncovered:
-            return
-        name = next(iter(self._uncovered))
-        stamp_ns, camera = self._uncovered.pop(name)
-        target = self._inputs.targets[self.site.first_robot]
-        points = coverage(camera.map_from_camera, camera.lens, target)
-        if len(points):
-            self._send(topics.COVERAGE, name, Polygon(stamp_ns, "map", points))
+        self._announcements.take(stamp_ns, cameras, is_urgent=is_urgent)
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
         last_ns = self._sent_ns.get(what)
@@ -362,9 +330,8 @@ class Pipeline:
         self._estimator.finish()
         self._note_events()
         last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
-        self._say_cameras(last_ns, is_urgent=True)
-        while self._uncovered:
-            self._say_coverage()
+        self._take_cameras(last_ns, is_urgent=True)
+        self._outputs += self._announcements.rest()
         return self.advance()
 
     def ask(self) -> None:

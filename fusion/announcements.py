@@ -1,0 +1,122 @@
+"""What is said of the located cameras: their poses, and the floor that they see.
+
+A hundred cameras at once would keep a robot waiting for its correction. So a few are said a turn,
+new ones first, and the floor of one, in turns in which no robot waits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint import topics
+from trigpoint.clock import to_ns
+from trigpoint.geometry import Pose
+from trigpoint.messages import Message, Polygon, PoseEstimate, Transform, Transforms
+from trigpoint.target import Target
+from trigpoint.topics import Topic
+
+from .coverage import coverage
+from .estimator import CameraEstimate
+
+_PERIOD_NS = to_ns(1.0)
+_COVERAGE_PERIOD_NS = to_ns(5.0)
+_MOST_A_TURN = 8
+# A camera that moved less than this sees the floor that was said of it, but for a tenth of the
+# decimetres in which that is given.
+_SAME_FLOOR_M = 0.01
+_SAME_FLOOR_RAD = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A message to send: `node` is the camera or robot of its key."""
+
+    topic: Topic
+    node: str
+    message: Message
+    attachment: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """A camera as it was known at a moment."""
+
+    stamp_ns: int
+    camera: CameraEstimate
+
+
+class CameraAnnouncements:
+    """The cameras that are to be said, and those that were. Not thread-safe.
+
+    `target`: the one that the cameras are to see.
+    """
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._taken_ns: int | None = None
+        self._looked_ns: int | None = None
+        # What is to be said, in order; and the pose that each camera's floor was last said for.
+        self._poses: dict[str, _Known] = {}
+        self._floors: dict[str, _Known] = {}
+        self._said: set[str] = set()
+        self._floor_from: dict[str, Pose] = {}
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether it is time to say all cameras again."""
+        return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS)
+
+    def take(self, stamp_ns: int, cameras: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
+        """Have the cameras said, as they are known at a moment; `is_urgent`: and every floor."""
+        self._taken_ns = stamp_ns
+        known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
+        new = {name: one for name, one in known.items() if name not in self._said}
+        self._poses = new | self._poses | known
+        if is_urgent or _has_passed(self._looked_ns, stamp_ns, _COVERAGE_PERIOD_NS):
+            self._looked_ns = stamp_ns
+            self._floors |= {n: one for n, one in known.items() if self._sees_another_floor(n, one)}
+
+    def _sees_another_floor(self, name: str, known: _Known) -> bool:
+        before = self._floor_from.get(name)
+        if before is None:
+            return True
+        apart = np.abs(known.camera.map_from_camera.difference(before))
+        return bool(apart[:3].max() > _SAME_FLOOR_M or apart[3:].max() > _SAME_FLOOR_RAD)
+
+    def next(self, *, is_quiet: bool) -> Iterator[Output]:
+        """What is to be said this turn; `is_quiet`: no robot waits."""
+        yield from self._say_poses(_MOST_A_TURN)
+        if is_quiet:
+            yield from self._say_floor()
+
+    def rest(self) -> Iterator[Output]:
+        """Everything that is still to be said."""
+        yield from self._say_poses(len(self._poses))
+        while self._floors:
+            yield from self._say_floor()
+
+    def _say_poses(self, most: int) -> Iterator[Output]:
+        transforms = []
+        for name in list(self._poses)[:most]:
+            known = self._poses.pop(name)
+            self._said.add(name)
+            pose, covariance = known.camera.map_from_camera, known.camera.covariance
+            estimate = PoseEstimate(known.stamp_ns, "map", pose, covariance)
+            yield Output(topics.CAMERA_POSE, name, estimate)
+            transforms.append(Transform(known.stamp_ns, "map", f"{name}/optical", pose))
+        if transforms:
+            yield Output(topics.TF, "", Transforms(tuple(transforms)))
+
+    def _say_floor(self) -> Iterator[Output]:
+        if not self._floors:
+            return
+        name = next(iter(self._floors))
+        known = self._floors.pop(name)
+        self._floor_from[name] = known.camera.map_from_camera
+        points = coverage(known.camera.map_from_camera, known.camera.lens, self._target)
+        if len(points):
+            yield Output(topics.COVERAGE, name, Polygon(known.stamp_ns, "map", points))
+
+
+def _has_passed(last_ns: int | None, stamp_ns: int, period_ns: int) -> bool:
+    return last_ns is None or not 0 <= stamp_ns - last_ns < period_ns
