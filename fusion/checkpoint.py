@@ -9,7 +9,8 @@ import logging
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -26,7 +27,11 @@ _log = logging.getLogger(__name__)
 
 
 class Checkpoint:
-    """An open checkpoint file; used by one thread."""
+    """An open checkpoint file; used by one thread.
+
+    `trouble`: why nothing is written any more since the disk failed, "" while all is well. What was
+    written before stays good.
+    """
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path, self._clock = path, clock
@@ -43,6 +48,7 @@ class Checkpoint:
         if sound == 0:
             self._file.write(_MAGIC)
         self._flushed_ns = clock.elapsed_ns()
+        self.trouble = ""
 
     def records(self) -> Iterator[tuple[str, bytes]]:
         """(key, payload) of what was in the file when it was opened; it may be written meanwhile,
@@ -51,29 +57,48 @@ class Checkpoint:
             for _, key, payload in _records(self._path, self._sound):
                 yield key, payload
 
-    def write(self, key: str, payload: bytes) -> None:
-        """Append a message; it is on the disk within half a second and a call of `flush`."""
+    def write(self, key: str, payload: bytes) -> bool:
+        """Append a message; it is on the disk within half a second and a call of `flush`. False
+        where it is not kept."""
         body = msgspec.msgpack.encode((key, payload))
-        self._file.write(_HEAD.pack(len(body), zlib.crc32(body)) + body)
+        self._try(lambda: self._file.write(_HEAD.pack(len(body), zlib.crc32(body)) + body))
+        return not self.trouble
 
     def flush(self) -> None:
         """Hand what was written to the disk, at most twice a second."""
         if self._clock.elapsed_ns() - self._flushed_ns >= _FLUSH_NS:
             self._flushed_ns = self._clock.elapsed_ns()
-            self._file.flush()
-            os.fdatasync(self._file.fileno())
+            self._try(self._synchronise)
 
     def restart(self) -> None:
         """Forget everything."""
-        self._file.seek(0)
-        self._file.truncate(0)
-        self._file.write(_MAGIC)
-        self._file.flush()
+        with suppress(OSError):  # what waits to be written is not wanted any more
+            self._file.close()
+        self.trouble = ""
+        self._file = self._path.open("w+b")
+        self._try(lambda: self._file.write(_MAGIC))
+        self._try(self._synchronise)
 
     def close(self) -> None:
+        self._try(self._synchronise)
+        with suppress(OSError):  # told already
+            self._file.close()
+
+    def _synchronise(self) -> None:
         self._file.flush()
         os.fdatasync(self._file.fileno())
-        self._file.close()
+
+    def _try(self, work: Callable[[], object]) -> None:
+        """Do what needs the disk; not after that failed: nothing behind half a record is read."""
+        if self.trouble:
+            return
+        try:
+            work()
+        except OSError as reason:
+            self.trouble = (
+                f"{self._path}: the checkpoint cannot be written any more ({reason.strerror}); "
+                "fusion goes on, but started again it will know only what came before; make room"
+            )
 
 
 def read_checkpoint(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -23,7 +23,10 @@ def main(
     site: Annotated[Path, typer.Option(help="The site file.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of network.json and the checkpoint; «network» beside the site."),
+        typer.Option(
+            help="Folder of network.json and the checkpoint; «network» beside the site.",
+            file_okay=False,
+        ),
     ] = None,
     network: Annotated[
         Path | None, typer.Option(help="A network.json whose cameras are known beforehand.")

@@ -190,7 +190,8 @@ class FusionNode:
         self._node.health.count(f"received {sample.key}")
         if topic is topics.CAMERA_INFO:
             self._announced[sample.key] = sample.payload
-        self._open_checkpoint.write(sample.key, sample.payload)
+        if not self._open_checkpoint.write(sample.key, sample.payload):
+            self._node.health.lose("checkpoint")
         return message
 
     def _publish(self, output: Output) -> None:
@@ -205,15 +206,16 @@ class FusionNode:
             return self._pipeline.guidance_world()
 
     def _report(self) -> None:
-        """Bring what the pipeline left out into the diagnostics."""
+        """Bring what the pipeline left out, and what went wrong, into the diagnostics."""
         for reason, count in self._pipeline.left_out.items():
             more = count - self._reported.get(reason, 0)
             if more > 0:
                 self._node.health.count(f"left_out.{reason}", more)
             self._reported[reason] = count
-        if self._pipeline.last_problem != self._problem:
-            self._problem = self._pipeline.last_problem
-            self._node.health.fail(self._problem)
+        problem = self._open_checkpoint.trouble or self._pipeline.last_problem
+        if problem != self._problem:
+            self._problem = problem
+            self._node.health.fail(problem)
 
     # -- the checkpoint ---------------------------------------------------------------------------
 

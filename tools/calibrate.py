@@ -8,7 +8,7 @@ import msgspec
 import typer
 
 from trigpoint import cdr, topics
-from trigpoint.errors import InputError, MessageError
+from trigpoint.errors import InputError, MessageError, writing
 from trigpoint.fusion.estimators import check_estimator
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.results import Results
@@ -36,7 +36,8 @@ def main(
         typer.Option(help="The estimator, if not the one in the site file."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write to; «calibration» beside the session.")
+        Path | None,
+        typer.Option(help="Folder to write to; «calibration» beside the session.", file_okay=False),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the network file instead.")] = False,
 ) -> None:
@@ -52,9 +53,11 @@ def main(
         chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
         check_estimator(chosen)
         inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
+    folder = out if out is not None else recording.path.parent / "calibration"
+    with writing(folder):  # now, not after all the work
+        folder.mkdir(parents=True, exist_ok=True)
     pipeline = worked_out(recording, inputs)
     results = pipeline.results()
-    folder = out if out is not None else recording.path.parent / "calibration"
     results.save(folder)
     error = _error(recording, results)
     write_report(pipeline, results, error, session=session, folder=folder)

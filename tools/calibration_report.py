@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from trigpoint.errors import writing
 from trigpoint.fusion.guidance import Suggestion, next_poses
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.results import Results
@@ -21,7 +22,7 @@ def write_report(
     session: Path,
     folder: Path,
 ) -> None:
-    """Write report.html to the folder of the results."""
+    """Write report.html to the folder of the results; raises OperationError where it cannot be."""
     page = calibration_page(
         CalibrationResults(
             network=results.network,
@@ -36,9 +37,8 @@ def write_report(
             folder=str(folder),
         )
     )
-    part = folder / f"{REPORT}.part"
-    part.write_text(page, encoding="utf-8")
-    part.replace(folder / REPORT)
+    with writing(folder / REPORT):
+        (folder / REPORT).write_text(page, encoding="utf-8")
 
 
 def _next_poses(pipeline: Pipeline) -> tuple[Suggestion, ...]:

@@ -15,6 +15,8 @@
 A message says what, where, and what to do, in one line.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -64,6 +66,18 @@ class FrameError(OperationError):
 
 class MissingExtraError(OperationError):
     """A part of Trigpoint is not installed on this machine."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Around what writes a file, or files in a folder: raises OperationError in one clear line
+    where the disk does not take it."""
+    try:
+        yield
+    except OSError as reason:
+        raise OperationError(
+            f"{path}: cannot be written ({reason.strerror}); make room there or choose another"
+        ) from None
 
 
 def read_text(path: Path, kind: str, error: type[InputError]) -> str:

@@ -1,5 +1,6 @@
 """network.json: what a calibration ends in; the contract's section 4 has the format."""
 
+import io
 import math
 from pathlib import Path
 from typing import Literal
@@ -8,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from .errors import InputError, read_text
+from .errors import InputError, read_text, writing
 from .geometry import CameraModel, Pose
 from .geometry.camera import LensModel
 from .geometry.rotation import Array
@@ -206,22 +207,26 @@ def save_network(
     """Write network.json, covariance.npz (joint, 6n × 6n) and each robot's TUM file.
 
     Every file is written beside its place first and then moved, so that none is ever half.
-    `trajectories`: robot -> (stamps_ns (n,), map_from_base).
+    `trajectories`: robot -> (stamps_ns (n,), map_from_base). Raises OperationError where they
+    cannot be written.
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    for robot, (stamps_ns, poses) in trajectories.items():
-        _replace(directory / f"{robot}.tum", encode_tum(stamps_ns, poses))
-    archive = directory / "covariance.npz.part"
-    with archive.open("wb") as file:
-        np.savez(file, cameras=np.array(network.located), covariance=covariance)
-    archive.replace(directory / "covariance.npz")
-    _replace(directory / "network.json", encode_network(network))
+    archive = io.BytesIO()
+    np.savez(archive, cameras=np.array(network.located), covariance=covariance)
+    files = {f"{robot}.tum": encode_tum(*way) for robot, way in trajectories.items()}
+    files |= {"covariance.npz": archive.getvalue(), "network.json": encode_network(network)}
+    with writing(directory):
+        directory.mkdir(parents=True, exist_ok=True)
+        for name, data in files.items():
+            _replace(directory / name, data)
 
 
 def _replace(path: Path, data: bytes) -> None:
     part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    part.replace(path)
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def encode_tum(stamps_ns: np.ndarray, poses: Pose) -> bytes:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.errors import OperationError
+from trigpoint.errors import OperationError, writing
 from trigpoint.tools.demo.evidence import load_results
 from trigpoint.tools.demo.folder import DemoFolder
 from trigpoint.tools.demo.progress import Progress
@@ -27,7 +27,10 @@ _REVIEW_S = 60.0
 
 def main(
     out: Annotated[
-        Path, typer.Option(help="Folder to write to; an earlier demo's files are replaced.")
+        Path,
+        typer.Option(
+            help="Folder to write to; an earlier demo's files are replaced.", file_okay=False
+        ),
     ] = Path("trigpoint-demo"),
     seed: Annotated[int, typer.Option(help="Of every random number.", min=0)] = 1,
     seconds: Annotated[
@@ -73,7 +76,9 @@ def _finish(folder: DemoFolder) -> list[str]:
     """Write what remains to be written, and say it all; return the failures."""
     review = _write_review(folder)
     results = load_results(folder)
-    folder.report.write_text(report_page(results, folder=str(folder.path)), encoding="utf-8")
+    page = report_page(results, folder=str(folder.path))
+    with writing(folder.report):
+        folder.report.write_text(page, encoding="utf-8")
     typer.echo(f"\n{table(results)}\n")
     if review.wait(_REVIEW_S):
         raise OperationError(f"{folder.review} could not be written; see {folder.log}/review.log")

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Struct
 
 from trigpoint.config import BusConfig
-from trigpoint.errors import InputError, OperationError, read_text
+from trigpoint.errors import InputError, OperationError, read_text, writing
 from trigpoint.tools.simulation.site_files import sim_url, write_site, write_truth
 from trigpoint.tools.simulation.world import World
 
@@ -115,27 +115,29 @@ class DemoFolder:
             )
 
     def prepare(self, world: World, record: DemoRecord, locator: str) -> None:
-        """Write the site, its targets and lenses, and the truth."""
+        """Write the site, its targets and lenses, and the truth; raises OperationError."""
         sources = {
             camera: sim_url(world, camera, epoch_ns=record.epoch_ns) for camera in world.cameras
         }
-        write_site(
-            world,
-            self.path,
-            sources=sources,
-            ports={robot: f"./{self.port(robot).name}" for robot in world.robots},
-            bus=BusConfig(connect=(locator,)),
-            recordings=".",
-            pictures=True,
-        )
-        write_truth(world, self.path, epoch_ns=record.epoch_ns)
+        with writing(self.path):
+            write_site(
+                world,
+                self.path,
+                sources=sources,
+                ports={robot: f"./{self.port(robot).name}" for robot in world.robots},
+                bus=BusConfig(connect=(locator,)),
+                recordings=".",
+                pictures=True,
+            )
+            write_truth(world, self.path, epoch_ns=record.epoch_ns)
         self.write(record)
 
     def write(self, record: DemoRecord) -> None:
         """Write down what is run."""
         part = self.path / f"{MARKER}.part"
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
-        part.replace(self.path / MARKER)
+        with writing(self.path):
+            part.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+            part.replace(self.path / MARKER)
 
     def read(self) -> DemoRecord:
         """What was run; raise InputError where the file is not a demo's."""

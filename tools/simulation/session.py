@@ -8,6 +8,7 @@ import numpy as np
 
 from trigpoint import cdr, topics
 from trigpoint.clock import to_ns
+from trigpoint.errors import writing
 from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.topics import Topic
@@ -31,13 +32,15 @@ class _Item:
 def write_session(world: World, directory: Path) -> dict[str, int]:
     """Write session.mcap, the site's files and the truth; return how many messages a key has.
 
-    Raises OperationError where there is a session already.
+    Raises OperationError where there is a session already, or the disk does not take it.
     """
-    directory.mkdir(parents=True, exist_ok=True)
+    with writing(directory):
+        directory.mkdir(parents=True, exist_ok=True)
     writer = McapWriter(directory / "session.mcap")
     try:
-        site = write_site(world, directory)
-        write_truth(world, directory, epoch_ns=EPOCH_NS)
+        with writing(directory):
+            site = write_site(world, directory)
+            write_truth(world, directory, epoch_ns=EPOCH_NS)
         for path in [site, *sorted(directory.glob("*target.toml"))]:
             writer.attach(path.name, path.read_bytes(), "application/toml", time_ns=EPOCH_NS)
         for item in sorted(_items(world), key=lambda item: item.received_ns):

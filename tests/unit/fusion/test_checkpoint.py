@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from builders import largest_file
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -92,6 +93,36 @@ def test_restart_forgets_everything(tmp_path: Path) -> None:
     checkpoint.restart()
     checkpoint.write("new", b"2")
     checkpoint.close()
+    assert list(read_checkpoint(path)) == [("new", b"2")]
+
+
+def test_disk_that_is_full_keeps_what_was_written_and_is_told(tmp_path: Path) -> None:
+    path, clock = tmp_path / "checkpoint.bin", ManualClock()
+    checkpoint = Checkpoint(path, clock)
+    with largest_file(1000):
+        kept = 0
+        while checkpoint.write(f"lab/robot/r1/odom{kept}", bytes(200)):
+            kept += 1
+            clock.advance(1.0)
+            checkpoint.flush()
+    assert "cannot be written any more (File too large)" in checkpoint.trouble
+    assert not checkpoint.write("after", b"1")  # there is room again, but half a record lies there
+    checkpoint.close()
+    found = list(read_checkpoint(path))
+    assert [key for key, _ in found] == [f"lab/robot/r1/odom{i}" for i in range(len(found))]
+    assert 3 <= len(found) < kept + 1
+
+
+def test_restart_after_the_disk_was_full_writes_again(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.bin"
+    checkpoint = Checkpoint(path, ManualClock())
+    with largest_file(1000):
+        while checkpoint.write("old", bytes(2000)):
+            pass
+    checkpoint.restart()
+    assert checkpoint.write("new", b"2")
+    checkpoint.close()
+    assert checkpoint.trouble == ""
     assert list(read_checkpoint(path)) == [("new", b"2")]
 
 

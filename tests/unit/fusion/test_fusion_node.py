@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import eventually
+from builders import eventually, largest_file
 from drives import EPOCH_NS, Session
 
 from trigpoint import cdr, topics
@@ -248,6 +248,17 @@ def test_announced_lenses_are_used(charuco: Session, tmp_path: Path) -> None:
         network = run.ask("fusion/network")
     assert network["cameras"]["c1"]["status"] == "located"
     assert network["cameras"]["c1"]["intrinsics"]["k"][0] == charuco.plan.cameras["c1"].lens.fx
+
+
+def test_fusion_goes_on_where_the_disk_is_full_and_says_so(
+    charuco: Session, tmp_path: Path
+) -> None:
+    with running(charuco.inputs, tmp_path) as fusion:
+        with largest_file(20_000):
+            fusion.feed(charuco.messages[:300])
+            assert eventually(lambda: fusion.node.health.lost("checkpoint") > 0)
+        assert eventually(lambda: "cannot be written any more" in fusion.node.health.last_error)
+        assert fusion.ask("fusion/map")["map_id"]
 
 
 def test_checkpoint_of_another_site_is_refused(charuco: Session, tmp_path: Path) -> None:

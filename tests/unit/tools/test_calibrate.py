@@ -137,6 +137,19 @@ def test_missing_session_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "no .mcap file in this folder" in refused(capsys, tmp_path)
 
 
+def test_place_that_cannot_be_written_is_told_before_the_work(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    monkeypatch.setattr("trigpoint.tools.calibrate.worked_out", lambda *_: pytest.fail("too late"))
+    taken = tmp_path / "taken"
+    taken.touch()
+    assert "is a file" in refused(capsys, recorded, "--out", taken)
+    assert run(["calibrate", str(recorded), "--out", str(taken / "below")]) == 1
+    line = capsys.readouterr().err
+    assert "taken/below: cannot be written" in line
+    assert line.count("\n") == 1
+
+
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 another kind of file"])
 def test_foreign_or_empty_file_is_named(
     tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]

@@ -98,6 +98,7 @@ def test_every_parts_own_checks_open(part: str) -> None:
 
 def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) -> None:
     more = '[cameras.c9]\nsource = "v4l2:///dev/no_camera"\n[robots.r9]\nport = "/dev/no_port"\n'
+    more = f'[cameras.c8]\nsource = "rtsp://a"\nheight = 481\nline_delay = 30e-6\n{more}'
     path = write_site(tmp_path, f'{more}target = "lost.toml"')
     findings = {finding.name: finding for finding in examine(load_site(path))}
     assert findings["target of r1"].level == "ok"
@@ -105,6 +106,8 @@ def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) ->
     assert "lost.toml" in findings["target of r9"].message
     assert findings["camera c9"].message == "/dev/no_camera is not on this machine"
     assert findings["lens of c9"].message.startswith("no intrinsics")
+    assert "write line_delay" in findings["shutter of c9"].message
+    assert "rolls over a picture in 14.4 ms" in findings["shutter of c8"].message
     assert findings["robot r9"].level == "warning"
 
 

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from trigpoint import errors
-from trigpoint.errors import InputError, OperationError, TrigpointError, read_text
+from trigpoint.errors import InputError, OperationError, TrigpointError, read_text, writing
 
 
 def every_error() -> list[type[TrigpointError]]:
@@ -29,3 +29,12 @@ def test_text_is_read(tmp_path: Path) -> None:
 def test_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the site file cannot be read"):
         read_text(tmp_path, "site file", InputError)
+
+
+def test_file_that_cannot_be_written_is_one_line_that_says_where(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    path = tmp_path / "file" / "a.txt"
+    with pytest.raises(OperationError, match="cannot be written") as caught, writing(path):
+        path.write_text("a")
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)

@@ -3,11 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import largest_file
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from trigpoint.errors import InputError
+from trigpoint.errors import InputError, OperationError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import (
@@ -121,6 +122,17 @@ def test_files_are_written_whole_and_read_back(tmp_path: Path) -> None:
         "network.json",
         "r1.tum",
     ]
+
+
+def test_full_disk_leaves_the_earlier_network_as_it_was(tmp_path: Path) -> None:
+    network, stamps = make_network(), np.arange(400)
+    way = Pose.stack([POSE] * len(stamps))
+    save_network(tmp_path, network, covariance=np.eye(6), trajectories={})
+    with largest_file(10_000), pytest.raises(OperationError, match="cannot be written"):
+        save_network(tmp_path, network, covariance=np.eye(6), trajectories={"r1": (stamps, way)})
+    assert load_network(tmp_path) == network
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["covariance.npz", "network.json"]
 
 
 @given(

@@ -4,7 +4,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from builders import largest_file
 
+from trigpoint.cli import run
 from trigpoint.config import load_site
 from trigpoint.errors import InputError, OperationError
 from trigpoint.target import load_target
@@ -98,6 +100,19 @@ def test_file_that_is_no_record_is_named(folder):
     (folder.path / MARKER).write_text("{}")
     with pytest.raises(InputError, match=MARKER):
         folder.claim()
+
+
+def test_file_in_place_of_the_folder_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert run(["demo", "--out", str(tmp_path / "file")]) == 2
+    assert "is a file" in capsys.readouterr().err
+
+
+def test_full_disk_is_told_and_the_record_of_before_stays(folder):
+    prepare(folder)
+    with largest_file(10), pytest.raises(OperationError, match="cannot be written"):
+        folder.write(RECORD)
+    assert folder.read() == RECORD
 
 
 def test_folder_that_cannot_be_made_is_named(tmp_path):

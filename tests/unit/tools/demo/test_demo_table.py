@@ -27,10 +27,9 @@ def test_reason_of_an_undetermined_camera_is_told():
 
 def test_machine_that_was_too_busy_for_its_cameras_is_told():
     busy = make_camera("c1", pictures=80, skipped=20, given_up=5)
-    lines = table(make_results(cameras=(busy, make_camera("c2", pictures=100, skipped=0))))
-    assert (
-        "too busy for its cameras: of 200 pictures 20 were missed and 5 searched in part" in lines
-    )
+    idle = make_camera("c2", place=(0.0, 2.0, 1.5), pictures=100, skipped=0)
+    text = table(make_results(cameras=(busy, idle)))
+    assert "too busy for its cameras: of 200 pictures 20 were missed and 5 searched in part" in text
     little = make_camera("c1", pictures=98, skipped=2, given_up=1)
     assert "too busy" not in table(make_results(cameras=(little,)))
 

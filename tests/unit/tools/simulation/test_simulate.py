@@ -1,6 +1,7 @@
 """The folder that `simulate` writes."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,13 @@ def test_a_live_site_names_its_sources_ports_and_bus(tmp_path: Path) -> None:
     assert site.robot("r1").port == "/dev/pts/7"
     assert (site.recorder.directory, site.recorder.pictures) == ("here", True)
     assert load_target(tmp_path / "target.toml").faces[0].pattern == "checkerboard"
+
+
+def test_a_site_of_rolling_shutters_says_so(tmp_path: Path) -> None:
+    world = load_world("lab", seed=1)
+    world.cameras["c2"] = replace(world.cameras["c2"], line_delay_s=-30e-6)
+    site = load_site(write_site(world, tmp_path))
+    assert [site.camera(name).line_delay for name in ("c1", "c2")] == [0.0, -30e-6]
 
 
 def test_the_command_writes_a_folder_and_says_so(

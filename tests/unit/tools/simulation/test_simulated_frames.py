@@ -3,6 +3,7 @@
 import itertools
 import threading
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,6 +35,18 @@ def test_pictures_come_on_the_worlds_grid_of_time_once_they_are_exposed() -> Non
         assert frame.picture.shape == (480, 640)
     assert source.skipped == 0
     source.close()
+
+
+def test_a_rolling_shutters_picture_comes_once_its_last_row_is_exposed(tmp_path: Path) -> None:
+    file = tmp_path / "rolling.toml"
+    camera = "position = [0.0, -2.0, 1.5]\nyaw = 90.0\npitch = 20.0\nline_delay = 50e-6"
+    robot = "waypoints = [[-1.0, 0.0], [1.0, 0.0]]"
+    file.write_text(f'site = "hall"\n[cameras.c1]\n{camera}\n[robots.r1]\n{robot}\n')
+    clock = ManualClock(EPOCH_NS)
+    url = f"sim://c1?world={file}&epoch_ns={EPOCH_NS}"
+    frame = next(opened(clock, url).frames(threading.Event()))
+    late_s = (clock.now_ns() - frame.captured_ns) / SECOND
+    assert late_s == pytest.approx((0.008 + 479 * 50e-6) / 2, abs=1e-6)
 
 
 def test_a_source_that_is_opened_again_goes_on_where_the_world_is() -> None:

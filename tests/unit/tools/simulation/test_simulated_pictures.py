@@ -1,5 +1,7 @@
 """Rendered pictures, held against the projected truth."""
 
+import copy
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -146,3 +148,37 @@ def test_the_nearer_robot_is_drawn_over_the_farther_one(tmp_path: Path) -> None:
     assert changed.any()
     corners = np.vstack([face.pixels for face in world.seen("c1", "r1", 3.9)]).round().astype(int)
     assert not changed[corners[:, 1], corners[:, 0]].any()
+
+
+def rolling(world: World, line_delay_s: float) -> World:
+    """The same world with rolling shutters."""
+    other = copy.copy(world)
+    other.cameras = {n: replace(c, line_delay_s=line_delay_s) for n, c in world.cameras.items()}
+    return other
+
+
+@pytest.mark.parametrize("line_delay_s", [60e-6, -60e-6])
+def test_a_rolling_shutter_draws_corners_where_their_rows_see_them(
+    world: World, line_delay_s: float
+) -> None:
+    rolls = rolling(world, line_delay_s)
+    errors = corner_errors(rolls, CameraRenderer(rolls, "c2", noise=False), np.arange(13, 15, 0.25))
+    assert len(errors) > 300
+    assert np.all(np.abs(errors.mean(axis=0)) < 0.02)
+    assert np.all(np.sqrt((errors**2).mean(axis=0)) < 0.05)
+
+
+def test_a_rolling_shutter_sees_a_corner_as_its_row_is_exposed(world: World) -> None:
+    rolls, t_s = rolling(world, 60e-6), 13.9
+    (seen, *_), (still, *_) = (w.seen("c2", "r1", t_s) for w in (rolls, world))
+    eye, corner = rolls.cameras["c2"], 5
+    at_s = t_s + 60e-6 * (seen.pixels[corner, 1] - (eye.model.height - 1) / 2)
+    as_exposed = next(f for f in world.seen("c2", "r1", float(at_s)) if f.face == seen.face)
+    np.testing.assert_allclose(seen.pixels[corner], as_exposed.pixels[corner], atol=1e-6)
+    assert np.abs(seen.pixels - still.pixels).max() > 0.3
+
+
+def test_a_standing_robot_looks_the_same_to_a_rolling_shutter(world: World) -> None:
+    rolls, t_s = rolling(world, 60e-6), 2.0
+    still = CameraRenderer(world, "c1").picture_at(t_s)
+    assert np.array_equal(CameraRenderer(rolls, "c1").picture_at(t_s), still)
