@@ -9,7 +9,7 @@ import msgspec
 import typer
 
 from trigpoint.checks import Check
-from trigpoint.config import Site, load_site, parse_site
+from trigpoint.config import CameraConfig, Site, load_site, parse_site
 from trigpoint.errors import TargetError
 from trigpoint.target import load_target
 
@@ -25,6 +25,7 @@ from .machine_checks import (
 )
 
 _SIGNS = {"ok": "ok     ", "warning": "warning", "error": "ERROR  "}
+_LIVE = ("v4l2", "rtsp")
 _NO_SITE = """
 site = "doctor"
 target = "target.toml"
@@ -83,7 +84,16 @@ def _check_camera(site: Site, name: str) -> list[Check]:
     if scheme == "v4l2":
         device = _device(place.partition("?")[0])
         findings.append(_check_device(f"camera {name}", device, "video"))
+    if scheme in _LIVE:
+        findings.append(_shutter(name, site.camera(name)))
     return findings
+
+
+def _shutter(name: str, camera: CameraConfig) -> Check:
+    text = "all rows are taken to be exposed at once; if it rolls, as most do, write line_delay"
+    if camera.line_delay:
+        text = f"rolls over a picture in {1e3 * camera.readout_s:.1f} ms, stamped at the middle row"
+    return Check(f"shutter of {name}", "ok", text)
 
 
 def _device(place: str) -> Path:

@@ -30,7 +30,8 @@ def main(
     ] = None,
     json_text: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
-    """One camera's intrinsics with sigmas, from pictures of a target held before it."""
+    """One camera's intrinsics with sigmas, from pictures of a target held still before it (a
+    rolling shutter bends what moves)."""
     quieten_opencv()
     targets = _targets(target, site)
     if out is not None and out.suffix not in (".yaml", ".yml"):
