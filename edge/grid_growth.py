@@ -89,7 +89,10 @@ def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
         added = _found_beside(grid, fit, curvature) if fit else None
         if added is None:
             break
-        grid = cleaned(added, (width, height))
+        added = cleaned(added, (width, height))
+        if len(added) <= len(grid):  # what was found is not the board's, and would be found again
+            break
+        grid = added
     return grid
 
 

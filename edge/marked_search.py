@@ -45,7 +45,7 @@ class MarkedSearch(FaceFinder):
     def _search(
         self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver
     ) -> list[Located]:
-        quads = self._finder.find(grey)
+        quads = self._finder.find(grey, is_over)
         if len(quads) == 0:
             return []
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}

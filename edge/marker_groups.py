@@ -21,6 +21,9 @@ NEAR = 0.3
 # and how far a new member may be from the nearest old one, of the marker's side.
 STEP = 3.5
 MOST_GROUPS = 8
+# Of the likeliest markers, how many are looked at, and how many are tried as the start of a board.
+MOST_MARKERS = 400
+MOST_SEEDS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +44,11 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
     `layout`: (m, 4, 2) the markers' corners on the board, clockwise from the top left.
     """
     groups: list[MarkerGroup] = []
+    markers = markers.first(MOST_MARKERS)
     free = np.ones(len(markers), dtype=bool)
-    seeds = int(np.count_nonzero(markers.scores >= LEAST_SEED))
+    seeds = min(int(np.count_nonzero(markers.scores >= LEAST_SEED)), MOST_SEEDS)
+    if seeds == 0:
+        return groups
     has_company = _has_company(seeds, markers, layout)
     for seed in range(seeds):
         if len(groups) == MOST_GROUPS:
@@ -66,8 +72,6 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
 
 def _has_company(seeds: int, markers: Markers, layout: Array) -> np.ndarray:
     """Whether any other marker lies where each of the first `seeds` has it, (seeds,) bool."""
-    if seeds == 0:
-        return np.zeros(0, dtype=bool)
     own = layout[markers.numbers[:seeds]]
     side = np.linalg.norm(layout[0, 1] - layout[0, 0])
     # Markers are printed square, along the face's axes: others in this one's units, its corner 0.

@@ -28,7 +28,7 @@ class Markers:
 
     `numbers`: (n,) counted from the face's first; `corners`: (n, 4, 2) pixels, clockwise from the
     marker's own top left; `scores`: (n,) correlation with the marker's cells, at most 1; `quads`:
-    (n,) index of the quadrilateral.
+    (n,) index of the quadrilateral. The likeliest come first.
     """
 
     numbers: np.ndarray
@@ -38,6 +38,11 @@ class Markers:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def first(self, count: int) -> "Markers":
+        """The first so many, which are the likeliest."""
+        kept = slice(count)
+        return Markers(self.numbers[kept], self.corners[kept], self.scores[kept], self.quads[kept])
 
 
 class MarkerReader:
@@ -49,8 +54,8 @@ class MarkerReader:
         self._side = known.markerSize + 2 * border_bits
         cells = [_cells_of(known, marker, self._side, border_bits) for marker in self._row]
         turned = [np.rot90(cell, -turn) for cell in cells for turn in range(4)]
-        # (markers, turns, cells)
-        self._templates = _normalised(np.array(turned).reshape(len(cells), 4, -1))
+        # (cells, 4 · marker + turn)
+        self._templates = _normalised(np.array(turned).reshape(len(turned), -1)).T.copy()
         centres = (np.arange(self._side) + 0.5) / self._side
         x, y = np.meshgrid(centres, centres)
         self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
@@ -64,7 +69,7 @@ class MarkerReader:
         cells = sampled(grey, pixels)
         contrast = cells.std(axis=-1, keepdims=True)
         normal = np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
-        return np.einsum("nc,mtc->nmt", normal, self._templates)
+        return (normal @ self._templates).reshape(len(quads), -1, 4)
 
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""
