@@ -1,26 +1,23 @@
 """How far corners are off: Gauss-Newton between patches of a picture and the drawing of them.
 
-Lucas and Kanade (1981); brightness and contrast are solved for each corner, the blur for the whole
-face (its Gaussian's covariance, by the heat equation: what a wider blur changes is half the second
-derivatives). What does not look like the pattern is left out pixel by pixel, or corner by corner.
+Lucas and Kanade (1981); contrast, brightness and how that rises across are solved for each corner
+(uneven light would pull at it), the blur for the whole face (`Blur`; its variances by the heat
+equation: what a wider blur changes is half the second derivatives). What does not look like the
+pattern is left out pixel by pixel, or corner by corner.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .blur import Blur
 from .middle import median
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
-# Bounds of the blur's variances, pixel²: below 0 the camera sharpens, as most webcams do; the upper
-# one is that of 6 pixels of motion.
-LEAST_BLUR = -1.5
-MOST_BLUR = 3.0
-# As far as the drawing is blurred at least; what is less is made up by second derivatives.
-LEAST_GAUSSIAN = 0.2
 # A pixel this far off the drawing, of the face's contrast, shows something else.
 FOREIGN_SHARE = 0.25
 # Of a corner's pixels, how many must show the pattern, and how many there must be;
@@ -32,92 +29,162 @@ LEAST_CONTRAST_SHARE = 0.5
 # and how much worse than the face's it may match, beyond a little noise, grey levels².
 MOST_MISMATCH = 3.0
 QUIET_POWER = 4.0
+# A seam in the print or a scratch may leave this share of the drawing's variance all the same.
+SCRATCHED_SHARE = 0.07
 # What is left may have this share of the drawing's variance, and this noise, grey levels².
 MOST_UNEXPLAINED = 0.3
 NOISE_POWER = 40.0
-# Of the drawing's grey values.
-_WHITE = 255.0
+_WHITE, _MIDDLE = 255.0, 128.0
+# What each row of a drawing is: first of the corner, then of the face's blur, then what is seen.
+_BY_X, _BY_Y, _VALUE, _ONE, _X, _Y, _XX, _YY, _XY, _BUMP, _SEEN = range(11)
+_ROWS, _OWN = 11, 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """`step`: (n, 2) from where the pattern was drawn to where it is, pixels; `is_clear`: (n,)
-    whether the picture shows it; `sigma`: (n,) of a step's coordinate, by what is left; `blur`:
-    (3,) the better one."""
+    whether the picture shows it; `sigma`: (n,) of a step's coordinate, by what is left; `blur`: the
+    better one; `change`: (4,) by how much; `usual`: what most corners have."""
 
     step: Array
     is_clear: np.ndarray
     sigma: Array
-    blur: Array
+    blur: Blur
+    change: Array
+    usual: "Usual"
 
 
-def aligned(patches: Patches, blur: Array, longest_px: float) -> Alignment:
-    """One step for every corner; none is trusted beyond `longest_px`."""
-    drawing = _Drawing.of(patches.drawn, blur)
-    match = _matched(drawing, patches.seen, patches.weight)
-    usual = _Usual.of(match)
-    odd = usual.odd(match)
+def aligned(
+    patches: Patches, blur: Blur, longest_px: float, *, usual: "Usual | None" = None
+) -> Alignment:
+    """One step for every corner; none is trusted beyond `longest_px`. `usual`: what most of the
+    face's corners have, where these are only a few of them."""
+    rows = _rows(patches, blur)
+    match = _Match.of(rows)
+    most = usual or Usual.of(match)
+    odd = most.odd(match)
     if odd.any():
-        foreign = usual.foreign(drawing, patches.seen)
-        weight = np.where(odd[:, None] & foreign, np.float32(0), patches.weight)
-        match = _matched(drawing, patches.seen, weight)
-        usual = _Usual.of(match)
-    clear = _clear(drawing, match, usual, patches)
-    change = _blur_change(drawing, match, clear)
+        rows[odd] *= ~most.foreign(rows[odd])[:, None]
+        match = match.replaced(odd, _Match.of(rows[odd]))
+        most = usual or Usual.of(match)
+    clear = _clear(match, most, patches)
+    change = _blur_change(match, clear)
     adapted = match.values - match.gain[:, None] * (match.by_blur @ change)
-    step = -adapted[:, :2] / np.maximum(adapted[:, 2:3], 1e-6)
+    step = -adapted[:, :2] / np.maximum(adapted[:, 2:3], 1e-6 * _WHITE)
     length = np.linalg.norm(step, axis=1)
     step *= np.minimum(1.0, longest_px / np.maximum(length, 1e-9))[:, None]
-    clear &= length < 2 * longest_px
-    inverse = np.linalg.inv(match.normal)
-    spread = np.maximum(0.5 * (inverse[:, 0, 0] + inverse[:, 1, 1]), 0.0)
-    sigma = np.sqrt(match.power * spread) / np.maximum(match.gain, 1e-6)
-    return Alignment(step, clear, sigma, _bounded(blur + change))
+    spread = np.maximum(0.5 * (match.inverse[:, 0, 0] + match.inverse[:, 1, 1]), 0.0)
+    sigma = np.sqrt(match.power * spread) / np.maximum(match.gain, 1e-6 * _WHITE)
+    return Alignment(step, clear, sigma, blur.changed(change), change, most)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Drawing:
-    """What the picture is held against, float32. `columns`: (n, m, 4) x and y derivative, value and
-    1; `bend`: (n, m, 3) what each number of the blur changes."""
+def _rows(patches: Patches, blur: Blur) -> np.ndarray:
+    """(n, 11, m) float32, 0 where a pixel does not count: what a corner's place, contrast,
+    brightness and the rise of that change, then what each number of the blur changes, for a
+    contrast of 1; what is seen, from middle grey."""
+    n, m = patches.seen.shape
+    side = round(m**0.5)
+    soft = _softened(patches.drawn, blur)
+    rows = np.empty((n, _ROWS, m), np.float32)
+    _differentiated(soft, rows.reshape(n, _ROWS, side, side))
+    value = rows[:, _VALUE]
+    bump = rows[:, _BUMP]
+    np.subtract(1, value, out=bump)
+    bump *= value
+    if blur.response:
+        slope = 1 + np.float32(blur.response) * (1 - 2 * value)
+        rows[:, _BY_X : _BY_Y + 1] *= slope[:, None]
+        rows[:, _XX : _XY + 1] *= slope[:, None]
+        value += np.float32(blur.response) * bump
+    np.subtract(patches.seen, np.float32(_MIDDLE), out=rows[:, _SEEN])
+    rows[:, [_ONE, _X, _Y]] = _light(side)
+    rows *= patches.weight[:, None]
+    return rows
 
-    columns: np.ndarray
-    bend: np.ndarray
 
-    @classmethod
-    def of(cls, drawn: np.ndarray, blur: Array) -> "_Drawing":
-        n = len(drawn)
-        soft = _blurred(drawn, blur)
-        value, by_x, by_y, *second = (part.reshape(n, -1) for part in _derivatives(soft))
-        columns = np.stack([by_x, by_y, value, np.ones_like(value)], axis=-1)
-        return cls(columns, np.stack(second, axis=-1))
+@cache
+def _light(side: int) -> np.ndarray:
+    """Even light, and light that rises along x and along y by 1 altogether; (3, side²) float32."""
+    across = np.broadcast_to(np.linspace(-0.5, 0.5, side, dtype=np.float32), (side, side))
+    return np.stack([np.ones_like(across), across, across.T]).reshape(3, -1)
 
-    @property
-    def value(self) -> np.ndarray:
-        """The drawing itself, (n, m)."""
-        return self.columns[..., 2]
+
+def _softened(drawn: np.ndarray, blur: Blur) -> np.ndarray:
+    """Patches (n, l, l), blurred, white as 1."""
+    n, side, _ = drawn.shape
+    kernel = blur.kernel(STEP) / np.float32(_WHITE)
+    soft = cv2.filter2D(drawn.reshape(n * side, side), cv2.CV_32F, kernel)
+    return soft.reshape(n, side, side)
+
+
+def _differentiated(soft: np.ndarray, rows: np.ndarray) -> None:
+    """Put x and y derivative and value at whole pixels, and what variance xx, variance yy and
+    covariance of a blur change, into rows (n, 11, k, k); white is 1."""
+
+    def at(dx: int, dy: int) -> np.ndarray:
+        low, high = STEP * MARGIN_PX, soft.shape[1] - STEP * MARGIN_PX
+        return soft[:, low + dy : high + dy : STEP, low + dx : high + dx : STEP]
+
+    value, right, left, below, above = at(0, 0), at(1, 0), at(-1, 0), at(0, 1), at(0, -1)
+    np.subtract(right, left, out=rows[:, _BY_X])
+    np.subtract(below, above, out=rows[:, _BY_Y])
+    rows[:, _VALUE] = value
+    twice = 2 * value
+    rows[:, _XX] = right + left - twice
+    rows[:, _YY] = below + above - twice
+    rows[:, _XX : _YY + 1] *= 2
+    rows[:, _XY] = at(1, 1) - at(-1, 1) - at(1, -1) + at(-1, -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """The best match of each corner. `weight`, `residual`: (n, m); `normal`: (n, 4, 4); `values`:
-    (n, 4) coefficients of the columns; `by_blur`: (n, 4, 3) those that take up a change of blur;
-    `power`: (n,) mean square of what is left."""
+    """The best match of each corner, by linear least squares. `count`: (n,) pixels; `variance`:
+    (n,) the drawing's; `inverse`: (n, 6, 6) of the normal equations of a corner's own numbers;
+    `values`: (n, 6) of these; `by_blur`: (n, 6, 4) those that take up a change of blur; `left`:
+    (n, 5, 5) products of the blur's rows, and of what is seen, after that."""
 
-    weight: np.ndarray
-    residual: np.ndarray
-    normal: Array
+    count: Array
+    variance: Array
+    inverse: Array
     values: Array
     by_blur: Array
-    power: Array
+    left: Array
+
+    @classmethod
+    def of(cls, rows: np.ndarray) -> "_Match":
+        """The match of rows (n, 11, m)."""
+        products = (rows @ rows.swapaxes(1, 2)).astype(float)
+        count = products[:, _ONE, _ONE]
+        some = np.maximum(count, 1.0)
+        variance = products[:, _VALUE, _VALUE] / some - (products[:, _VALUE, _ONE] / some) ** 2
+        inverse = np.linalg.inv(products[:, :_OWN, :_OWN] + 1e-6 * np.eye(_OWN))
+        right = products[:, :_OWN, _OWN:]
+        solved = inverse @ right
+        left = products[:, _OWN:, _OWN:] - right.swapaxes(1, 2) @ solved
+        return cls(count, variance, inverse, solved[:, :, 4], solved[:, :, :4], left)
+
+    def replaced(self, which: np.ndarray, others: "_Match") -> "_Match":
+        """These, `which` (n,) of them replaced by others."""
+        parts = []
+        for name in self.__slots__:
+            part = getattr(self, name).copy()
+            part[which] = getattr(others, name)
+            parts.append(part)
+        return _Match(*parts)
 
     @property
     def gain(self) -> Array:
-        """Contrast of each corner, of the drawing's."""
-        return self.values[:, 2]
+        """Contrast of each corner, grey levels."""
+        return self.values[:, _VALUE]
+
+    @property
+    def power(self) -> Array:
+        """Mean square of what is left, (n,), grey levels²."""
+        return np.maximum(self.left[:, 4, 4], 0.0) / np.maximum(self.count, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class _Usual:
+class Usual:
     """What most corners of the face have: contrast, brightness and mean square of what is left."""
 
     gain: float
@@ -125,8 +192,8 @@ class _Usual:
     power: float
 
     @classmethod
-    def of(cls, match: _Match) -> "_Usual":
-        return cls(median(match.gain), median(match.values[:, 3]), median(match.power))
+    def of(cls, match: _Match) -> "Usual":
+        return cls(median(match.gain), median(match.values[:, _ONE]), median(match.power))
 
     @property
     def most_power(self) -> float:
@@ -137,97 +204,29 @@ class _Usual:
         """Which corners (n,) something else may cover in part."""
         return (match.power > self.most_power) | (match.gain < LEAST_CONTRAST_SHARE * self.gain)
 
-    def foreign(self, drawing: _Drawing, seen: np.ndarray) -> np.ndarray:
-        """Which pixels (n, m) show something else."""
-        limit = FOREIGN_SHARE * _WHITE * abs(self.gain)
-        return np.abs(seen - self.gain * drawing.value - self.level) > limit
+    def foreign(self, rows: np.ndarray) -> np.ndarray:
+        """Which pixels (n, m) of rows (n, 11, m) show something else."""
+        drawn = self.gain * rows[:, _VALUE] + self.level * rows[:, _ONE]
+        return np.abs(rows[:, _SEEN] - drawn) > FOREIGN_SHARE * abs(self.gain)
 
 
-def _matched(drawing: _Drawing, seen: np.ndarray, weight: np.ndarray) -> _Match:
-    """Weighted least squares of what is seen, and of the changes of blur, by the columns."""
-    weighted = np.swapaxes(drawing.columns * weight[..., None], 1, 2)
-    scale = np.array([1.0, 1.0, 1.0, _WHITE])
-    normal = (weighted @ drawing.columns).astype(float) * np.outer(scale, scale)
-    normal += 1e-3 * np.eye(4)
-    right = (weighted @ np.concatenate([seen[..., None], drawing.bend], axis=-1)).astype(float)
-    solved = np.linalg.solve(normal, scale[:, None] * right) * scale[:, None]
-    values = solved[:, :, 0]
-    residual = seen - (drawing.columns @ values.astype(np.float32)[..., None])[..., 0]
-    power = np.sum(weight * residual * residual, axis=1) / np.maximum(weight.sum(axis=1), 1.0)
-    return _Match(weight, residual, normal, values, solved[:, :, 1:], power.astype(float))
-
-
-def _clear(drawing: _Drawing, match: _Match, usual: _Usual, patches: Patches) -> np.ndarray:
+def _clear(match: _Match, usual: Usual, patches: Patches) -> np.ndarray:
     """Which corners (n,) the picture shows as they are printed."""
-    shown, total = match.weight.sum(axis=1), patches.weight.sum(axis=1)
-    least_gain = max(LEAST_CONTRAST_SHARE * usual.gain, LEAST_CONTRAST / _WHITE)
-    variance = match.gain**2 * _variance(drawing.value, match.weight)
+    total = patches.weight.sum(axis=1)
+    least_gain = max(LEAST_CONTRAST_SHARE * usual.gain, LEAST_CONTRAST)
+    drawn = match.gain**2 * match.variance
     return (
-        (shown > np.maximum(LEAST_SHOWN * total, LEAST_PIXELS))
+        (match.count > np.maximum(LEAST_SHOWN * total, LEAST_PIXELS))
         & (match.gain > least_gain)
-        & (match.power < usual.most_power)
-        & (match.power < NOISE_POWER + MOST_UNEXPLAINED * variance)
+        & (match.power < np.maximum(usual.most_power, SCRATCHED_SHARE * drawn))
+        & (match.power < NOISE_POWER + MOST_UNEXPLAINED * drawn)
     )
 
 
-def _variance(values: np.ndarray, weight: np.ndarray) -> Array:
-    """Weighted variance (n,) of values (n, m)."""
-    total = np.maximum(weight.sum(axis=1), 1.0)
-    mean = np.sum(weight * values, axis=1) / total
-    centred = values - mean[:, None]
-    return (np.sum(weight * centred * centred, axis=1) / total).astype(float)
-
-
-def _blur_change(drawing: _Drawing, match: _Match, clear: np.ndarray) -> Array:
-    """The change of blur (3,) that all clear corners together ask for."""
-    if not clear.any():
-        return np.zeros(3)
-    gain = np.where(clear, match.gain, 0.0).astype(np.float32)
-    free = drawing.bend - drawing.columns @ match.by_blur.astype(np.float32)
-    flat = (free * gain[:, None, None]).reshape(-1, 3)
-    weighted = flat * match.weight.reshape(-1, 1)
-    normal = (flat.T @ weighted).astype(float)
-    right = (weighted.T @ match.residual.reshape(-1)).astype(float)
-    normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(3)
-    return np.clip(np.linalg.solve(normal, right), -1.0, 1.0)
-
-
-def _blurred(drawn: np.ndarray, blur: Array) -> np.ndarray:
-    """Patches (n, l, l) blurred by variances and covariance `blur`, pixel²."""
-    n, side, _ = drawn.shape
-    soft = cv2.filter2D(drawn.reshape(n * side, side), cv2.CV_32F, _kernel(blur))
-    return soft.reshape(n, side, side)
-
-
-def _kernel(blur: Array) -> np.ndarray:
-    """What blurs so on the lattice, (2r + 1, 2r + 1) float32: a Gaussian along each principal axis,
-    of LEAST_GAUSSIAN at least; less than that by its second derivative (the heat equation)."""
-    variances, axes = np.linalg.eigh(STEP**2 * np.array([[blur[0], blur[2]], [blur[2], blur[1]]]))
-    spread = np.maximum(variances, STEP**2 * LEAST_GAUSSIAN)
-    radius = int(np.clip(np.ceil(2.6 * np.sqrt(spread.max())), 2, 6))
-    places = np.arange(-radius, radius + 1)
-    along = np.stack(np.meshgrid(places, places), axis=-1) @ axes / np.sqrt(spread)
-    short = (variances - spread) / spread
-    kernel = np.exp(-0.5 * (along**2).sum(axis=-1)) * (1 + 0.5 * (along**2 - 1) @ short)
-    return (kernel / kernel.sum()).astype(np.float32)
-
-
-def _derivatives(soft: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Value, x and y derivative at whole pixels, and what variance xx, variance yy and covariance
-    of a blur change; (n, k, k) each."""
-
-    def at(dx: int, dy: int) -> np.ndarray:
-        low, high = STEP * MARGIN_PX, soft.shape[1] - STEP * MARGIN_PX
-        return soft[:, low + dy : high + dy : STEP, low + dx : high + dx : STEP]
-
-    value, right, left, below, above = at(0, 0), at(1, 0), at(-1, 0), at(0, 1), at(0, -1)
-    by_xx, by_yy = 2 * (right + left - 2 * value), 2 * (below + above - 2 * value)
-    by_xy = at(1, 1) - at(-1, 1) - at(1, -1) + at(-1, -1)
-    return value, right - left, below - above, by_xx, by_yy, by_xy
-
-
-def _bounded(blur: Array) -> Array:
-    """The blur with both of its principal variances between the bounds."""
-    values, axes = np.linalg.eigh(np.array([[blur[0], blur[2]], [blur[2], blur[1]]]))
-    matrix = (axes * np.clip(values, LEAST_BLUR, MOST_BLUR)) @ axes.T
-    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 1]])
+def _blur_change(match: _Match, clear: np.ndarray) -> Array:
+    """The change of blur (4,) that all clear corners together ask for."""
+    gain = np.where(clear, match.gain, 0.0)
+    normal = np.einsum("n,nij->ij", gain * gain, match.left[:, :4, :4])
+    right = gain @ match.left[:, :4, 4]
+    normal += np.diag(1e-3 * np.diag(normal) + 1e-9)
+    return np.linalg.solve(normal, right)

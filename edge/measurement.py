@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 
+from .blur import Blur
 from .detector import Appearance
 from .glimpse import glimpsed
 from .middle import median
@@ -38,12 +39,12 @@ FEW_CORNERS_SIGMA_PX = 0.1
 @dataclass(frozen=True, slots=True)
 class Measured:
     """Corners of one face. `corners`: (n,) ids, rising; `pixels`: (n, 2); `sigma`: of a coordinate;
-    `blur`: (3,) of the picture there, as in `Registration`; `fit`: the plane through them."""
+    `blur`: of the picture there; `fit`: the plane through them."""
 
     corners: np.ndarray
     pixels: Array
     sigma: float
-    blur: Array
+    blur: Blur
     fit: PlanarFit
 
 
@@ -65,7 +66,7 @@ def measured(
     pattern: CornerPattern,
     fit: PlanarFit,
     *,
-    blur: Array | None = None,
+    blur: Blur | None = None,
     is_rough: bool = False,
 ) -> Measured | None:
     """Every corner that the picture shows of a face that lies about where `fit` has it.
@@ -98,7 +99,7 @@ def measured(
 
 
 def followed(
-    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, *, blur: Array, reach_px: float
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, *, blur: Blur, reach_px: float
 ) -> Measured | None:
     """The corners of a face that lies where `fit` has it, to a pixel, or `reach_px` beside that."""
     if reach_px <= 0.0:

@@ -20,6 +20,9 @@ LEAST_HALF_PX = 3
 MOST_HALF_PX = 6
 STEP = 2  # lattice points a pixel
 MARGIN_PX = 3  # of the drawing around the picture's part, for blur to come from
+# Where the map from pixels to the print is looked up: so far from a patch's middle, of its half.
+_STENCIL = 0.75
+_THREE = np.array([-1.0, 0.0, 1.0], np.float32)
 _SLACK = 0.05  # of the reach, left out beside an unknown sector
 _OUTWARD = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 
@@ -61,9 +64,15 @@ class Patches:
 
 
 def patches_around(
-    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, pixels: Array
+    grey: np.ndarray,
+    pattern: CornerPattern,
+    fit: PlanarFit,
+    ids: np.ndarray,
+    pixels: Array,
+    nearest: Array,
 ) -> Patches:
-    """Patches about `pixels` (n, 2), the pattern moved from where `fit` has it to there."""
+    """Patches about whole pixels `nearest` (n, 2), the pattern moved from where `fit` has it so
+    that its corners lie at `pixels` (n, 2)."""
     n, reach = len(ids), pattern.reach
     points = pattern.points[ids]
     along = np.array([[0.0, 0.0], [reach, 0.0], [0.0, reach]])
@@ -74,9 +83,7 @@ def patches_around(
     half = int(np.clip(np.ceil(longest), LEAST_HALF_PX, MOST_HALF_PX))
     reach_px = median(np.hypot(*across.T) + np.hypot(*down.T)) / 2
     sheet = sheet_of(pattern.face, reach_px / reach * pattern.face.square)
-    nearest = np.rint(pixels)
-    lattice = _lattice(nearest, pixels - expected, half + MARGIN_PX)
-    texel_x, texel_y = fit.points(*lattice, sheet.texel_from_face)
+    texel_x, texel_y = _texels(fit, sheet, nearest - (pixels - expected), half + MARGIN_PX)
     seen, inside = _gathered(grey, nearest.astype(int), half)
     weight = inside & _near(pattern, ids, sheet, texel_x, texel_y)
     return Patches(
@@ -84,6 +91,34 @@ def patches_around(
         weight.reshape(n, -1).astype(np.float32),
         _drawn(sheet, texel_x, texel_y),
     )
+
+
+def _texels(
+    fit: PlanarFit, sheet: Sheet, middles: Array, half: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the sheet's texels on the half pixels about pixels `middles` (n, 2); (n, l, l).
+
+    So near a corner they are quadratic in the pixels, to a thousandth: through nine places.
+    """
+    to_numbers, basis = _quadratic(half)
+    places = middles.astype(np.float32)[..., None] + np.float32(_STENCIL * half) * _THREE
+    known = fit.points(places[:, 0, None, :], places[:, 1, :, None], sheet.texel_from_face)
+    side = 2 * STEP * half + 1
+    x, y = ((v.reshape(-1, 9) @ to_numbers @ basis).reshape(-1, side, side) for v in known)
+    return x, y
+
+
+@cache
+def _quadratic(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """From values at nine places to the quadratic through them (9, 6), and from that to values on
+    the lattice (6, l²); float32."""
+
+    def terms(places: np.ndarray) -> np.ndarray:
+        y, x = (part.reshape(-1) for part in np.meshgrid(places, places, indexing="ij"))
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+    to_numbers = np.linalg.pinv(terms(_STENCIL * _THREE)).astype(np.float32)
+    return to_numbers, terms(np.linspace(-1.0, 1.0, 2 * STEP * half + 1)).astype(np.float32)
 
 
 def _near(
@@ -108,14 +143,6 @@ def _near(
     return near
 
 
-def _lattice(nearest: Array, offset: Array, half: int) -> tuple[np.ndarray, np.ndarray]:
-    """x (n, 1, l) and y (n, l, 1) of the half pixels about each whole pixel `nearest` (n, 2), seen
-    as though the corner were where the fit has it, `offset` (n, 2) less."""
-    places = np.arange(-STEP * half, STEP * half + 1, dtype=np.float32) / STEP
-    x, y = (nearest - offset).astype(np.float32).T[:, :, None] + places
-    return x[:, None, :], y[:, :, None]
-
-
 def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
     """Grey values (n, k, k) about whole pixels (n, 2), and whether they lie in the picture."""
     places = np.arange(-half, half + 1)
@@ -123,8 +150,8 @@ def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndar
     height, width = grey.shape
     in_rows, in_columns = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
     rows, columns = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
-    seen = grey[rows[:, :, None], columns[:, None, :]].astype(np.float32)
-    return seen, in_rows[:, :, None] & in_columns[:, None, :]
+    seen = grey.reshape(-1).take(rows[:, :, None] * width + columns[:, None, :])
+    return seen.astype(np.float32), in_rows[:, :, None] & in_columns[:, None, :]
 
 
 def _drawn(sheet: Sheet, texel_x: np.ndarray, texel_y: np.ndarray) -> np.ndarray:

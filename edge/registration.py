@@ -13,20 +13,20 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .alignment import Alignment, aligned
+from .alignment import Alignment, Usual, aligned
+from .blur import SHARP, Blur
 from .middle import median
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
 from .planar_fit import PlanarFit, sound_corners
 
 ROUNDS = 6
 ROUGH_ROUNDS = 2
+# And more, for those corners alone that have not settled by then: boards curl.
+LATE_ROUNDS = 4
 # By how many corners a face is first brought near.
 ROUGH_CORNERS = 16
-# Variances xx and yy and covariance of the picture's blur to start from, pixel²: that of a sharp
-# lens and of the pixel's own width.
-START_BLUR = np.array([0.35, 0.35, 0.0])
 # By how much a picture is softened where corners are off by more than its own blur, pixel².
-SOFTENING = np.array([1.6, 1.6, 0.0])
+SOFTENING = 1.6
 # A step is trusted so far, pixels.
 LONGEST_STEP_PX = 1.0
 LONGEST_ROUGH_STEP_PX = 2.5
@@ -35,21 +35,25 @@ NEAR_STEP_PX = 0.5
 # Steps so short change nothing in how corners look.
 STILL_STEP_PX = 0.3
 SMALL_STEP_PX = 0.03
+# A corner may lie so far beside the middle of its patch, pixels, before another part of the picture
+# is taken.
+MOST_ASIDE_PX = 0.6
 SETTLED_STEP_PX = 0.15
-SMALL_BLUR_CHANGE = 0.3
+# Of the blur's numbers.
+SMALL_CHANGE = np.array([0.3, 0.3, 0.3, 0.1])
 _AROUND_PX = MOST_HALF_PX + 6
 
 
 @dataclass(frozen=True, slots=True)
 class Registration:
     """Where corners are. `pixels`: (n, 2); `is_clear`: (n,) whether the picture shows the corner as
-    the pattern has it; `sigma`: (n,) of a coordinate by the picture's noise, pixels; `blur`: (3,)
-    variances xx, yy and covariance xy of the picture's blur, pixel²; `fit`: the last one used."""
+    the pattern has it; `sigma`: (n,) of a coordinate by the picture's noise, pixels; `blur`: of the
+    picture there; `fit`: the last one used."""
 
     pixels: Array
     is_clear: np.ndarray
     sigma: Array
-    blur: Array
+    blur: Blur
     fit: PlanarFit
 
 
@@ -59,32 +63,86 @@ def registered(
     fit: PlanarFit,
     ids: np.ndarray,
     *,
-    blur: Array | None = None,
+    blur: Blur | None = None,
     is_rough: bool = False,
 ) -> Registration:
     """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
     two or three where `is_rough` (then one more round is made, with a wider drawing)."""
-    points = pattern.points[ids]
-    size = (grey.shape[1], grey.shape[0])
-    sharp = START_BLUR if blur is None else blur
+    blur = SHARP if blur is None else blur
     if is_rough:
-        fit = _approached(grey, pattern, fit, _spread(ids), sharp)
-    pixels = fit.project(points)
-    clear, sigma = np.zeros(len(ids), dtype=bool), np.zeros(len(ids))
-    usual, moves = np.inf, np.zeros(len(ids))
-    for turn in range(ROUNDS):
-        if turn > 0 and (usual > STILL_STEP_PX or not clear.all()):
-            fit, pixels = _refitted(fit, points, pixels, clear, size)
-        found = aligned(patches_around(grey, pattern, fit, ids, pixels), sharp, LONGEST_STEP_PX)
-        change = float(np.abs(found.blur - sharp).max())
-        clear, sigma, sharp = found.is_clear, found.sigma, found.blur
-        pixels = pixels + np.where(clear[:, None], found.step, 0.0)
-        usual, moves = _usual_length(found), np.linalg.norm(found.step, axis=1)
-        if usual < SMALL_STEP_PX and change < SMALL_BLUR_CHANGE:
+        fit = _approached(grey, pattern, fit, _spread(ids), blur)
+    face = _Face.at(grey, pattern, ids, fit, blur)
+    found = face.moved()
+    for _ in range(ROUNDS - 1):
+        usual = _usual_length(found)
+        if usual < SMALL_STEP_PX and np.all(np.abs(found.change) < SMALL_CHANGE):
             break
-    # A corner that still moves has not found its place.
-    clear = clear & (moves < SETTLED_STEP_PX)
-    return Registration(pixels, clear, sigma, sharp, fit)
+        if usual > STILL_STEP_PX or not found.is_clear.all():
+            face.refit(found.is_clear)
+        found = face.moved()
+    return face.settled(found)
+
+
+@dataclass(slots=True, eq=False)
+class _Face:
+    """What is known of a face between the rounds. `pixels`: (n, 2) where the corners `ids` are;
+    `nearest`: (n, 2) the whole pixels about which they are looked at."""
+
+    grey: np.ndarray
+    pattern: CornerPattern
+    ids: np.ndarray
+    fit: PlanarFit
+    blur: Blur
+    pixels: Array
+    nearest: Array
+
+    @classmethod
+    def at(
+        cls, grey: np.ndarray, pattern: CornerPattern, ids: np.ndarray, fit: PlanarFit, blur: Blur
+    ) -> "_Face":
+        """A face that lies where `fit` has it."""
+        pixels = fit.project(pattern.points[ids])
+        return cls(grey, pattern, ids, fit, blur, pixels, np.rint(pixels))
+
+    def moved(self) -> Alignment:
+        """A round for all corners: the clear ones are moved, the blur is mended."""
+        found = self._aligned(np.arange(len(self.ids)), None)
+        self.blur = found.blur
+        return found
+
+    def refit(self, clear: np.ndarray) -> None:
+        """Take the plane through the clear corners, and put the others where that has them."""
+        size = (self.grey.shape[1], self.grey.shape[0])
+        points = self.pattern.points[self.ids]
+        self.fit, self.pixels = _refitted(self.fit, points, self.pixels, clear, size)
+
+    def settled(self, found: Alignment) -> Registration:
+        """What was found, after more rounds for those corners alone that still move."""
+        clear, sigma = found.is_clear, found.sigma
+        moves = np.linalg.norm(found.step, axis=1)
+        for _ in range(LATE_ROUNDS):
+            late = np.flatnonzero(clear & (moves > SETTLED_STEP_PX))
+            if len(late) == 0:
+                break
+            again = self._aligned(late, found.usual)
+            clear[late], sigma[late] = again.is_clear, again.sigma
+            moves[late] = np.linalg.norm(again.step, axis=1)
+        # A corner that still moves has not found its place.
+        clear &= moves <= SETTLED_STEP_PX
+        return Registration(self.pixels, clear, sigma, self.blur, self.fit)
+
+    def _aligned(self, which: np.ndarray, usual: Usual | None) -> Alignment:
+        """Moves some of the corners (indices) if they are clear. Each keeps the part of the picture
+        that it is looked for in while it lies near its middle: in another one it is found a little
+        elsewhere, and would step to and fro."""
+        pixels, nearest = self.pixels[which], self.nearest[which]
+        nearest = np.where(np.abs(pixels - nearest) > MOST_ASIDE_PX, np.rint(pixels), nearest)
+        ids = self.ids[which]
+        patches = patches_around(self.grey, self.pattern, self.fit, ids, pixels, nearest)
+        found = aligned(patches, self.blur, LONGEST_STEP_PX, usual=usual)
+        self.nearest[which] = nearest
+        self.pixels[which] = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
+        return found
 
 
 def _spread(ids: np.ndarray) -> np.ndarray:
@@ -94,15 +152,15 @@ def _spread(ids: np.ndarray) -> np.ndarray:
 
 
 def _approached(
-    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, blur: Array
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, blur: Blur
 ) -> PlanarFit:
     """A fit that is off by a pixel at most, found in the softened picture."""
     points, size = pattern.points[ids], (grey.shape[1], grey.shape[0])
     pixels = fit.project(points)
     soft = _softened(grey, pixels)
     for _ in range(ROUGH_ROUNDS):
-        patches = patches_around(soft, pattern, fit, ids, pixels)
-        found = aligned(patches, blur + SOFTENING, LONGEST_ROUGH_STEP_PX)
+        patches = patches_around(soft, pattern, fit, ids, pixels, np.rint(pixels))
+        found = aligned(patches, blur.softened(SOFTENING), LONGEST_ROUGH_STEP_PX)
         pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
         if _usual_length(found) < NEAR_STEP_PX:
@@ -124,7 +182,7 @@ def _softened(grey: np.ndarray, pixels: Array) -> np.ndarray:
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     soft = np.zeros_like(grey)
     if grey[part].size:
-        soft[part] = cv2.GaussianBlur(grey[part], (0, 0), float(np.sqrt(SOFTENING[0])))
+        soft[part] = cv2.GaussianBlur(grey[part], (0, 0), SOFTENING**0.5)
     return soft
 
 
