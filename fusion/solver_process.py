@@ -47,8 +47,8 @@ class _AtWork:
 
 
 class SolverProcess:
-    """See `Solver`. `data`: empty but for what is known beforehand; it is copied. `pulse` is beaten
-    by the work in the process."""
+    """See `Solver`. `data`: empty but for what is known beforehand; used by nobody else. `pulse` is
+    beaten by the work in the process."""
 
     def __init__(self, data: DataSet, pulse: Pulse | None = None) -> None:
         self._pulse = pulse
@@ -57,12 +57,15 @@ class SolverProcess:
         theirs, self._orders = context.Pipe(duplex=False)
         self._news, theirs_too = context.Pipe(duplex=False)
         self._process = context.Process(
-            target=_serve, args=(theirs, theirs_too, data), name="fusion solver", daemon=True
+            target=_serve, args=(theirs, theirs_too), name="fusion solver", daemon=True
         )
         self._process.start()
         theirs.close()
         theirs_too.close()
-        self._outbox: queue.SimpleQueue[Sequence[Order] | None] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[DataSet | Sequence[Order] | None] = queue.SimpleQueue()
+        # Not as an argument: more of it than the system keeps for a process that does not read yet
+        # would have us wait for its start, and for ever where it is killed before.
+        self._outbox.put(data)
         self._inbox: queue.SimpleQueue[News] = queue.SimpleQueue()
         self._is_gone = threading.Event()
         self._threads = [
@@ -106,9 +109,9 @@ class SolverProcess:
         self._news.close()
 
     def _send(self) -> None:
-        while (orders := self._outbox.get()) is not None:
+        while (item := self._outbox.get()) is not None:
             try:
-                self._orders.send(orders)
+                self._orders.send(item)
             except OSError:
                 return  # it died, which `_receive` sees too
 
@@ -131,11 +134,15 @@ class SolverProcess:
 # -- in the process -------------------------------------------------------------------------------
 
 
-def _serve(orders: Connection, news: Connection, data: DataSet) -> None:
-    """Carry out orders until the pipe ends."""
+def _serve(orders: Connection, news: Connection) -> None:
+    """Take the data set and carry out orders, until the pipe ends."""
     # A stop is told to the node, which may want a last solution; the pipe's end ends this.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        data: DataSet = orders.recv()
+    except EOFError:
+        return  # whoever would have sent it is gone
     arrived: queue.SimpleQueue[Sequence[Order]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, arrived), daemon=True).start()
     solving, lock = Solving(data, time.perf_counter), threading.Lock()

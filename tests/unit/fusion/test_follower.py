@@ -19,6 +19,7 @@ from trigpoint.clock import SystemClock, to_ns
 from trigpoint.errors import OperationError
 from trigpoint.fusion import gaussian
 from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.orders import News, Order, Solver
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
@@ -226,8 +227,11 @@ def running(
 
 
 def test_process_solves_and_a_stop_has_its_last_solution(
-    charuco: Session, charuco_results: Results, tmp_path: Path
+    charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # On a busy machine a process may take longer than a stop waits for it.
+    monkeypatch.setattr("trigpoint.fusion.node._LAST_SOLUTION_S", 60.0)
+
     def make() -> Solver:
         return SolverProcess(charuco.inputs.data_set())
 
@@ -240,8 +244,12 @@ def test_process_solves_and_a_stop_has_its_last_solution(
     assert_same_places(load_network(tmp_path), charuco_results.network)
 
 
-def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session) -> None:
-    solver = SolverProcess(charuco.inputs.data_set())
+@pytest.mark.parametrize("megabytes", [0, 2], ids=["small", "large"])
+def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session, megabytes: int) -> None:
+    """Also one that was killed before it had read what it starts from."""
+    data = charuco.inputs.data_set()
+    data.events = [Event("ballast", "x" * (megabytes * 2**20))]
+    solver = SolverProcess(data)
     os.kill(solver.pid, 9)
     try:
         with pytest.raises(OperationError, match="start fusion again"):
