@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_problems import SIGMA, first_state, small_data
+from small_problems import SIGMA, first_state, small_data, true_pose
 
 from trigpoint.clock import to_ns
 from trigpoint.config import CameraConfig
@@ -21,6 +21,7 @@ from trigpoint.fusion.observations import (
     points_of,
 )
 from trigpoint.fusion.shutter import sweep_of
+from trigpoint.geometry import rotation as so3
 from trigpoint.tools.simulation.targets import target_of
 
 LINE_DELAY_S = 1e-4
@@ -93,3 +94,19 @@ def test_taken_for_a_global_one_a_rolling_shutter_is_off() -> None:
         still = tuple(replace(view, sweep=None) for view in entry.observation.views)
         entry.observation = replace(entry.observation, views=still)
     assert rms_px_at_the_truth(data) > 0.03
+
+
+@pytest.mark.parametrize("robot", ["r1", "r2"])
+def test_a_robots_twist_is_its_odometrys_at_the_true_time(robot: str) -> None:
+    data = small_data(line_delay_s=SLOW_S)
+    entries = [e.observation for e in data.entries if e.observation.is_swept]
+    observation = next(o for o in entries if o.robot == robot)
+    scales, step_ns = np.array([0.02, -0.03]), 1_000_000
+    for later_ns in (0, 300_000_000):
+        at_ns = observation.stamp_ns + later_ns
+        sweep = data.moving(observation, at_ns, scales).views[0].sweep
+        before, after = (true_pose(data, robot, at_ns + n) for n in (-step_ns, step_ns))
+        apart = before.inverse() @ after
+        expected = np.concatenate([apart.translation, so3.log(apart.rotation)]) / 2e-3
+        assert sweep is not None
+        np.testing.assert_allclose(sweep.twist, expected * np.repeat(1 + scales, 3), atol=1e-3)
