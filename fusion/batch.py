@@ -16,7 +16,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
-from . import judge, repeated
+from . import judge, odometry_noise, repeated
 from .aftermath import why_untied
 from .assembly import Assembled
 from .consistent import solve_consistently
@@ -217,6 +217,7 @@ class BatchSolution:
             changed = judge.judge(self.data, assembled, self.state)
             if not (is_rough or starts):
                 changed |= repeated.share_out(self.data, assembled, self.state)
+                changed |= odometry_noise.learn(self.data, assembled, self.state)
             used = self.data.usable(self.state.cameras)
             if not changed and (is_rough or not starts):
                 break

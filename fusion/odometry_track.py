@@ -61,13 +61,15 @@ class Added(Enum):
 class OdometryTrack:
     """The odometry of one robot so far. Not thread-safe.
 
-    `slip`: what is added to the contract's noise, m per √rad turned.
+    `slip`, `skid`: what is added to the contract's noise, m per √rad turned, in both directions and
+    along the track alone.
     """
 
     def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
         self.noise = noise
         self.planar = planar
         self.slip = slip
+        self.skid = 0.0
         self._count = 0
         self._stamps = np.zeros(1024, dtype=np.int64)
         self._rotations = np.zeros((1024, 3, 3))
@@ -208,6 +210,12 @@ class OdometryTrack:
             track.break_between(after_ns, before_ns)
         return track
 
+    def noisy(self, noise: OdometryNoise, *, slip: float, skid: float) -> "OdometryTrack":
+        """The same odometry so far with another noise, to be read only."""
+        track = copy.copy(self)
+        track.noise, track.slip, track.skid = noise, slip, skid
+        return track
+
     def mend(self) -> None:
         """Take every break back."""
         self._jumps[self._broken_rows] = False
@@ -283,6 +291,9 @@ class OdometryTrack:
         """Whether the robot did not move between two moments that odometry covers."""
         if start_ns >= end_ns:
             return True
+        first, last = np.searchsorted(self.stamps_ns, [start_ns, end_ns], "right")
+        if np.any(np.abs(self._twists[first + 1 : last]) >= STILL):
+            return False  # a whole step moved; on a long way that is quickly seen
         return bool(self.motion(np.array([start_ns, end_ns]), np.zeros(2)).is_still[0])
 
     def motion(self, stamps_ns: np.ndarray, scales: Array) -> Motion:
@@ -315,7 +326,7 @@ class OdometryTrack:
         turned = np.maximum(turned, unseen / _GAP_RADIUS_M)
         along = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2])
         return StepNoise(
-            along=length[:, None] * along,
+            along=length[:, None] * along + turned[:, None] * np.array([self.skid**2, 0.0, 0.0]),
             slip=self.slip**2 * turned,
             tilt=noise.tilt**2 * length + noise.tilt_turn**2 * turned,
             heading=noise.heading_drive**2 * length + noise.heading_turn**2 * turned,

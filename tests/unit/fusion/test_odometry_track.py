@@ -337,3 +337,16 @@ def test_track_of_many_messages_keeps_them_all() -> None:
     motion = track.motion(moments(0, 2999), NO_SCALES)
     # 30 m straight on: rounding of 3000 steps stays below a nanometre.
     assert_same(motion.earlier_from_later[0], Pose.planar(30.0, 0.0, 0.0), 1e-9)
+
+
+def test_skid_scatters_along_the_track_by_what_was_turned() -> None:
+    steps = Pose.planar(np.array([0.1, 0.0]), np.zeros(2), np.array([0.0, 0.4]))
+    poses = Pose.stack([Pose.identity(), steps[0], steps[0] @ steps[1]])
+    track = track_of(poses, planar=True)
+    by_skid = track.noisy(track.noise, slip=0.0, skid=0.03)
+    stamps = moments(1, 2)
+    plain, skidding = (t.motion(stamps, NO_SCALES).covariance[0] for t in (track, by_skid))
+    along = np.array([np.cos(0.2), np.sin(0.2)])  # half-way through the turn
+    added = (skidding - plain)[:2, :2]
+    np.testing.assert_allclose(added, 0.03**2 * 0.4 * np.outer(along, along), atol=1e-12)
+    np.testing.assert_allclose(skidding[5, 5], plain[5, 5])
