@@ -39,8 +39,14 @@ class NetworkError:
 
     `distance`: mean absolute error of the distances between cameras, metres; `nees`: eᵀP⁻¹e over
     all 6n errors and the joint covariance, per degree of freedom; None with fewer than two cameras.
-    Errors and covariance are taken about the map's origin: a map that is turned by degrees as a
-    whole moves its cameras on arcs, which in metres and radians of each camera fit no covariance.
+    Each error is the left twist ξ with estimate = exp(ξ) · truth, in the map's axes about its
+    origin, and the contract's covariance is carried over to it: v = δt + t × δθ, ω = δθ, the same
+    to first order about the estimate. The gauge is the contract's on both sides, the first
+    robot's odometry frame, so what the map is turned by as a whole counts, as every camera's same
+    twist. In metres and radians of each camera it would not be the same: turned by φ the camera
+    at t moves on an arc, which differs from φ × t by ½φ²|t|, centimetres at some degrees, where
+    the cameras' places in each other's view are known to millimetres (Long et al., «The banana
+    distribution is Gaussian», 2012).
     """
 
     cameras: dict[str, CameraError]
