@@ -38,6 +38,13 @@ LEAST_FILLED = 0.4
 # An outermost row or column with fewer of its corners is no part of the board.
 LEAST_BORDER_SHARE = 0.34
 MOST_GRIDS = 16
+# How many of a picture's grids are held against a lens where no plane alone explains them, are made
+# whole where they are not, and are taken apart; the largest come first.
+MOST_BENT = 6
+MOST_GROWN = 3
+MOST_PARTED = 4
+# A grid of more corners than so many boards have is a floor or a wall.
+MOST_BOARDS_JOINED = 4
 # Of the pairs of neighbouring squares, how many must be light and dark the right way round.
 LEAST_ALTERNATING = 0.85
 
@@ -50,6 +57,7 @@ class CheckerboardDetector(FaceFinder):
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
         self._least = min(LEAST_SHARE * width * height for width, height in extents)
+        self._most = MOST_BOARDS_JOINED * max(width * height for width, height in extents)
         self._spaces = {1: Workspace(), 2: Workspace()}
 
     def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
@@ -86,37 +94,40 @@ class CheckerboardDetector(FaceFinder):
         if len(saddles) < min(self._least, LEAST_SEED):
             return []
         found: list[Located] = []
-        waiting = deque(find_grids(saddles)[:MOST_GRIDS])
+        joined = find_grids(saddles)[:MOST_GRIDS]
+        waiting = deque(grid for grid in joined if len(grid) <= self._most)
+        allowance = _Allowance(is_over)
         for _ in range(MOST_GRIDS):
             if not waiting or is_over():
                 break
             grid = waiting.popleft()
-            sighting = self._match(grid, curvature, grey, step)
+            board = self._board_of(grid, curvature, allowance)
+            sighting = _measured(*board, grey, step) if board and not is_over() else None
             if sighting is None:
-                waiting.extend(self._parts(grid, small))
+                waiting.extend(self._parts(grid, small, allowance))
             elif not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
         return found
 
-    def _parts(self, grid: Grid, small: np.ndarray) -> list[Grid]:
+    def _parts(self, grid: Grid, small: np.ndarray, allowance: "_Allowance") -> list[Grid]:
         """A grid that is no board, taken apart where it runs over two planes."""
-        if len(grid) < 2 * LEAST_SEED:
+        if len(grid) < 2 * LEAST_SEED or not allowance.may("part"):
             return []
         flat = largest_flat(grid, (small.shape[1], small.shape[0]))
         if flat.all() or flat.sum() < LEAST_SEED:
             return []
         return [grid.only(flat), grid.only(~flat)]
 
-    def _match(
-        self, grid: Grid, curvature: Curvature, grey: np.ndarray, step: int
-    ) -> Located | None:
-        """The sighting that a grid is, grown where it is not whole; None where it is none."""
+    def _board_of(
+        self, grid: Grid, curvature: Curvature, allowance: "_Allowance"
+    ) -> tuple[Grid, Appearance] | None:
+        """The board that a grid is, grown where it is not whole; None where it is none."""
         size = (curvature.smooth.shape[1], curvature.smooth.shape[0])
         least = min(self._least, LEAST_SEED)
         whole = len(grid)
         if whole < max(least, LEAST_FILLED * grid.extent[0] * grid.extent[1]):
             return None
-        grid = cleaned(grid, size)
+        grid = cleaned(grid, size, allowance.may_bend)
         if len(grid) < max(least, LEAST_KEPT * whole):
             return None
         look = self._look_of(grid)
@@ -125,9 +136,10 @@ class CheckerboardDetector(FaceFinder):
             grid = trimmed(grid)
             look = self._look_of(grid)
         if look is None or len(grid) < look.face.corner_count:
-            grid = trimmed(grown(grid, curvature, self._largest))
+            if allowance.may("grow"):
+                grid = trimmed(grown(grid, curvature, self._largest, allowance.may_bend))
             look = self._look_of(grid)
-        return _measured(grid, look, grey, step) if look else None
+        return (grid, look) if look else None
 
     def _look_of(self, grid: Grid) -> Appearance | None:
         for look in self._looks:
@@ -137,6 +149,23 @@ class CheckerboardDetector(FaceFinder):
             if enough and fits and _numbered(grid, look) is not None:
                 return look
         return None
+
+
+class _Allowance:
+    """What one search may still do, and until when."""
+
+    def __init__(self, is_over: IsOver) -> None:
+        self.is_over = is_over
+        self._left = {"bend": MOST_BENT, "grow": MOST_GROWN, "part": MOST_PARTED}
+
+    def may_bend(self) -> bool:
+        """Whether to hold one more grid against a lens."""
+        return self.may("bend")
+
+    def may(self, what: str) -> bool:
+        """Whether to bend, grow or part one more grid; asked once for each."""
+        self._left[what] -= 1
+        return self._left[what] >= 0 and not self.is_over()
 
 
 def trimmed(grid: Grid) -> Grid:

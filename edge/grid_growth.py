@@ -1,5 +1,7 @@
 """Makes a grid of corners whole: drops the wild ones, and looks where the next ones should be."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
@@ -25,12 +27,16 @@ TOLERANCE = 1.7
 REACH = 0.3
 
 
-def cleaned(grid: Grid, size: tuple[int, int]) -> Grid:
-    """The grid without corners that lie off its plane; `size`: width and height of the picture."""
+def cleaned(grid: Grid, size: tuple[int, int], may_bend: Callable[[], bool] = lambda: True) -> Grid:
+    """The grid without corners that lie off its plane; `size`: width and height of the picture.
+
+    `may_bend`: asked where only a lens could explain the grid, which takes long; where it is
+    false no corner is left.
+    """
     keep = _near_plane(grid, size)
-    if keep is None:
+    if keep is None and may_bend():
         keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
-    return grid.only(keep)
+    return grid.only(np.zeros(len(grid), dtype=bool) if keep is None else keep)
 
 
 def _near_plane(grid: Grid, size: tuple[int, int]) -> np.ndarray | None:
@@ -56,7 +62,8 @@ def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
     """Which corners (n,) of a grid lie on the plane that most of them share; for a grid that runs
     over two boards. Planes are laid through the surroundings of some corners."""
     best = np.zeros(len(grid), dtype=bool)
-    apart = np.abs(grid.places[:, None] - grid.places[None]).max(axis=-1)
+    across, down = (np.abs(line[:, None] - line) for line in grid.places.T)
+    apart = np.maximum(across, down)
     crowded = np.argsort(-(apart <= 1).sum(axis=1), kind="stable")
     for seed in crowded[:: max(1, len(grid) // MOST_SEEDS)][:MOST_SEEDS]:
         keep = apart[seed] <= SEED_REACH
@@ -74,11 +81,16 @@ def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
     return best
 
 
-def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
+def grown(
+    grid: Grid,
+    curvature: Curvature,
+    largest: tuple[int, int],
+    may_bend: Callable[[], bool] = lambda: True,
+) -> Grid:
     """The grid with every corner that its plane predicts and the picture shows.
 
     Stops at the pattern's edge, where no X corner is; `largest`: the longer and the shorter extent
-    of any pattern that is looked for.
+    of any pattern that is looked for; `may_bend`: as of `cleaned`.
     """
     height, width = curvature.smooth.shape
     for _ in range(MOST_ROUNDS):
@@ -89,7 +101,7 @@ def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
         added = _found_beside(grid, fit, curvature) if fit else None
         if added is None:
             break
-        added = cleaned(added, (width, height))
+        added = cleaned(added, (width, height), may_bend)
         if len(added) <= len(grid):  # what was found is not the board's, and would be found again
             break
         grid = added

@@ -13,6 +13,9 @@ from .measurement import Located
 from .planar_fit import PlanarFit
 from .quads import QuadFinder
 
+# After so many groups of markers that the picture denied, the lighter ones are no boards either.
+MOST_REFUSED = 3
+
 
 class MarkedSearch(FaceFinder):
     """Finds boards with markers; one pass over the picture serves them all."""
@@ -53,7 +56,7 @@ class MarkedSearch(FaceFinder):
         for board in boards:
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
-            claims += [(group, board) for group in group_markers(markers, board.layout)]
+            claims += [(group, board) for group in group_markers(markers, board.layout, is_over)]
         return self._settled(grey, claims, is_over)
 
     def _settled(
@@ -64,15 +67,17 @@ class MarkedSearch(FaceFinder):
         A quadrilateral belongs to one board, and a look that is one face's alone is seen once.
         """
         found: list[Located] = []
-        taken, seen = set[int](), set[int]()
+        taken, seen, refused = set[int](), set[int](), 0
         for group, board in sorted(claims, key=lambda claim: -claim[0].weight):
-            if is_over():
+            if is_over() or refused == MOST_REFUSED:
                 break
             if id(board) in seen or not taken.isdisjoint(group.quads.tolist()):
                 continue
             reader = self._readers[reader_key(board.look.face)]
             measured = board.locate(grey, group, reader)
-            if measured is not None:
+            if measured is None:
+                refused += 1
+            else:
                 found.append(Located(board.look, measured))
                 taken.update(group.quads.tolist())
                 seen.update([id(board)] if board.look.is_unique else [])

@@ -7,6 +7,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
+from .detector import IsOver, never
 from .markers import Markers
 from .quads import mapped, square_to_quads
 
@@ -38,7 +39,7 @@ class MarkerGroup:
     weight: float
 
 
-def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
+def group_markers(markers: Markers, layout: Array, is_over: IsOver = never) -> list[MarkerGroup]:
     """The boards that markers show, heaviest first; several where one look is seen several times.
 
     `layout`: (m, 4, 2) the markers' corners on the board, clockwise from the top left.
@@ -51,7 +52,7 @@ def group_markers(markers: Markers, layout: Array) -> list[MarkerGroup]:
         return groups
     has_company = _has_company(seeds, markers, layout)
     for seed in range(seeds):
-        if len(groups) == MOST_GROUPS:
+        if len(groups) == MOST_GROUPS or is_over():
             break
         if not free[seed]:
             continue

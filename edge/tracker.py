@@ -33,6 +33,8 @@ MOST_REACH_PX = 80.0
 UNKNOWN_REACH_PX = 60.0
 # A face that came so near its prediction is first looked for just there the next time, pixels.
 NEAR_PX = 0.4
+# After this share of a picture's time no step is begun any more: the last one takes its time too.
+LAST_BEGIN = 0.6
 # An outline that reaches further was not projected in earnest, pixels.
 _FAR_PX = 10_000
 _COARSE = 8
@@ -91,7 +93,8 @@ class TargetTracker:
         budget_s: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`budget_s`: a search that takes longer is given up. Raises TargetError."""
+        """`budget_s`: how long a picture may take; what is left to do by then is given up. Without
+        one the work is bounded by counts alone. Raises TargetError."""
         self._finders = finders_for(targets)
         self._budget_ns = None if budget_s is None else round(budget_s * 1e9)
         self._clock = clock or SystemClock()
@@ -178,11 +181,13 @@ class _Budget:
 
     def __init__(self, clock: Clock, budget_ns: int | None) -> None:
         self._clock = clock
-        self._end_ns = None if budget_ns is None else clock.elapsed_ns() + budget_ns
+        self._end_ns = (
+            None if budget_ns is None else clock.elapsed_ns() + round(LAST_BEGIN * budget_ns)
+        )
         self.was_over = False
 
     def is_over(self) -> bool:
-        """Whether it is used up; asked between the steps of a search."""
+        """Whether it is nearly used up; asked before every step of a search."""
         self.was_over = self._end_ns is not None and self._clock.elapsed_ns() > self._end_ns
         return self.was_over
 
