@@ -1,7 +1,9 @@
 """What a run came to: the estimates beside the truth, in numbers. Pure."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 
@@ -147,6 +149,15 @@ class KeyCount:
         return {self.sent, self.recorded, *self.received.values()} == {self.recorded}
 
 
+class Arrival(Enum):
+    """What became of the messages of some keys."""
+
+    COMPLETE = "all"
+    BROKEN = "NOT ALL"
+    UNKNOWN = "a part began anew"
+    BEST_EFFORT = "best effort"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """A standard deviation over time: seconds (n,), metres (n,)."""
@@ -222,6 +233,15 @@ class DemoResults:
         sigmas = [pair.sigma_m for pair in self.pairs]
         return float(np.sqrt(2 / np.pi) * np.mean(sigmas)) if sigmas else None
 
+    def arrival(self, counts: Sequence[KeyCount]) -> Arrival:
+        """What became of the messages of keys of one kind; a part that was started again has
+        counted only since then, so numbers that differ say nothing."""
+        if not counts[0].is_reliable:
+            return Arrival.BEST_EFFORT
+        if all(count.is_complete for count in counts):
+            return Arrival.COMPLETE
+        return Arrival.UNKNOWN if self.restarts else Arrival.BROKEN
+
     @property
     def failures(self) -> list[str]:
         """Why the run did not do what it should, in words; empty where it did."""
@@ -242,13 +262,10 @@ class DemoResults:
         ]
 
     def _lost(self) -> list[str]:
-        """A part that was started again has counted only since then, so nothing can be said."""
-        if self.restarts:
-            return []
         return [
             f"{count.path}: {count.sent} sent, {_received(count)}, {count.recorded} recorded"
             for count in self.keys
-            if count.is_reliable and not count.is_complete
+            if self.arrival([count]) is Arrival.BROKEN
         ]
 
     def _refused(self) -> list[str]:

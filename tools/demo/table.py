@@ -82,7 +82,10 @@ def _robot(robot: RobotResult) -> Iterator[str]:
 
 
 def _messages(results: DemoResults) -> list[str]:
-    rows = [_row(name, counts) for name, counts in grouped(results.keys).items()]
+    rows = [
+        (*_row(name, counts), results.arrival(counts).value)
+        for name, counts in grouped(results.keys).items()
+    ]
     return aligned([("messages", "keys", "sent", "received", "recorded", ""), *rows])
 
 
@@ -99,19 +102,12 @@ def grouped(keys: Sequence[KeyCount]) -> dict[str, list[KeyCount]]:
 def _row(name: str, counts: list[KeyCount]) -> tuple[str, ...]:
     sent = [count.sent for count in counts if count.sent is not None]
     received = [min(count.received.values()) for count in counts if count.received]
-    if not counts[0].is_reliable:
-        verdict = "best effort"
-    elif all(count.is_complete for count in counts):
-        verdict = "all"
-    else:
-        verdict = "NOT ALL"
     return (
         name,
         str(len(counts)),
         str(sum(sent)) if sent else "-",
         str(sum(received)) if received else "-",
         str(sum(count.recorded for count in counts)),
-        verdict,
     )
 
 

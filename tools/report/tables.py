@@ -3,7 +3,13 @@
 import math
 from html import escape
 
-from trigpoint.tools.demo.results import MOST_SIGMAS, CameraResult, DemoResults, KeyCount
+from trigpoint.tools.demo.results import (
+    MOST_SIGMAS,
+    Arrival,
+    CameraResult,
+    DemoResults,
+    KeyCount,
+)
 from trigpoint.tools.demo.table import grouped
 
 from .style import PALETTE
@@ -13,6 +19,13 @@ _CAMERA_HEAD = (
     "camera", "error<br>cm", "sigma<br>cm", "error<br>degrees", "sigma<br>degrees",
     "error in<br>sigmas", "pictures<br>used", "put<br>aside", "pictures<br>missed",
 )  # fmt: skip
+_ARRIVALS = {
+    Arrival.COMPLETE: ("complete", None),
+    Arrival.BROKEN: ("not complete", "bad-text"),
+    Arrival.UNKNOWN: ("a part began anew", "quiet"),
+    Arrival.BEST_EFFORT: ("best effort", "quiet"),
+}
+"""The words for it and their style."""
 
 
 def camera_table(results: DemoResults) -> str:
@@ -61,7 +74,7 @@ def missing_words(results: DemoResults) -> str:
 def kinds_table(results: DemoResults) -> str:
     """One row a kind of key, the messages of its keys added up."""
     rows = [
-        _counts_row(name, counts, f"{len(counts)}")
+        _counts_row(results, name, counts, f"{len(counts)}")
         for name, counts in grouped(results.keys).items()
     ]
     return _table(("key", "keys", "sent", "received", "recorded", ""), rows)
@@ -70,7 +83,8 @@ def kinds_table(results: DemoResults) -> str:
 def message_table(results: DemoResults) -> str:
     """One row a key, with who received it."""
     rows = [
-        _counts_row(count.path, [count], ", ".join(count.received) or "–") for count in results.keys
+        _counts_row(results, count.path, [count], ", ".join(count.received) or "–")
+        for count in results.keys
     ]
     return _table(("key", "received by", "sent", "received", "recorded", ""), rows)
 
@@ -80,7 +94,7 @@ def _table(head: tuple[str, ...], rows: list[str]) -> str:
     return element("table", element("thead", cells), element("tbody", *rows))
 
 
-def _counts_row(name: str, counts: list[KeyCount], second: str) -> str:
+def _counts_row(results: DemoResults, name: str, counts: list[KeyCount], second: str) -> str:
     sent = [count.sent for count in counts if count.sent is not None]
     received = [min(count.received.values()) for count in counts if count.received]
     cells = [
@@ -90,10 +104,5 @@ def _counts_row(name: str, counts: list[KeyCount], second: str) -> str:
         element("td", str(sum(received)) if received else "–"),
         element("td", str(sum(count.recorded for count in counts))),
     ]
-    if not counts[0].is_reliable:
-        cells.append(element("td", "best effort", class_="quiet"))
-    elif all(count.is_complete for count in counts):
-        cells.append(element("td", "complete"))
-    else:
-        cells.append(element("td", "not complete", class_="bad-text"))
-    return element("tr", *cells)
+    words, kind = _ARRIVALS[results.arrival(counts)]
+    return element("tr", *cells, element("td", words, class_=kind))

@@ -70,3 +70,12 @@ def test_restarted_part_is_named():
 
 def test_columns_are_aligned():
     assert aligned([("a", "12"), ("bcd", "3")]) == ["a    12", "bcd   3"]
+
+
+def test_counts_that_a_restart_broke_are_not_told_as_losses():
+    keys = (make_key("robot/r1/odom", sent=100, recorded=90),)
+    assert line_of(table(make_results(keys=keys)), "robot/*/odom").endswith("NOT ALL")
+    restarted = make_results(keys=keys, restarts={"recorder": 1})
+    assert line_of(table(restarted), "robot/*/odom").endswith("a part began anew")
+    whole = make_results(keys=(make_key("robot/r1/odom"),), restarts={"recorder": 1})
+    assert line_of(table(whole), "robot/*/odom").endswith("all")
