@@ -12,11 +12,25 @@ import numpy as np
 import typer
 
 from trigpoint.edge.detector import detector_for
+from trigpoint.target import Face, Pattern, Target
 
 from .timing import worked
 from .views import gallery
 
 WIDTH, HEIGHT = 640, 480
+# Kalibr's own: 6 x 6 tags.
+APRILGRID = Face(
+    0,
+    Pattern.APRILGRID,
+    6,
+    6,
+    0.0715,
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 1.0),
+    marker=0.055,
+    dictionary="DICT_APRILTAG_36h11",
+    border_bits=2,
+)
 _Random = np.random.Generator
 
 
@@ -154,9 +168,12 @@ def main(
     count: Annotated[int, typer.Option(help="How many pictures.", min=1)] = 10_000,
     first: Annotated[int, typer.Option(help="The first one's number.", min=0)] = 0,
 ) -> None:
-    """Look for the lab's checkerboards and ChArUco boards in pictures that show none."""
+    """Look for the lab's checkerboards and ChArUco boards, and for an AprilGrid of Kalibr's, in
+    pictures that show none."""
     cv2.setNumThreads(1)
-    detectors = {name: detector_for([gallery(name).target]) for name in ("checkerboard", "charuco")}
+    targets = {name: gallery(name).target for name in ("checkerboard", "charuco")}
+    targets["aprilgrid"] = Target("sheet", (APRILGRID,))
+    detectors = {name: detector_for([target]) for name, target in targets.items()}
     wrong = dict.fromkeys(detectors, 0)
     seconds: dict[str, list[float]] = {name: [] for name in detectors}
     for number, picture in enumerate(empty_pictures(count, first=first), first):
