@@ -91,7 +91,7 @@ class CheckerboardDetector(FaceFinder):
         """The boards found in a picture `step` times smaller, measured in the full one."""
         curvature = Curvature.of(small, self._spaces[step])
         saddles = find_saddles(curvature)
-        if len(saddles) < min(self._least, LEAST_SEED):
+        if len(saddles) < min(self._least, LEAST_SEED) or is_over():
             return []
         found: list[Located] = []
         joined = find_grids(saddles)[:MOST_GRIDS]

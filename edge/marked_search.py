@@ -49,7 +49,7 @@ class MarkedSearch(FaceFinder):
         self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver
     ) -> list[Located]:
         quads = self._finder.find(grey, is_over)
-        if len(quads) == 0:
+        if len(quads) == 0 or is_over():
             return []
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}
         claims: list[tuple[MarkerGroup, MarkedBoard]] = []

@@ -1,18 +1,45 @@
 """Pictures that no camera should take: nothing is found in them, and the work stays bounded."""
 
+from collections import Counter
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from boards import aprilgrid, charuco, checkerboard, target_of
 
 from benchmarks.empty_pictures import empty_picture
-from trigpoint.edge import grid, saddles
-from trigpoint.edge import planar_fit as planar_fit_module
+from benchmarks.nasty_pictures import nasty_pictures
+from trigpoint.clock import ManualClock
+from trigpoint.edge import (
+    detector_checkerboard,
+    grid,
+    marked_board,
+    marked_search,
+    marker_groups,
+    planar_fit,
+    quads,
+    saddles,
+)
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.errors import InputError
 
 TARGET = target_of(checkerboard(), charuco(number=1), aprilgrid(number=2))
-MOST_FITS = 900
+NASTY = dict(nasty_pictures((checkerboard(), charuco(number=1))))
+COSTLY: list[tuple[object, str]] = [
+    (detector_checkerboard, "find_saddles"),
+    (detector_checkerboard, "find_grids"),
+    (detector_checkerboard, "grown"),
+    (detector_checkerboard, "largest_flat"),
+    (detector_checkerboard, "_measured"),
+    (detector_checkerboard, "followed"),
+    (marked_board.MarkedBoard, "locate"),
+    (marked_board, "followed"),
+    (quads.QuadFinder, "_outlines"),
+    (marker_groups, "_gathered"),
+    (quads, "_quad_of"),
+    (planar_fit, "_linearised"),
+]
 
 
 @pytest.mark.parametrize("number", range(24))
@@ -21,23 +48,37 @@ def test_nothing_is_found_where_nothing_is(number: int) -> None:
 
 
 def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    fits = [0]
-    linearised = planar_fit_module._linearised
-
-    def counted(*arguments: object) -> object:
-        fits[0] += 1
-        return linearised(*arguments)  # pyright: ignore[reportArgumentType]
-
-    monkeypatch.setattr(planar_fit_module, "_linearised", counted)
+    done = counted(monkeypatch, COSTLY)
     detector = detector_for([TARGET])
-    for picture in nasty_pictures():
-        fits[0] = 0
+    for name, picture in NASTY.items():
+        done.clear()
         detector.detect(picture)
-        assert fits[0] < 12 * MOST_FITS
+        looks = 2  # at the whole size, and at half
+        assert done["grown"] <= looks * detector_checkerboard.MOST_GROWN, name
+        assert done["largest_flat"] <= looks * detector_checkerboard.MOST_PARTED, name
+        assert done["_measured"] <= looks * detector_checkerboard.MOST_GRIDS, name
+        # Two marked faces are looked for.
+        assert done["locate"] <= 2 * marked_search.MOST_REFUSED + 2, name
+        assert done["_quad_of"] <= 4 * quads.MOST_PIECES, name
+        assert done["_gathered"] <= 2 * marker_groups.MOST_SEEDS, name
+        assert done["_linearised"] < 3000, name
+
+
+def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where every costly step takes 15 ms; the tracker meets each picture twice, so that what it
+    found is followed."""
+    clock = ManualClock()
+    counted(monkeypatch, COSTLY[:-2], lambda: clock.advance(0.015))
+    for name, picture in NASTY.items():
+        tracker = TargetTracker([TARGET], budget_s=0.1, clock=clock)
+        for stamp_ns in (100_000_000, 200_000_000):
+            began_ns = clock.elapsed_ns()
+            tracker.detect(picture, stamp_ns)
+            assert clock.elapsed_ns() - began_ns <= 100_000_000, name
 
 
 def test_saddles_are_no_more_than_the_bound() -> None:
-    for picture in nasty_pictures():
+    for picture in NASTY.values():
         found = saddles.find_saddles(saddles.Curvature.of(picture))
         assert len(found) <= saddles.MOST_SADDLES
         assert len(grid.find_grids(found)) <= saddles.MOST_SADDLES // grid.LEAST_CORNERS
@@ -64,11 +105,22 @@ def test_smallest_pictures_show_nothing(shape: tuple[int, ...]) -> None:
     assert TargetTracker([TARGET]).detect(np.full(shape, 90, np.uint8), 1) == ()
 
 
-def nasty_pictures() -> list[np.ndarray]:
-    """Chequered walls of every pitch, noise of every strength, one of each of them at once."""
-    y, x = np.mgrid[0:480, 0:640]
-    random = np.random.default_rng(5)
-    walls = [np.where((x // n + y // n) % 2, 220, 30) for n in (2, 3, 5, 8, 13, 24)]
-    noises = [np.clip(random.normal(n, n, x.shape), 0, 255) for n in (1, 8, 60)]
-    mixed = [np.clip(walls[3] + random.normal(0, 40, x.shape), 0, 255)]
-    return [picture.astype(np.uint8) for picture in (*walls, *noises, *mixed)]
+def counted(
+    monkeypatch: pytest.MonkeyPatch,
+    names: list[tuple[object, str]],
+    then: Callable[[], None] = lambda: None,
+) -> Counter[str]:
+    """How often each function is called from now on; `then` is done at every call."""
+    calls: Counter[str] = Counter()
+
+    def wrapped(name: str, function: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object, **named: object) -> object:
+            calls[name] += 1
+            then()
+            return function(*arguments, **named)
+
+        return call
+
+    for owner, name in names:
+        monkeypatch.setattr(owner, name, wrapped(name, getattr(owner, name)))
+    return calls
