@@ -13,7 +13,8 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -59,7 +60,10 @@ class SolverProcess:
         self._process = context.Process(
             target=_serve, args=(theirs, theirs_too), name="fusion solver", daemon=True
         )
-        self._process.start()
+        # A stop is told to the node, which may want a last solution. A Ctrl-C comes here too, also
+        # before the process could say that it does not listen; the pipe's end ends it.
+        with _held_back(signal.SIGINT, signal.SIGTERM):
+            self._process.start()
         theirs.close()
         theirs_too.close()
         self._outbox: queue.SimpleQueue[DataSet | Sequence[Order] | None] = queue.SimpleQueue()
@@ -131,14 +135,21 @@ class SolverProcess:
             self._pulse.beat(within_s)
 
 
+@contextmanager
+def _held_back(*signals: signal.Signals) -> Iterator[None]:
+    """These do not reach the calling thread meanwhile, nor ever a process that it starts."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 # -- in the process -------------------------------------------------------------------------------
 
 
 def _serve(orders: Connection, news: Connection) -> None:
     """Take the data set and carry out orders, until the pipe ends."""
-    # A stop is told to the node, which may want a last solution; the pipe's end ends this.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         data: DataSet = orders.recv()
     except EOFError:

@@ -1,6 +1,7 @@
 """Live work where somebody else solves: what comes out, what comes late, and how it ends."""
 
 import os
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +22,7 @@ from trigpoint.fusion import gaussian
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.dataset import Event
 from trigpoint.fusion.node import FusionNode
-from trigpoint.fusion.orders import News, Order, Solver
+from trigpoint.fusion.orders import News, Order, Report, Reported, Solver
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.fusion.solver_process import SolverProcess
@@ -256,6 +257,28 @@ def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session, megab
             assert eventually(lambda: bool(solver.news()), timeout_s=20.0)
     finally:
         solver.close()
+
+
+def test_signals_that_stop_the_node_leave_its_solver_at_work(charuco: Session) -> None:
+    """Also as it starts: Ctrl-C in a terminal goes to every process."""
+    solver = SolverProcess(charuco.inputs.data_set())
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(solver.pid, number)
+        solver.tell([Report()])
+        (reported,) = news_of(solver)
+        os.kill(solver.pid, signal.SIGINT)
+        solver.tell([Report()])
+        assert isinstance(reported, Reported)
+        assert news_of(solver)
+    finally:
+        solver.close()
+
+
+def news_of(solver: SolverProcess) -> list[News]:
+    found: list[News] = []
+    assert eventually(lambda: bool(found.extend(solver.news()) or found), timeout_s=60.0)
+    return found
 
 
 def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
