@@ -158,19 +158,30 @@ class KalmanState:
         What is known of the error then is taken to be as it was: turning the twists of each pose by
         its own correction would make what all of them share differ, and so a thing that is known.
         """
-        poses, states, scales = dict(self.poses), dict(self.states), dict(self.scale_errors)
+        poses, states = dict(self.poses), self._moved_cameras(error)
+        scales = dict(self.scale_errors)
         for (kind, name), part in self.columns.items():
             if kind == "last":
                 poses[name] = twisted(poses[name], self._twist(name, error[part]))
-            elif kind == "pose":
-                pose = twisted(states[name].map_from_camera, error[part])
-                states[name] = replace(states[name], map_from_camera=pose)
             elif kind == "offset":
                 offset_s = states[name].time_offset_s + float(error[part][0])
                 states[name] = replace(states[name], time_offset_s=offset_s)
-            else:
+            elif kind == "scales":
                 scales[name] = scales[name] + error[part]
         return replace(self, poses=poses, states=states, scale_errors=scales)
+
+    def _moved_cameras(self, error: Array) -> dict[str, CameraState]:
+        """The cameras' poses moved all at once: there may be a hundred."""
+        parts = {name: part for (kind, name), part in self.columns.items() if kind == "pose"}
+        if not parts:
+            return dict(self.states)
+        twists = np.stack([error[part] for part in parts.values()])
+        before = Pose.stack([self.states[name].map_from_camera for name in parts])
+        after = twisted(before, twists)
+        return self.states | {
+            name: replace(self.states[name], map_from_camera=after[index])
+            for index, name in enumerate(parts)
+        }
 
     def _twist(self, robot: str, free: Array) -> Array:
         twist = np.zeros(6)

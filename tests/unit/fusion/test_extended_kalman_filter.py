@@ -26,7 +26,7 @@ def sights(data: DataSet, noise_px: float, *, every_s: float = 0.15) -> Iterator
         pose = true_pose(data, ROBOT, stamp_ns)
         yield (
             stamp_ns,
-            Sight(see(data, CAMERA, ROBOT, stamp_ns, pose, noise_px, random), pose),
+            Sight(see(data, CAMERA, ROBOT, stamp_ns, noise_px, random), pose),
         )
 
 
