@@ -6,7 +6,6 @@ import pytest
 
 from trigpoint.config import Site, parse_site
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.fusion.results import Results
 from trigpoint.messages import Odometry
 from trigpoint.tools.simulation.disturbance import Disturbance
 from trigpoint.tools.simulation.memory import Simulated, simulated
@@ -45,30 +44,55 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
     return simulated(load_world(str(file), seed=1), Disturbance(line_delay_s=LINE_DELAY_S))
 
 
+# Two robots with one target; only one of them drives past the camera.
+ALIKE = """
+site = "hall"
+hold_first = 0.6
+hold_last = 0.2
+
+[cameras.c1]
+position = [0.0, -2.4, 1.5]
+yaw = 90.0
+pitch = 20.0
+rate = 3.0
+sigma = 0.02
+
+[robots.r1]
+waypoints = [[-1.2, 0.0], [1.2, 0.0]]
+
+[robots.r2]
+waypoints = [[6.0, 6.0], [6.0, 6.1]]
+"""
+
+
 def site_of(drive: Simulated, estimator: str, line_delay_s: float) -> Site:
     lines = ['site = "hall"', 'target = "target.toml"']
     for name in drive.truth.world.cameras:
         lines += [f"[cameras.{name}]", f'source = "sim://{name}"', f"line_delay = {line_delay_s}"]
         lines += ["time_offset_sigma = 0.02"] if estimator != "particle" else []
-    lines += ["[robots.r1]", 'port = "loop://"', f'[fusion]\nestimator = "{estimator}"']
+    for name in drive.truth.world.robots:
+        lines += [f"[robots.{name}]", 'port = "loop://"']
+    lines += ["[fusion]", f'estimator = "{estimator}"']
     return parse_site("\n".join(lines), directory=Path())
 
 
-def worked_out(drive: Simulated, site: Site, *, is_live: bool) -> Results:
+def worked_out(drive: Simulated, site: Site, *, is_live: bool) -> Pipeline:
     world = drive.truth.world
-    inputs = Inputs(site, {"r1": world.target("r1")}, dict(drive.truth.lenses))
+    targets = {name: world.target(name) for name in world.robots}
+    inputs = Inputs(site, targets, dict(drive.truth.lenses))
     pipeline = Pipeline(inputs, is_live=is_live)
     for node, message in drive.messages:
         pipeline.push(node, message)
         if isinstance(message, Odometry):
             pipeline.advance(message.stamp_ns if is_live else None)
     pipeline.finish()
-    return pipeline.results()
+    return pipeline
 
 
 def chi2_per_dof(drive: Simulated, estimator: str, line_delay_s: float, *, is_live: bool) -> float:
     """Of a session in which both cameras are located."""
-    network = worked_out(drive, site_of(drive, estimator, line_delay_s), is_live=is_live).network
+    pipeline = worked_out(drive, site_of(drive, estimator, line_delay_s), is_live=is_live)
+    network = pipeline.results().network
     assert network.located == ["c1", "c2"]
     assert network.statistics.chi2_per_dof is not None
     return network.statistics.chi2_per_dof
@@ -86,3 +110,17 @@ def test_what_a_rolling_shutter_saw_fits_as_well_as_its_noise(
 @pytest.mark.parametrize("estimator", ["smoother", "ekf"])
 def test_taken_for_a_global_shutter_it_does_not_fit(drive: Simulated, estimator: str) -> None:
     assert chi2_per_dof(drive, estimator, 0.0, is_live=False) > 1.2
+
+
+def test_robots_that_look_alike_are_told_apart_by_a_rolling_shutter_too(tmp_path: Path) -> None:
+    (tmp_path / "hall.toml").write_text(ALIKE, encoding="utf-8")
+    world = load_world(str(tmp_path / "hall.toml"), seed=1)
+    alike = simulated(world, Disturbance(line_delay_s=LINE_DELAY_S))
+    rejected = {}
+    for line_delay_s in (LINE_DELAY_S, 0.0):
+        pipeline = worked_out(alike, site_of(alike, "smoother", line_delay_s), is_live=False)
+        camera = pipeline.results().network.cameras["c1"]
+        assert camera.sightings > 0
+        rejected[line_delay_s] = camera.rejected
+    assert rejected[LINE_DELAY_S] == 0
+    assert rejected[0.0] > 0
