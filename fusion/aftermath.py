@@ -1,11 +1,19 @@
 """What people are told of a lifted robot and of a moved camera."""
 
+from collections.abc import Collection, Mapping
+
 import numpy as np
 
 from trigpoint.clock import NANOSECONDS
 
 from .dataset import DataSet, Knock, Lift, Upheaval
 from .problem import State
+
+_UNMET = "it has met no located camera yet; drive it past one"
+_BEHIND_A_JUMP = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
 
 
 def say(data: DataSet, state: State) -> None:
@@ -61,7 +69,26 @@ def _of_either(data: DataSet, alike: tuple[Upheaval, ...]) -> str:
     )
 
 
-def why_untied(data: DataSet, camera: str) -> str | None:
+def why_untied(
+    data: DataSet, camera: str, chains: Collection[str], untied: Mapping[str, str]
+) -> tuple[str, ...]:
+    """In words, why nothing is known of where the robots stood that a camera saw.
+
+    `chains`: the robots that the last solution has; `untied`: by robot, why it could not be tied to
+    the map.
+    """
+    if (reason := _behind_an_upheaval(data, camera)) is not None:
+        return (reason,)
+    robots = dict.fromkeys(entry.observation.robot for entry in data.of_camera(camera))
+    if any(robot in chains for robot in robots):
+        return (_BEHIND_A_JUMP,)
+    return tuple(
+        f"the robot {robot} that it saw is not tied to the map: {untied.get(robot, _UNMET)}"
+        for robot in robots
+    )
+
+
+def _behind_an_upheaval(data: DataSet, camera: str) -> str | None:
     """In words, why a camera before which a robot's way hangs loose has no place; None where that
     is not why."""
     entries = [entry.observation for entry in data.of_camera(camera) if entry.map_from_base is None]

@@ -12,6 +12,8 @@ One solution goes: readmit what was set aside, solve and judge in rounds until n
 where the robot stood at what is not used, drop a camera that most of its pictures contradict.
 """
 
+from collections import Counter
+
 import numpy as np
 
 from trigpoint.geometry import Pose
@@ -21,11 +23,13 @@ from .aftermath import why_untied
 from .assembly import Assembled
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
-from .filter import Filter, RobotEstimate
+from .denial import denial
+from .filter import Filter
 from .locate import Located, Undetermined, locate
 from .observations import Observation, Verdict
-from .placement import align_to, place
+from .placement import place
 from .problem import State
+from .readmission import Readmission
 from .solver import Solution
 from .survey import camera_estimates
 from .trajectory import interpolated
@@ -34,7 +38,10 @@ _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
-_LEAST_USED = 3
+_MOST_LOCATED = 3
+# χ²: a hundred sigmas. Sightings displaced by 15 px come to 45 in a rough solution, a robot put
+# down metres away to 150 and more.
+_HOPELESS = 1e4
 _LEAST_WRONG = 4
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
@@ -47,11 +54,6 @@ _FIRST_STRETCH = 64
 _GROWTH = 3
 _LEAST_PICTURES = 3
 _GROWTH_TO_TIE = 1.2
-_TRIED_SAME = 1e-3
-_BEHIND_A_JUMP = (
-    "position and orientation in the map: the robot's odometry jumped on its way here from the "
-    "other cameras; drive there without a break"
-)
 
 
 class BatchSolution:
@@ -71,26 +73,39 @@ class BatchSolution:
         self._untied: dict[str, str] = {}
         self.tolerance = LIVE_TOLERANCE
         self.iterations = 0
+        self.gave_up = False
         # What was collected without an estimate, and is not in the data set yet.
         self.collected: list[Observation] = []
         # Entries of which it is not known yet what they mean: they stay set aside.
         self.undecided: set[int] = set()
-        # Of rejected entries, with which places of camera and robot they were read in vain.
-        self._in_vain: dict[int, tuple[Pose, Pose]] = {}
+        self._readmission = Readmission(data)
 
     # -- solving ----------------------------------------------------------------------------------
 
-    def finish(self, known: Filter | None) -> Filter | None:
-        """Locate what can be located from all that came in, and solve to the end."""
+    def finish(self, known: Filter | None, *, gives_up: bool = False) -> Filter | None:
+        """Locate what can be located from all that came in, and solve to the end.
+
+        `gives_up`: leave it at a rough solution where that is hopeless; `gave_up` says so then.
+        """
         self.undecided = set()
         known = self._take_in(known)
+        self.gave_up = gives_up and self._is_hopeless()
+        if self.gave_up:
+            return known
         self.tolerance = FINAL_TOLERANCE
         try:
             return self._finished(known)
         finally:
             self.tolerance = LIVE_TOLERANCE
 
+    def _is_hopeless(self) -> bool:
+        """Whether odometry is violated as by a lifted robot: more than wrong sightings can do."""
+        if self.assembled is None:
+            return False
+        return denial(self.assembled.problem, self.state) > _HOPELESS
+
     def _finished(self, known: Filter | None) -> Filter | None:
+        found: Counter[str] = Counter()
         for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
             known = self.solve(known)
             tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
@@ -99,8 +114,10 @@ class BatchSolution:
                 for name in self.data.camera_names
                 if name not in self.state.cameras and self.data.of_camera(name)
             ]
-            found = [name for name in missing if self.locate(name)]
-            if not found and not tied:
+            # One that is located and dropped again and again would go on so.
+            again = [n for n in missing if found[n] < _MOST_LOCATED and self.locate(n)]
+            found.update(again)
+            if not again and not tied:
                 break
         return self._settle(known)
 
@@ -247,41 +264,8 @@ class BatchSolution:
                 continue
             if known is None or not known.has_camera(observation.camera):
                 continue  # located just now: the next solution looks at it again
-            if self._is_in_vain(index, known, entry.map_from_base):
-                continue
-            prior = self._loosely(observation, entry.map_from_base)
-            aligned = align_to(self.data, known, observation, prior)
-            is_rejected = observation.verdict is Verdict.REJECTED
-            if aligned is None or (is_rejected and _is_elsewhere(aligned[1], prior)):
-                camera = known.state.cameras[observation.camera].map_from_camera
-                self._in_vain[index] = (camera, entry.map_from_base)
-            else:
-                entry.observation = aligned[0].judged(Verdict.ACCEPTED)
-
-    def _is_in_vain(self, index: int, known: Filter, map_from_base: Pose) -> bool:
-        """Whether an observation was read in vain with camera and robot where they are now."""
-        if index not in self._in_vain:
-            return False
-        camera, base = self._in_vain[index]
-        name = self.data.entries[index].observation.camera
-        moved = known.state.cameras[name].map_from_camera.difference(camera)
-        apart = map_from_base.difference(base)
-        return bool(max(np.abs(moved).max(), np.abs(apart).max()) < _TRIED_SAME)
-
-    def _loosely(self, observation: Observation, map_from_base: Pose) -> RobotEstimate:
-        """Where the robot stood by the sightings around: within a decimetre and a tenth of a
-        radian, and what odometry may have drifted since the nearest one."""
-        variance = np.repeat([0.01, 0.01], 3)
-        robot, stamp_ns = observation.robot, observation.stamp_ns
-        chain = self.assembled.problem.chains.get(robot) if self.assembled else None
-        track = self.data.tracks[robot]
-        if chain is not None and track.covers(stamp_ns):
-            nearest = int(chain.stamps_ns[np.argmin(np.abs(chain.stamps_ns - stamp_ns))])
-            if nearest != stamp_ns:
-                moments = np.array(sorted([nearest, stamp_ns]))
-                drift = np.diagonal(track.motion(moments, chain.scales).covariance[0])
-                variance = variance + np.repeat([drift[:3].sum(), drift[3:].sum()], 3)
-        return RobotEstimate(stamp_ns, map_from_base, np.diag(variance))
+            chains = self.assembled.problem.chains if self.assembled else {}
+            self._readmission.look_again(index, known, chains.get(observation.robot))
 
     def _forget_unused(self, assembled: Assembled) -> None:
         """Cameras all of whose observations were rejected are not located any more."""
@@ -345,7 +329,8 @@ class BatchSolution:
         """Try to locate a camera; whether that succeeded. The next solution uses it."""
         self.tries[camera] = self._placed_count(camera)
         if not self.tries[camera]:
-            self.undetermined[camera] = self._why_untied(camera)
+            chains = self.assembled.problem.chains if self.assembled else {}
+            self.undetermined[camera] = why_untied(self.data, camera, chains, self._untied)
             return False
         result = locate(self.data, self.state, camera)
         if isinstance(result, Undetermined):
@@ -354,19 +339,6 @@ class BatchSolution:
         self.undetermined.pop(camera, None)
         self._take(camera, result)
         return True
-
-    def _why_untied(self, camera: str) -> tuple[str, ...]:
-        """Why nothing is known of where the robots stood that a camera saw."""
-        robots = dict.fromkeys(entry.observation.robot for entry in self.data.of_camera(camera))
-        unmet = "it has met no located camera yet; drive it past one"
-        why = ((robot, self._untied.get(robot, unmet)) for robot in robots)
-        if (reason := why_untied(self.data, camera)) is not None:
-            return (reason,)
-        if self.assembled is not None and robots.keys() & self.assembled.problem.chains.keys():
-            return (_BEHIND_A_JUMP,)
-        return tuple(
-            f"the robot {robot} that it saw is not tied to the map: {w}" for robot, w in why
-        )
 
     def _take(self, camera: str, located: Located) -> None:
         self.state = State(self.state.cameras | {camera: located.camera}, self.state.robots)
@@ -383,7 +355,7 @@ class BatchSolution:
                 continue
             entries = self.data.of_camera(camera)
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
-            if accepted * 2 >= len(entries) or may_have_moved(entries):
+            if accepted * 2 >= len(entries) or judge.may_have_moved(entries):
                 continue
             self._drop(camera, "its pictures contradict each other")
             return True
@@ -396,7 +368,7 @@ class BatchSolution:
             camera
             for camera in self.state.cameras
             if camera not in self.data.known.poses
-            and may_have_moved(self.data.of_camera(camera), least_wrong=_LEAST_WRONG)
+            and judge.may_have_moved(self.data.of_camera(camera), least_wrong=_LEAST_WRONG)
         ]
         for camera in left:
             self._drop(
@@ -417,18 +389,3 @@ class BatchSolution:
             entry.observation = entry.observation.judged(Verdict.PENDING)
         self.undetermined[camera] = (why,)
         self.tries[camera] = len(entries)
-
-
-def may_have_moved(entries: list[Entry], *, least_wrong: int = 1) -> bool:
-    """Whether a camera's observations were used up to a moment, and contradict since then."""
-    used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
-    wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
-    if len(used) < _LEAST_USED or len(wrong) < least_wrong:
-        return False
-    return min(wrong) > max(used)
-
-
-def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
-    """Whether a pose is more than five sigmas from where the robot stood."""
-    apart = map_from_base.difference(prior.map_from_base)
-    return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)

@@ -9,14 +9,11 @@ Until it is decided nothing contradicting is used, and so nothing is corrected b
 
 from collections import defaultdict
 
-import numpy as np
-
 from . import moved
 from .batch import BatchSolution
+from .denial import denial
 from .filter import Filter
-from .models import odometry_terms
 from .observations import Observation, Verdict
-from .problem import Problem, State
 
 _LEAST_WRONG = 3
 _GROWTH = 1.5
@@ -132,24 +129,6 @@ def is_amiss(batch: BatchSolution) -> bool:
 
 def is_denied(batch: BatchSolution) -> bool:
     """Whether a solution holds a way between two sightings that odometry denies."""
-    return batch.assembled is not None and _denied(batch.assembled.problem, batch.state)
-
-
-def _denied(problem: Problem, state: State) -> bool:
-    """Whether a robot's odometry between two nodes with sightings is violated beyond belief."""
-    for name, chain in problem.chains.items():
-        if chain.motion is None:
-            continue
-        robot = state.robots[name]
-        motion = chain.motion.rescaled(robot.scales - chain.scales)
-        nodes = robot.map_from_base
-        terms = odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent)
-        seen = np.zeros(len(chain), dtype=int)
-        for batch in problem.batches:
-            if batch.robot == name:
-                seen[batch.nodes] = 1
-        stretch = np.cumsum(seen)[:-1]
-        chi2 = np.bincount(stretch, np.sum(terms.residual**2, axis=1))
-        if chi2.max() > _BEYOND_BELIEF:
-            return True
-    return False
+    if batch.assembled is None:
+        return False
+    return denial(batch.assembled.problem, batch.state) > _BEYOND_BELIEF

@@ -5,6 +5,7 @@ until the evidence decides between them.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,12 +15,21 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Target
 
 from .body import Body, body_of, by_reading, can_be_seen, faces_of, outermost
-from .observations import Observation, Reading, View, base_from_faces, face_points
+from .observations import (
+    Observation,
+    Reading,
+    View,
+    base_from_faces,
+    face_points,
+    observation_of,
+)
 from .planar_pose import planar_poses, refined_poses
 
 # A candidate whose reprojection is worse than this many pixels is no candidate. It is generous,
 # since the lens may still be a nominal one.
 _WORST_PX = 20.0
+# Of how many observations the candidates are kept.
+_MOST_KEPT = 1024
 _SAME_PLACE_M = 0.05
 _SAME_TURN_RAD = 0.05
 
@@ -42,14 +52,25 @@ class _Reads:
     camera_from_base: Pose
 
 
-def candidates(observation: Observation, target: Target, lens: CameraModel) -> list[Candidate]:
+def candidates(
+    observation: Observation, target: Target, lens: CameraModel
+) -> tuple[Candidate, ...]:
     """Every way to understand one observation by itself, best first."""
-    for index in range(len(observation.views)):
+    return _candidates(observation.views, target, lens)
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _candidates(
+    views: tuple[View, ...], target: Target, lens: CameraModel
+) -> tuple[Candidate, ...]:
+    """They hang on nothing else, and the same pictures are looked at again and again."""
+    observation = observation_of("", "", 0, views)
+    for index in range(len(views)):
         reads = _by_view(observation, index, target, lens)
         found = _refined(observation, target, lens, reads) if reads is not None else []
         if found:  # the other views took part already
-            return _distinct(sorted(found, key=lambda candidate: candidate.rms_px))
-    return []
+            return tuple(_distinct(sorted(found, key=lambda candidate: candidate.rms_px)))
+    return ()
 
 
 def _by_view(

@@ -8,7 +8,7 @@ from trigpoint.clock import to_ns
 from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
-from .dataset import DataSet
+from .dataset import DataSet, Entry
 from .faces import best_reading
 from .models import batch_residual
 from .observations import Observation, Verdict, points_of, reprojection
@@ -31,6 +31,7 @@ _WILD_SHARE = 0.25
 _FAR_SIGMAS = 30.0
 _BESIDE_NS = to_ns(2.0)
 _MUCH_BETTER = 0.5
+_LEAST_USED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,3 +233,12 @@ def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
     unknowns = nodes + problem.layout.size - last
     freedom = 2 * corners + odometry + priors - unknowns
     return solution.cost / freedom if freedom > 0 else None
+
+
+def may_have_moved(entries: list[Entry], *, least_wrong: int = 1) -> bool:
+    """Whether a camera's observations were used up to a moment, and contradict since then."""
+    used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
+    wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
+    if len(used) < _LEAST_USED or len(wrong) < least_wrong:
+        return False
+    return min(wrong) > max(used)

@@ -36,7 +36,7 @@ class Reading:
     is_turned: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class View:
     """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate.
 

@@ -14,14 +14,16 @@ from .visits import Visit
 
 _Edge = tuple[Hashable, Hashable]
 _ROOT = "map"
-# One wrong picture may agree by accident, or too few corners to disagree.
-_LEAST_AGREEING = 3
 
 
-def suspects(data: DataSet, visits: list[Visit], events: tuple[Upheaval, ...]) -> list[Upheaval]:
-    """What may be wrong where all but the last of these visits agree, beside what is known to have
-    happened."""
-    before = [v for v in visits[:-1] if len(v.observations) >= _LEAST_AGREEING]
+def suspects(
+    data: DataSet, visits: list[Visit], agreeing: frozenset[int], events: tuple[Upheaval, ...]
+) -> list[Upheaval]:
+    """What may be wrong in these visits, beside what is known to have happened.
+
+    `agreeing`: the numbers of the visits that agree with each other.
+    """
+    before = [visit for number, visit in enumerate(visits) if number in agreeing]
     return [
         event
         for event in [*_lifts(visits), *_knocks(data, visits)]

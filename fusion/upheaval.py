@@ -29,15 +29,20 @@ _LEFT_OUT = 16.0
 _LEAST_EXPLAINED = 2 * 12 * _LEFT_OUT
 _MOST_OF_A_VISIT = 6
 _MOST_EVENTS = 4
+# So many pictures of a visit must be used for it to agree: one that is wrong may fit by accident,
+# and a few of few corners may all be left out without anything being amiss.
+_LEAST_AGREEING = 3
 
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """How well everything fits where these events happened; `is_amiss`: not well."""
+    """How well visits fit where these events happened; `is_amiss`: not well; `agreeing`: the
+    numbers of those that are used."""
 
     events: tuple[Upheaval, ...]
     score: float
     is_amiss: bool
+    agreeing: frozenset[int]
 
 
 def explained(data: DataSet, observations: list[Observation]) -> list[tuple[Upheaval, ...]]:
@@ -87,7 +92,8 @@ class _Trials:
     def best(self, events: tuple[Upheaval, ...], count: int) -> tuple[Upheaval, ...]:
         """Of what may be behind what shows in so many visits the events that explain best what
         came until something else does not fit; nothing where none explains it."""
-        candidates = suspects(self._data, self._visits[:count], events)
+        agreeing = self._after(count - 1, events).agreeing
+        candidates = suspects(self._data, self._visits[:count], agreeing, events)
         trials = self._ranked(candidates, events, len(self._visits))
         if trials and trials[0].is_amiss:
             later = self.first_amiss(trials[0].events)
@@ -116,11 +122,25 @@ class _Trials:
         if key not in self._tried:
             few = [o for visit in self._visits[:count] for o in visit.thinned(_MOST_OF_A_VISIT)]
             few.sort(key=lambda observation: observation.stamp_ns)
-            batch, _ = solved_anew(with_events(self._data, events), few)
+            batch, _ = solved_anew(with_events(self._data, events), few, gives_up=True)
             fitted, left_out = _fit(batch)
             is_amiss = left_out > _LEAST_EXPLAINED or is_denied(batch)
-            self._tried[key] = _Trial(events, fitted + left_out, is_amiss)
+            agreeing = self._agreeing(batch)
+            self._tried[key] = _Trial(events, fitted + left_out, is_amiss, agreeing)
         return self._tried[key]
+
+    def _agreeing(self, batch: BatchSolution) -> frozenset[int]:
+        """The numbers of the visits that a solution uses."""
+        used = {
+            (o.robot, self._data.site_camera(o.camera), o.stamp_ns)
+            for o in (entry.observation for entry in batch.data.entries)
+            if o.verdict is Verdict.ACCEPTED
+        }
+        counts = [
+            sum((o.robot, o.camera, o.stamp_ns) in used for o in visit.observations)
+            for visit in self._visits
+        ]
+        return frozenset(n for n, count in enumerate(counts) if count >= _LEAST_AGREEING)
 
 
 def with_events(data: DataSet, events: tuple[Upheaval, ...]) -> DataSet:
@@ -167,12 +187,13 @@ def anew(data: DataSet, observation: Observation) -> Observation:
 
 
 def solved_anew(
-    data: DataSet, observations: list[Observation]
+    data: DataSet, observations: list[Observation], *, gives_up: bool = False
 ) -> tuple[BatchSolution, Filter | None]:
-    """Everything over a data set without entries, from the beginning."""
+    """Everything over a data set without entries, from the beginning; `gives_up` as for the batch
+    solution's `finish`."""
     batch = BatchSolution(data)
     batch.collected = [anew(data, observation) for observation in observations]
-    return batch, batch.finish(Filter.at_origin(data))
+    return batch, batch.finish(Filter.at_origin(data), gives_up=gives_up)
 
 
 def take(data: DataSet, happened: list[tuple[Upheaval, ...]]) -> None:

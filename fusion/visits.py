@@ -16,6 +16,7 @@ from .dataset import DataSet
 from .judge import DECISIVE
 from .observations import Observation
 from .odometry_track import SPATIAL
+from .starts import spread
 
 # A visit also ends where nothing sees the robot for this long.
 _LONGEST_PAUSE_NS = to_ns(2.0)
@@ -24,6 +25,8 @@ _LONGEST_PAUSE_NS = to_ns(2.0)
 _LEAST_SHIFT_M = 0.1
 _LEAST_TURN_RAD = 0.1
 _LEAST_SIGHTINGS = 3
+# Between so many of a visit's sightings every jump shows that leaves so many on both sides of it.
+_FEW_SIGHTINGS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +78,34 @@ def _split(data: DataSet, run: list[Observation]) -> list[Visit]:
 def _jump_within(data: DataSet, run: list[Observation]) -> int:
     """At which of its sightings the robot stands elsewhere before the camera than odometry
     leads; 0 where there is none, or only single ones that are wrong."""
-    places = [(index, pose) for index, o in enumerate(run) if (pose := _seen_at(data, o))]
-    if len(places) < 2 * _LEAST_SIGHTINGS:
+    few = spread(list(range(len(run))), _FEW_SIGHTINGS)
+    if not _jumps(data, run, _seen(data, run, few)):
         return 0
-    stamps = np.array([run[index].stamp_ns for index, _ in places])
-    track = data.tracks[run[0].robot]
-    steps = track.motion(stamps, np.zeros(2)).earlier_from_later
-    poses = [pose for _, pose in places]
-    jumps = [
-        number + 1
-        for number in range(len(places) - 1)
-        if _is_far(poses[number].inverse() @ poses[number + 1], steps[number])
-    ]
+    places = _seen(data, run, list(range(len(run))))
+    jumps = _jumps(data, run, places)
     # A single wrong sighting is a jump there and back.
     lasting = [n for n in jumps if {n - 1, n + 1}.isdisjoint(jumps)]
     inner = [n for n in lasting if _LEAST_SIGHTINGS <= n <= len(places) - _LEAST_SIGHTINGS]
     return places[inner[0]][0] if len(inner) == 1 else 0
+
+
+def _seen(data: DataSet, run: list[Observation], numbers: list[int]) -> list[tuple[int, Pose]]:
+    """Those of the sightings by these numbers that say alone where the robot was, and where."""
+    return [(number, pose) for number in numbers if (pose := _seen_at(data, run[number]))]
+
+
+def _jumps(data: DataSet, run: list[Observation], places: list[tuple[int, Pose]]) -> list[int]:
+    """Which of these places are far from where odometry leads from the one before."""
+    if len(places) < 2:
+        return []
+    stamps = np.array([run[number].stamp_ns for number, _ in places])
+    steps = data.tracks[run[0].robot].motion(stamps, np.zeros(2)).earlier_from_later
+    poses = [pose for _, pose in places]
+    return [
+        number + 1
+        for number in range(len(places) - 1)
+        if _is_far(poses[number].inverse() @ poses[number + 1], steps[number])
+    ]
 
 
 def _is_far(seen: Pose, driven: Pose) -> bool:

@@ -93,7 +93,7 @@ def test_view_with_too_little_has_no_candidate(corners: list[int]) -> None:
     chosen = np.array(corners, dtype=int)
     pixels = 100.0 + 10.0 * np.stack([chosen, 0 * chosen], axis=-1)
     view = View(chosen, pixels, SIGMA, (Reading(0),))
-    assert faces.candidates(observation_of("c1", "r1", 0, (view,)), target, LENS) == []
+    assert faces.candidates(observation_of("c1", "r1", 0, (view,)), target, LENS) == ()
 
 
 def test_corners_that_are_no_numbers_have_no_candidate() -> None:
@@ -101,7 +101,7 @@ def test_corners_that_are_no_numbers_have_no_candidate() -> None:
     observation, _ = picture(target, Pose.planar(0.0, 0.0, 0.5), most=1)
     view = observation.views[0]
     nothing = View(view.corners, np.full_like(view.pixels, np.nan), SIGMA, view.readings)
-    assert faces.candidates(observation_of("c1", "r1", 0, (nothing,)), target, LENS) == []
+    assert faces.candidates(observation_of("c1", "r1", 0, (nothing,)), target, LENS) == ()
 
 
 def test_mirrored_corners_fit_no_reading() -> None:
