@@ -131,6 +131,7 @@ def _notes(m: Measure) -> dict[str, list[str]]:
     return {
         "wrong": m.wrong,
         "undetermined": m.undetermined,
+        "rightly undetermined": m.left_open,
         "made up": m.made_up,
         "moved": m.earlier,
     }

@@ -29,7 +29,8 @@ class Measure(msgspec.Struct, frozen=True):
     of the estimator alone.
 
     `located`, `wrong` (located, but grossly elsewhere), `undetermined` (though the data decide),
-    `made_up` (located, though never seen): cameras. `rejected`: observations set aside.
+    `left_open` (not located, since the data leave it open), `made_up` (located, though never seen
+    or left open): cameras. `rejected`: observations set aside.
     """
 
     situation: str
@@ -47,6 +48,7 @@ class Measure(msgspec.Struct, frozen=True):
     earlier: list[str]
     rejected: int
     chi2_per_dof: float | None
+    left_open: list[str] = []
 
 
 def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
@@ -60,9 +62,10 @@ def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
 
 def measure_of(session: StudySession, results: Results, seconds: float) -> Measure:
     """The measures of results that took so many seconds."""
-    bound, network = session.bound, results.network
+    bound, network, is_open = session.bound, results.network, session.left_open
     truth = session.simulated.truth.cameras
     located = [name for name in network.located if name in bound.cameras]
+    missing = [name for name in truth if name not in network.located]
     error = np.array([_pose(results, name).difference(truth[name]) for name in located])
     least = bound.of(located)
     own = _rows(results, located)
@@ -77,11 +80,12 @@ def measure_of(session: StudySession, results: Results, seconds: float) -> Measu
         seconds=seconds,
         located=located,
         wrong=[n for i, n in enumerate(located) if _is_gross(error[i], bound.of([n]))],
-        undetermined=[n for n in truth if n not in network.located and _is_decided(bound, n)],
-        made_up=[name for name in network.located if name not in bound.cameras],
+        undetermined=[n for n in missing if _is_decided(bound, n) and n not in is_open],
+        made_up=[n for n in network.located if n not in bound.cameras or n in is_open],
         earlier=[name for name, camera in network.cameras.items() if camera.earlier],
         rejected=sum(camera.rejected for camera in network.cameras.values()),
         chi2_per_dof=network.statistics.chi2_per_dof,
+        left_open=[name for name in missing if name in is_open],
     )
 
 

@@ -18,13 +18,14 @@ from trigpoint.config import (
 )
 from trigpoint.fusion.bound import Bound
 from trigpoint.fusion.dataset import KnownCameras
+from trigpoint.fusion.decidable_lifts import left_open
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.tools.simulation.memory import Simulated, simulated
 from trigpoint.tools.simulation.world import World
 
-from .oracle import bound_of
+from .oracle import bound_of, known_to_oracle
 from .situation import Known, Situation
 from .situations import NEW_CAMERA, SITUATIONS
 from .worlds import world_of
@@ -50,6 +51,11 @@ class StudySession:
         """The Cramér-Rao bound of the cameras' poses; a camera that was moved also stands in it as
         it hung before."""
         return bound_of(self.inputs, self.simulated)
+
+    @property
+    def left_open(self) -> set[str]:
+        """The cameras whose place the data leave open."""
+        return left_open(*known_to_oracle(self.inputs, self.simulated))
 
 
 def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> StudySession:

@@ -101,6 +101,11 @@ SITUATIONS: dict[str, Situation] = {
         "drive",
         disturbance=Disturbance(lifts={"r1": (Lift(25.0, 7.0),)}),
     ),
+    "kidnapped_known": Situation(
+        "a robot lifted on its second lap, then past cameras of the first",
+        "two_laps",
+        disturbance=Disturbance(lifts={"r1": (Lift(82.0, 7.0),)}),
+    ),
     "seen_once": Situation(
         "a camera seen once, a camera never seen",
         "drive",

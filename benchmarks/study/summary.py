@@ -19,7 +19,7 @@ class Ratio:
 @dataclass(frozen=True, slots=True)
 class Summary:
     """`efficiency` and `honesty`: over all sessions in which a camera was located; metres and
-    seconds are means; `wrong` and `undetermined`: sessions with such a camera."""
+    seconds are means; `wrong`, `undetermined` and so on: sessions with such a camera."""
 
     sessions: int
     efficiency: Ratio
@@ -29,6 +29,7 @@ class Summary:
     seconds: float
     wrong: int
     undetermined: int
+    left_open: int
     made_up: int
 
 
@@ -43,6 +44,7 @@ def summary_of(measures: list[Measure]) -> Summary:
         seconds=_mean(measures, lambda m: m.seconds),
         wrong=sum(bool(m.wrong) for m in measures),
         undetermined=sum(bool(m.undetermined) for m in measures),
+        left_open=sum(bool(m.left_open) for m in measures),
         made_up=sum(bool(m.made_up) for m in measures),
     )
 

@@ -80,6 +80,7 @@ WORLDS: dict[str, Callable[[], WorldFile]] = {
     "dance": partial(around, circles=2),
     "loop": partial(around, laps=3),
     "long_way": partial(around, door_rounds=20),
+    "two_laps": partial(around, laps=2),
     "two_robots": partial(two_robots, "checkerboard"),
 }
 

@@ -109,11 +109,12 @@ def test_a_summary_is_the_root_of_the_mean_square() -> None:
     measures = [
         _with(MEASURE, efficiency=1.0, wrong=["c1"]),
         _with(MEASURE, efficiency=1.42),
-        _with(MEASURE, efficiency=None, undetermined=["c1"]),
+        _with(MEASURE, efficiency=None, undetermined=["c1"], left_open=["c2"]),
     ]
     summary = summary_of(measures)
     assert summary.efficiency.value == pytest.approx(1.1)
     assert (summary.sessions, summary.wrong, summary.undetermined) == (3, 1, 1)
+    assert summary.left_open == 1
 
 
 def test_the_report_shows_what_misses_its_goal(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """When a robot was lifted or a camera moved, where it shows only much later."""
 
 import numpy as np
+import pytest
 from drives import live
 
 from benchmarks.study.measure import measure_of
@@ -18,6 +19,7 @@ def test_cameras_that_a_lifted_robot_met_on_either_side_of_the_lift_are_not_made
     results = pipeline.results()
     measure = measure_of(session, results, 0.0)
     assert measure.located == ["c1", "c2"]
+    assert (measure.undetermined, measure.left_open) == ([], ["c3", "c5", "c6"])
     assert measure.honesty is not None
     assert measure.honesty < HONEST
     for name in ("c3", "c5", "c6"):
@@ -26,15 +28,32 @@ def test_cameras_that_a_lifted_robot_met_on_either_side_of_the_lift_are_not_made
     assert pipeline.left_out["robot_lifted"] == 1
 
 
-def test_camera_that_was_moved_is_found_though_nothing_came_after_its_last_visit() -> None:
-    session = simulated_session("moved", 0)
+@pytest.mark.parametrize(
+    "seed", [0, 14], ids=["one visit after the move", "a glimpse from afar before that"]
+)
+def test_camera_that_was_moved_is_found_though_nothing_came_after_its_last_visit(
+    seed: int,
+) -> None:
+    session = simulated_session("moved", seed)
     pipeline = worked_out(session)
     measure = measure_of(session, pipeline.results(), 0.0)
     assert measure.earlier == ["c2"]
     assert (measure.wrong, measure.undetermined) == ([], [])
     assert measure.honesty is not None
     assert measure.honesty < HONEST
+    assert measure.rejected == 0  # all that it saw belongs to one place or the other
     assert pipeline.left_out["camera_moved"] == 1
+
+
+def test_robot_that_was_lifted_and_then_met_known_cameras_costs_no_camera_its_place() -> None:
+    session = simulated_session("kidnapped_known", 0)
+    pipeline = worked_out(session)
+    measure = measure_of(session, pipeline.results(), 0.0)
+    assert measure.located == list(session.inputs.site.cameras)
+    assert (measure.wrong, measure.made_up) == ([], [])
+    assert measure.honesty is not None
+    assert measure.honesty < HONEST
+    assert pipeline.left_out["robot_lifted"] == 1
 
 
 def test_robot_gets_no_wrong_correction_once_a_lift_shows() -> None:
