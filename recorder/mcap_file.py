@@ -79,8 +79,8 @@ def read_index(path: Path) -> McapIndex:
 def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
     """A chunk's records, decompressed and held against its checksum; ValueError where damaged."""
     file.seek(span.offset)
-    chunk = Chunk.read(_stream(file.read(span.length)))
     try:
+        chunk = Chunk.read(_stream(file.read(span.length)))
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     except Exception as reason:  # noqa: BLE001 - each compression raises errors of its own
         raise ValueError(f"the chunk at byte {span.offset} is damaged ({reason})") from None

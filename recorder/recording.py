@@ -37,6 +37,8 @@ class Recording:
     def __init__(self, index: McapIndex) -> None:
         self._index = index
         self._topics = _topics_of(index)
+        # Offsets of the chunks that were told to be.
+        self._damaged: set[int] = set()
 
     @property
     def path(self) -> Path:
@@ -88,8 +90,8 @@ class Recording:
     def samples(self, topics: Collection[Topic] | None = None) -> Iterator[RecordedSample]:
         """The messages of these topics (None: of all that the contract has) in log-time order.
 
-        Messages of one log time come in the file's order. Raises RecordingError where a chunk is
-        damaged.
+        Messages of one log time come in the file's order. What lies in a damaged chunk (half a
+        second of a session) is left out; the log says so as an error.
         """
         channels = {
             channel: (_key(self._index.channels[channel].topic), topic)
@@ -118,9 +120,12 @@ class Recording:
         try:
             return read_chunk(file, span)
         except ValueError as reason:
-            raise RecordingError(
-                f"{self.path}: {reason}; copy the file again or record anew"
-            ) from None
+            if span.offset not in self._damaged:
+                self._damaged.add(span.offset)
+                lost = sum(span.counts.values())
+                text = "%s: %s; its %d messages are left out: copy the file again if you can"
+                _LOG.error(text, self.path, reason, lost)
+            return b""
 
 
 def open_recording(path: Path) -> Recording:

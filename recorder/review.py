@@ -23,7 +23,7 @@ def write_rrd(recording: Recording, path: Path) -> int:
     """Write what `view` would have shown; return how many messages are in it.
 
     Messages that do not decode are left out, counted and named. Raises RecordingError where the
-    session has no site.toml or is damaged, OperationError where the file cannot be written.
+    session has no site.toml, OperationError where the file cannot be written.
     """
     site = attached_site(recording)
     stream = open_stream(site.name, recording.start_ns)
