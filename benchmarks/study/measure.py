@@ -48,7 +48,7 @@ class Measure(msgspec.Struct, frozen=True):
     earlier: list[str]
     rejected: int
     chi2_per_dof: float | None
-    left_open: list[str] = []
+    left_open: list[str] = msgspec.field(default_factory=list)
 
 
 def measured(name: str, seed: int, *, estimator: str = "smoother") -> Measure:
