@@ -15,6 +15,8 @@ import numpy as np
 from trigpoint import cdr, topics
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise, parse_site
+from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.intake import Intake
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.geometry import CameraModel, Pose
@@ -252,6 +254,22 @@ def _inputs(plan: Plan) -> Inputs:
         {name: robot.target for name, robot in plan.robots.items()},
         {name: camera.told or camera.lens for name, camera in plan.cameras.items()},
     )
+
+
+def observed(session: Session, *, most: int | None = None) -> DataSet:
+    """What the session's cameras saw of r1, without a place, up to so many observations."""
+    inputs = session.inputs
+    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
+    intake = Intake(inputs.site, inputs.targets)
+    track = data.tracks["r1"]
+    for node, message in session.messages:
+        if isinstance(message, Odometry):
+            track.add(message.stamp_ns, message.pose)
+        elif isinstance(message, Sightings):
+            intake.add(node, message, data.lenses[node])
+    observations = intake.ready("r1", track.first_ns, track.last_ns)[:most]
+    data.entries.extend(Entry(observation) for observation in observations)
+    return data
 
 
 def offline(session: Session) -> Results:

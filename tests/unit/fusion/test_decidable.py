@@ -9,15 +9,14 @@ from drives import (
     circle,
     looking_at,
     make_session,
+    observed,
     turning,
 )
 
-from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.decidable import data_decide, lead_of_truth
 from trigpoint.fusion.hypotheses import DECISIVE
-from trigpoint.fusion.intake import Intake
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
 from trigpoint.tools.simulation.targets import target_of
 
 EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
@@ -27,17 +26,7 @@ def seen(target: str, way, *, most: int | None = None) -> tuple[Session, DataSet
     """What one camera sees of one robot, and where that truly was."""
     plan = Plan({"c1": CameraPlan(EYE)}, {"r1": RobotPlan(way, target_of(target))}, seconds=4.0)
     session = make_session(plan)
-    inputs = session.inputs
-    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
-    intake = Intake(inputs.site, inputs.targets)
-    for node, message in session.messages:
-        if isinstance(message, Odometry):
-            data.tracks["r1"].add(message.stamp_ns, message.pose)
-        elif isinstance(message, Sightings):
-            intake.add(node, message, data.lenses[node])
-    track = data.tracks["r1"]
-    for observation in intake.ready("r1", track.first_ns, track.last_ns)[:most]:
-        data.entries.append(Entry(observation))
+    data = observed(session, most=most)
     places = [session.map_from_base("r1", e.observation.stamp_ns) for e in data.entries]
     return session, data, places
 

@@ -12,6 +12,7 @@ from drives import (
     lens,
     looking_at,
     make_session,
+    observed,
     standing,
     straight,
 )
@@ -20,11 +21,9 @@ from trigpoint.config import OdometryNoise
 from trigpoint.fusion.body import body_of, can_be_seen
 from trigpoint.fusion.dataset import DataSet, Entry
 from trigpoint.fusion.hypotheses import DECISIVE, Located, distinct, refine
-from trigpoint.fusion.intake import Intake
 from trigpoint.fusion.locate import Undetermined, is_below_floor, locate
 from trigpoint.fusion.starts import starts_of
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
 from trigpoint.target import Face, Pattern, Target
 from trigpoint.tools.simulation.targets import target_of
 from trigpoint.tools.simulation.visibility import seen_faces
@@ -40,18 +39,9 @@ def seen_data(
     robot = RobotPlan(way or circle(), target, QUIET)
     plan = Plan({"c1": CameraPlan(eye)}, {"r1": robot}, seconds=seconds, picture_rate=4.0)
     session = make_session(plan)
-    inputs = session.inputs
-    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
-    intake = Intake(inputs.site, inputs.targets)
-    for node, message in session.messages:
-        if isinstance(message, Odometry):
-            data.tracks["r1"].add(message.stamp_ns, message.pose)
-        elif isinstance(message, Sightings):
-            intake.add(node, message, data.lenses[node])
-    track = data.tracks["r1"]
-    for observation in intake.ready("r1", track.first_ns, track.last_ns)[:most]:
-        pose = session.map_from_base("r1", observation.stamp_ns)
-        data.entries.append(Entry(observation, pose))
+    data = observed(session, most=most)
+    for entry in data.entries:
+        entry.map_from_base = session.map_from_base("r1", entry.observation.stamp_ns)
     return data
 
 
