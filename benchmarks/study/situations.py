@@ -90,6 +90,7 @@ SITUATIONS: dict[str, Situation] = {
         known=Known.ONE_MOVED,
     ),
     "two_robots": Situation("two robots that meet only cameras", "two_robots", PLAIN),
+    "robots_alike": Situation("two robots that carry one target", "robots_alike"),
     "moved": Situation(
         "a camera moved in mid-session",
         "drive",

@@ -82,6 +82,7 @@ WORLDS: dict[str, Callable[[], WorldFile]] = {
     "long_way": partial(around, door_rounds=20),
     "two_laps": partial(around, laps=2),
     "two_robots": partial(two_robots, "checkerboard"),
+    "robots_alike": partial(two_robots, "charuco"),
 }
 
 # The dance's time, in which the loop is cut off.
