@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class _AtWork:
+class AtWork:
     """A sign of life of the thread that solves; the next comes within this time."""
 
     within_s: float
@@ -123,7 +123,7 @@ class SolverProcess:
         try:
             while True:
                 item = pickle.loads(self._news.recv_bytes())
-                if isinstance(item, _AtWork):
+                if isinstance(item, AtWork):
                     self._beat(item.within_s)
                 else:
                     self._inbox.put(item)
@@ -164,7 +164,7 @@ def _serve(orders: Connection, news: Connection) -> None:
             return solving.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
-    sign = _Sign(say, time.monotonic)
+    sign = LifeSign(say, time.monotonic)
     while True:
         for order in _next(arrived):
             sign.give()
@@ -193,11 +193,11 @@ def _next(arrived: "queue.SimpleQueue[Sequence[Order]]") -> Sequence[Order]:
         return ()
 
 
-class _Sign:
+class LifeSign:
     """Says that the work goes on, once a second at most. What may be waited for grows with the
     longest time between two calls, since solutions take longer as a session grows."""
 
-    def __init__(self, say: Callable[[_AtWork], None], seconds: Callable[[], float]) -> None:
+    def __init__(self, say: Callable[[AtWork], None], seconds: Callable[[], float]) -> None:
         self._say, self._seconds = say, seconds
         self._called_s, self._said_s, self._longest_s = seconds(), -math.inf, 0.0
 
@@ -207,7 +207,7 @@ class _Sign:
         self._called_s = now_s
         if now_s - self._said_s >= _SIGN_PERIOD_S:
             self._said_s = now_s
-            self._say(_AtWork(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
+            self._say(AtWork(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
 
 
 class _Voice:
@@ -216,7 +216,7 @@ class _Voice:
     def __init__(self, news: Connection) -> None:
         self._news, self._lock = news, threading.Lock()
 
-    def say(self, news: News | _AtWork) -> None:
+    def say(self, news: News | AtWork) -> None:
         with self._lock:
             self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
 
