@@ -151,6 +151,22 @@ class Filter:
         guess = carried_on(data, robot, start, stamp_ns, self.scales(robot)).map_from_base
         return self.advanced(data, robot, stamp_ns, guess)
 
+    def before(self, data: DataSet, robot: str, camera: str, stamp_ns: int) -> Array:
+        """Covariance (6, 6) of where a camera has a robot at its last node, or later by its
+        odometry.
+
+        That may be far less than what is not known of both in the map. The camera disturbed by
+        (δt, δθ) takes along what stands before it by δt + δθ × a, with a the way to it.
+        """
+        ahead = self.carried(data, robot, stamp_ns)
+        last = self._columns(self.layout.last[robot])
+        pose = self._columns(self.layout.pose[camera])
+        eye = self.state.cameras[camera].map_from_camera.disturbed(ahead.known.mean_of(pose))
+        place = ahead.robot(data, robot).map_from_base
+        taken_along = _carry(place.translation - eye.translation)
+        apart = np.concatenate([np.eye(6)[:, data.tracks[robot].tangent], -taken_along], axis=1)
+        return apart @ ahead.known.covariance_of(np.concatenate([last, pose])) @ apart.T
+
     def scales(self, robot: str) -> Array:
         """The robot's scale errors at the fixed point, (2,)."""
         return self.state.robots[robot].scales
@@ -236,12 +252,18 @@ def carried_on(
     start = estimate.map_from_base
     end = start @ motion.earlier_from_later[0]
     arm = end.translation - start.translation
-    carry = np.eye(6)
-    carry[:3, 3:] = -hat(arm)
+    carry = _carry(arm)
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = start.rotation
     covariance = carry @ estimate.covariance @ carry.T + turn @ motion.covariance[0] @ turn.T
     return RobotEstimate(stamp_ns, end, covariance)
+
+
+def _carry(arm: Array) -> Array:
+    """How a disturbance of a pose disturbs what is fixed to it, an arm (3,) away: (6, 6)."""
+    carry = np.eye(6)
+    carry[:3, 3:] = -hat(arm)
+    return carry
 
 
 def _one(pose: Pose) -> Pose:

@@ -12,7 +12,7 @@ from .dataset import DataSet, Entry
 from .estimator import CameraEstimate
 from .filter import Filter, RobotEstimate, carried_on
 from .observations import Observation, Verdict
-from .placement import align_to
+from .placement import align_before
 from .problem import State
 from .survey import camera_estimates, is_placed
 
@@ -107,7 +107,7 @@ class Present:
         if time_ns < current.stamps_ns[robot]:
             return None  # older than the steps: the next solution has it
         predicted = current.robot(self.data, robot, time_ns)
-        aligned = align_to(self.data, current, entry.observation, predicted)
+        aligned = align_before(self.data, current, entry.observation, predicted)
         if aligned is None:
             entry.observation = entry.observation.judged(Verdict.REJECTED)
             entry.map_from_base = predicted.map_from_base

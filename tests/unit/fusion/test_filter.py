@@ -1,14 +1,22 @@
 """What a batch solution knows, carried on sighting by sighting, against the batch over all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from drives import Session
 from small_problems import EPOCH_NS, first_state, small_data, true_pose
 
 from trigpoint.clock import to_ns
+from trigpoint.fusion.alignment import _Search
 from trigpoint.fusion.assembly import assemble
 from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.equations import EXACT, linearise
 from trigpoint.fusion.filter import Filter, carried_on
+from trigpoint.fusion.gaussian import Gaussian
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.fusion.placement import align_before
+from trigpoint.fusion.smoother import Smoother
 from trigpoint.fusion.solver import reduce
 from trigpoint.geometry import Pose
 
@@ -227,3 +235,86 @@ def test_camera_sigma_grows_with_its_turn_and_falls_with_distance(data: DataSet)
     turn_px = current.state.cameras["c1"].lens.fx * np.sqrt(variances[3:].max())
     assert near > far >= turn_px
     assert isinstance(current.state.cameras["c1"].map_from_camera, Pose)
+
+
+def shaken(current: Filter, data: DataSet) -> Filter:
+    """The same, but that it is not known by a metre and 0.02 rad where the map as a whole is."""
+    together, step = np.zeros((current.layout.size, 3)), current.mean_step()
+    places = []
+    for name, columns in current.layout.pose.items():
+        pose = current.state.cameras[name].map_from_camera.disturbed(step[columns])
+        places.append((columns, pose, range(6)))
+    for robot, columns in current.layout.last.items():
+        pose = current.robot(data, robot).map_from_base
+        places.append((columns, pose, data.tracks[robot].tangent))
+    for columns, pose, tangent in places:
+        turned = np.cross([0.0, 0.0, 1.0], pose.translation)
+        moves = np.zeros((6, 3))
+        moves[0, 0] = moves[1, 1] = moves[5, 2] = 1.0
+        moves[:3, 2] = turned
+        together[columns] = moves[list(tangent)]
+    known = current.known
+    covariance = known.covariance + together @ np.diag([1.0, 1.0, 0.02**2]) @ together.T
+    return replace(current, source=Gaussian.of(known.mean, covariance))
+
+
+def test_where_a_camera_has_a_robot_is_known_however_little_of_the_map_is(data: DataSet) -> None:
+    current, entry = batch_filter(data, BATCH), data.entries[BATCH]
+    robot, camera = entry.observation.robot, entry.observation.camera
+    wide = shaken(current, data)
+    for stamp_ns in (current.stamps_ns[robot], entry.observation.stamp_ns):
+        found, expected = (at.before(data, robot, camera, stamp_ns) for at in (wide, current))
+        sigma = np.sqrt(np.diagonal(expected))
+        np.testing.assert_allclose((found - expected) / sigma[:, None] / sigma, 0.0, atol=0.02)
+        assert wide.robot(data, robot, stamp_ns).covariance[0, 0] > 1.0
+
+
+def test_where_a_camera_has_a_robot_follows_both_disturbances(data: DataSet) -> None:
+    """At the last node, against finite differences of where the camera takes the robot along."""
+    current, entry = batch_filter(data, BATCH), data.entries[BATCH]
+    robot, camera = entry.observation.robot, entry.observation.camera
+    place = current.robot(data, robot)
+    step = current.mean_step()[current.layout.pose[camera]]
+    eye = current.state.cameras[camera].map_from_camera.disturbed(step)
+    base = place.map_from_base
+    by_camera = np.stack(
+        [
+            base.difference(eye.disturbed(step) @ eye.inverse() @ base) / 1e-6
+            for step in 1e-6 * np.eye(6)
+        ],
+        axis=1,
+    )
+    by_robot = np.eye(6)[:, data.tracks[robot].tangent]
+    every = np.arange(current.layout.size)
+    columns = np.concatenate(
+        [every[current.layout.last[robot]], every[current.layout.pose[camera]]]
+    )
+    jacobian = np.concatenate([by_robot, by_camera], axis=1)
+    expected = jacobian @ current.known.covariance[np.ix_(columns, columns)] @ jacobian.T
+    sigma = np.sqrt(np.diagonal(expected))
+    found = current.before(data, robot, camera, place.stamp_ns)
+    np.testing.assert_allclose((found - expected) / sigma[:, None] / sigma, 0.0, atol=1e-4)
+
+
+def test_sighting_is_read_where_the_camera_has_the_robot(
+    charuco: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a map that is known too little as a whole to tell where the robot may be."""
+    pipeline = Pipeline(charuco.inputs)
+    for node, message in charuco.messages[: len(charuco.messages) // 2]:
+        pipeline.push(node, message)
+        pipeline.advance()
+    smoother = pipeline._estimator
+    assert isinstance(smoother, Smoother)
+    current, entry = smoother.present.known, smoother.data.entries[-1]
+    assert current is not None
+    assert entry.map_from_base is not None
+    wide = shaken(current, smoother.data)
+    predicted = wide.robot(smoother.data, "r1")
+    monkeypatch.setattr(_Search, "everywhere", lambda _: pytest.fail("it looked everywhere"))
+    unread = replace(entry.observation, chosen=None, outliers=())
+    found = align_before(smoother.data, wide, unread, predicted)
+    assert found is not None
+    assert found[0].chosen == entry.observation.chosen
+    apart = found[1].difference(entry.map_from_base)
+    np.testing.assert_allclose(apart, 0.0, atol=0.02)
