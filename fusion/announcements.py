@@ -20,12 +20,13 @@ from .coverage import coverage
 from .estimator import CameraEstimate
 
 _PERIOD_NS = to_ns(1.0)
+_LONG_NS = to_ns(1.5)  # where there is no quiet turn
 _COVERAGE_PERIOD_NS = to_ns(5.0)
 _MOST_A_TURN = 8
-# A camera that moved less than this sees the floor that was said of it, but for a tenth of the
+# A camera that moved less than this sees the floor that was said of it, but for half of the
 # decimetres in which that is given.
-_SAME_FLOOR_M = 0.01
-_SAME_FLOOR_RAD = 0.002
+_SAME_FLOOR_M = 0.05
+_SAME_FLOOR_RAD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +63,9 @@ class CameraAnnouncements:
         self._said: set[str] = set()
         self._floor_from: dict[str, Pose] = {}
 
-    def is_due(self, stamp_ns: int) -> bool:
-        """Whether it is time to say all cameras again."""
-        return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS)
+    def is_due(self, stamp_ns: int, *, is_quiet: bool) -> bool:
+        """Whether it is time to say all cameras again; `is_quiet`: no robot waits."""
+        return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS if is_quiet else _LONG_NS)
 
     def take(self, stamp_ns: int, cameras: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
         """Have the cameras said, as they are known at a moment; `is_urgent`: and every floor."""
@@ -80,8 +81,10 @@ class CameraAnnouncements:
         before = self._floor_from.get(name)
         if before is None:
             return True
-        apart = np.abs(known.camera.map_from_camera.difference(before))
-        return bool(apart[:3].max() > _SAME_FLOOR_M or apart[3:].max() > _SAME_FLOOR_RAD)
+        pose = known.camera.map_from_camera
+        shift = np.abs(pose.translation - before.translation).max()
+        turn = np.abs(pose.rotation - before.rotation).max()
+        return bool(shift > _SAME_FLOOR_M or turn > _SAME_FLOOR_RAD)
 
     def next(self, *, is_quiet: bool) -> Iterator[Output]:
         """What is to be said this turn; `is_quiet`: no robot waits."""

@@ -3,8 +3,9 @@
 The filter takes every sighting at once. All that came in goes on to the solver, in order of time
 and so much later that nothing that may still make a correction comes before it. What the solver
 found is taken over sighting by sighting: its filter is first brought up to now with what came since
-the moment that it knows, a few sightings a turn, while the old one goes on making corrections. So
-no turn takes long, and sightings that come late have their place in the new filter as well.
+the moment that it knows, a few sightings a turn and most while no robot waits; until then the old
+one goes on making corrections. So no turn takes long, and sightings that come late have their place
+in the new filter as well.
 """
 
 from collections import deque
@@ -40,8 +41,10 @@ from .present import Present
 
 # What comes later than this after its moment comes after what is later than it.
 _MOST_HELD_S = 2.0
-# How many sightings a new filter is brought on by in a turn, beside as many as came.
-_CATCHING_UP = 1
+# How many sightings a new filter is brought on by in a turn in which none came, and beside as many
+# as came where some came in the turn before as well.
+_CATCHING_UP = 2
+_CATCHING_UP_BUSY = 1
 
 
 @dataclass(slots=True)
@@ -73,7 +76,7 @@ class Follower:
         self._told = 0
         self._asked = 0
         self._located: tuple[str, ...] = ()
-        self._came = 0
+        self._came, self._came_before = 0, 0
         self.reported: Reported | None = None
         # Whether a camera was located that nobody has been told of yet.
         self.has_new_camera = False
@@ -152,10 +155,13 @@ class Follower:
 
     def _catch_up(self) -> None:
         """Bring a new filter on; it is taken once it lacks nothing."""
-        coming, came, self._came = self._coming, self._came, 0
+        came, before = self._came, self._came_before
+        self._came, self._came_before = 0, came
+        coming = self._coming
         if coming is None:
             return
-        for _ in range(min(len(coming.missing), came + _CATCHING_UP)):
+        more = _CATCHING_UP_BUSY if before else 0
+        for _ in range(min(len(coming.missing), came + more if came else _CATCHING_UP)):
             try:
                 self._use(coming.present, coming.missing.popleft())
             except (LinAlgError, ValueError):

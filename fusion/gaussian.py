@@ -44,8 +44,11 @@ class _Near:
 
     def rows(self, columns: np.ndarray) -> np.ndarray:
         """Where columns (m,), all of them near, are among the near ones."""
-        order = np.argsort(self.columns, kind="stable")
-        return order[np.searchsorted(self.columns, columns, sorter=order)]
+        return np.argmax(self.columns == columns[:, None], axis=1)
+
+    def lacks(self, columns: np.ndarray) -> np.ndarray:
+        """Which of columns (m,) are not near, bool."""
+        return ~np.any(self.columns == columns[:, None], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,7 @@ class Gaussian:
     ) -> "Gaussian":
         """With columns (m,) replaced by matrix (m, k) times columns `of` (k,), plus a shift (m,)
         and noise of covariance (m, m)."""
-        ready = self._ready(np.union1d(columns, of))
+        ready = self._ready(np.unique(np.concatenate([columns, of])))
         near = ready._near
         rows, source = near.rows(columns), near.rows(of)
         mean, covariance, carry = near.mean.copy(), near.covariance.copy(), near.carry.copy()
@@ -163,7 +166,7 @@ class Gaussian:
     def _with_near(self, columns: np.ndarray) -> _Near:
         """The near columns and these (m,) besides, each of them once."""
         near, (mean, covariance) = self._near, self.before
-        added = columns[~np.isin(columns, near.columns)]
+        added = columns[near.lacks(columns)]
         if not len(added):
             return near
         k, m = len(near.columns), len(added)

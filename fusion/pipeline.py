@@ -84,6 +84,7 @@ class Pipeline:
         self._sequence: Counter[str] = Counter()
         self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
+        self._used_ns = 0
         self._announcements = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._early: list[tuple[str, Sightings]] = []
         self._problem = ""
@@ -220,6 +221,8 @@ class Pipeline:
                 is_quiet = False
         if self._follower is not None:
             self._attend(self._follower)
+        if self._announcements.is_due(self._used_ns, is_quiet=is_quiet):
+            self._take_cameras(self._used_ns, is_urgent=False)
         self._outputs += self._announcements.next(is_quiet=is_quiet)
         outputs, self._outputs = self._outputs, []
         return outputs
@@ -253,6 +256,7 @@ class Pipeline:
         if not self._is_live and isinstance(self._estimator, Collecting):
             self._estimator.collect(observation)
             return
+        self._used_ns = observation.stamp_ns
         update = self._estimator.add_observation(observation)
         if update.problem:
             self.counts["unusable"] += 1
@@ -260,7 +264,8 @@ class Pipeline:
         self._note_events()
         if update.correction is not None and not is_late:
             self._correct(observation.robot, update.correction)
-        self._take_cameras(observation.stamp_ns, is_urgent=bool(update.located))
+        if update.located:
+            self._take_cameras(observation.stamp_ns, is_urgent=True)
 
     def _note_events(self) -> None:
         """Count what happened to the site, and say it."""
@@ -295,10 +300,8 @@ class Pipeline:
         return True
 
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
-        """Have the cameras said where that is due."""
-        if not self._is_live or not (is_urgent or self._announcements.is_due(stamp_ns)):
-            return
-        cameras = self._estimator.cameras()
+        """Have the cameras said as they are known now."""
+        cameras = self._estimator.cameras() if self._is_live else {}
         if not cameras:
             return
         for name, camera in cameras.items():

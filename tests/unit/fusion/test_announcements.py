@@ -72,13 +72,14 @@ def test_camera_that_waits_to_be_said_keeps_its_turn_and_is_said_as_it_is_known_
     assert {o.message.stamp_ns for o in outputs if isinstance(o.message, PoseEstimate)} == {2}
 
 
-def test_they_are_due_once_a_second() -> None:
+def test_they_are_due_once_a_second_and_later_where_a_robot_waits() -> None:
     news = announcements()
-    assert news.is_due(0)
+    assert news.is_due(0, is_quiet=False)
     news.take(0, cameras(1), is_urgent=False)
-    assert not news.is_due(to_ns(0.99))
-    assert news.is_due(to_ns(1.0))
-    assert news.is_due(-1)  # a session that begins anew
+    for is_quiet, period_ns in ((True, to_ns(1.0)), (False, to_ns(1.5))):
+        assert not news.is_due(period_ns - 1, is_quiet=is_quiet)
+        assert news.is_due(period_ns, is_quiet=is_quiet)
+        assert news.is_due(-1, is_quiet=is_quiet)  # a session that begins anew
 
 
 def test_floor_is_said_of_one_camera_a_turn_and_only_where_no_robot_waits() -> None:
