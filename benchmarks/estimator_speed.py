@@ -1,17 +1,19 @@
 """What the estimator costs: a five-minute dance, growth with length and cameras, and live work."""
 
-import multiprocessing
 import resource
 import time
-from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trigpoint.fusion.orders import News, Order
+from trigpoint import cdr
+from trigpoint.clock import to_ns
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.fusion.solving import Solving
+from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.calibrate import calibrated
@@ -26,6 +28,9 @@ from .timing import worked
 _NAME = "estimator"
 _CAMERAS, _DURATION_S = 10, 120.0
 _LIVE = Corridor(cameras=100, duration_s=3600.0)
+# So far the session runs ahead of its solver at most, and how often the estimator then looks.
+_LEAD_S = 30.0
+_TURN_S = 0.05
 
 
 def run(effort: float = 1.0) -> list[Row]:
@@ -79,54 +84,77 @@ def _offline(inputs: Inputs, messages: list[tuple[str, Message]]) -> None:
     pipeline.finish()
 
 
+@dataclass(frozen=True, slots=True)
+class _Live:
+    """What a live session cost: milliseconds of each turn with a sighting, (n,); the most memory
+    of the estimator's process and of its solver's, MB; the solver's share of a core, at the pace of
+    the session."""
+
+    milliseconds: np.ndarray
+    megabytes: float
+    solver_megabytes: float
+    solver_share: float
+
+
 def _live(corridor: Corridor) -> list[Row]:
     """In a process of its own, whose memory is then the live estimator's."""
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        milliseconds, worst, megabytes = pool.apply(_updates, (corridor,))
-    what = f"{corridor.cameras} cameras, {corridor.duration_s / 60:.0f} min"
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        live = pool.submit(_driven, corridor).result()
+    what = f"live, {corridor.cameras} cameras, {corridor.duration_s / 60:.0f} min"
+    middle, most = np.percentile(live.milliseconds, [50, 99]).tolist()
+    longest = float(live.milliseconds.max())
+    together = live.megabytes + live.solver_megabytes
     return [
-        Row(_NAME, f"live update, {what}, 99 %", "ms", milliseconds, 20.0, "the goal"),
-        Row(_NAME, f"live update, {what}, the longest", "ms", worst, 20.0, "the goal"),
-        Row(_NAME, f"live, {what}: resident", "MB", megabytes, 500.0, "the goal"),
+        Row(_NAME, f"{what}: an update, 50 %", "ms", middle, 20.0, "the goal of 99 %"),
+        Row(_NAME, f"{what}: an update, 99 %", "ms", most, 20.0, "the goal"),
+        Row(_NAME, f"{what}: an update, the longest", "ms", longest, 20.0, "the goal of 99 %"),
+        Row(
+            _NAME, f"{what}: resident, without its solver", "MB", live.megabytes, 500.0, "the goal"
+        ),
+        Row(_NAME, f"{what}: resident, with its solver", "MB", together, 500.0, "the goal"),
+        Row(_NAME, f"{what}: the solver's share of a core", "", live.solver_share, 1.0, "one core"),
     ]
 
 
-class _Beside:
-    """Solves in place of a process of its own, and keeps the time that it takes apart."""
+def _driven(corridor: Corridor) -> _Live:
+    """Drive along a corridor with a solver beside, as the node does it.
 
-    def __init__(self, inputs: Inputs) -> None:
-        self._solving = Solving(inputs.data_set(), time.thread_time)
-        self._news: list[News] = []
-        self.seconds = 0.0
-
-    def tell(self, orders: Sequence[Order]) -> None:
-        began = time.thread_time()
-        for order in orders:
-            self._news.extend(self._solving.carry_out(order))
-        self.seconds += time.thread_time() - began
-
-    def news(self) -> list[News]:
-        news, self._news = self._news, []
-        return news
-
-    def close(self) -> None:
-        pass
+    Messages come as quickly as they are used, since an hour would take an hour; so that the solver
+    has its time all the same, it is waited for after every so many seconds of the session.
+    """
+    solver = SolverProcess(corridor.inputs.data_set())
+    try:
+        took = _fed(Pipeline(corridor.inputs, solver=solver), corridor)
+    finally:
+        solver.close()
+    mine = resource.getrusage(resource.RUSAGE_SELF)
+    solvers = resource.getrusage(resource.RUSAGE_CHILDREN)
+    share = (solvers.ru_utime + solvers.ru_stime) / corridor.duration_s
+    return _Live(1e3 * np.array(took), mine.ru_maxrss / 1024, solvers.ru_maxrss / 1024, share)
 
 
-def _updates(corridor: Corridor) -> tuple[float, float, float]:
-    """99 % and the longest of the updates by a picture, ms, but for what another process does; the
-    most memory, MB, of both together."""
-    beside, took, has_sightings = _Beside(corridor.inputs), [], False
-    pipeline = Pipeline(corridor.inputs, solver=beside)
+def _fed(pipeline: Pipeline, corridor: Corridor) -> list[float]:
+    """The processor's seconds of the turns that had a sighting, what is sent by them included."""
+    took, has_sightings, waited_ns = [], False, 0
     for node, message in corridor.messages():
-        began = time.thread_time() - beside.seconds
+        began = time.thread_time()
         pipeline.push(node, message)
         if isinstance(message, Odometry):
-            pipeline.advance()
+            for output in pipeline.advance(message.stamp_ns):
+                cdr.encode(output.message)
             if has_sightings:
-                took.append(time.thread_time() - beside.seconds - began)
+                took.append(time.thread_time() - began)
             has_sightings = False
+            if message.stamp_ns - waited_ns >= to_ns(_LEAD_S):
+                waited_ns = message.stamp_ns
+                _wait(pipeline)
         has_sightings |= isinstance(message, Sightings)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return 1e3 * float(np.percentile(took, 99)), 1e3 * max(took), memory
+    return took
+
+
+def _wait(pipeline: Pipeline) -> None:
+    """Until the solver has done everything that it was told."""
+    pipeline.ask()
+    while not pipeline.is_answered:
+        time.sleep(_TURN_S)
+        pipeline.advance()
