@@ -17,8 +17,8 @@ class Desk:
 
 def test_sign_is_given_once_a_second_at_most() -> None:
     desk = Desk()
-    for _ in range(21):
-        desk.give_after(0.1)
+    for _ in range(9):
+        desk.give_after(0.25)
     assert len(desk.said) == 3
 
 
