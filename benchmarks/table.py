@@ -12,6 +12,7 @@ BENCHMARKS: dict[str, str] = {
     "recorder": "recorder:run",
     "calibration": "calibration:run",
     "capacity": "capacity:run",
+    "agent": "agent:run",
     "estimator": "estimator_speed:run",
     "gtsam": "gtsam_comparison:run",
 }
