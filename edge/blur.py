@@ -1,6 +1,8 @@
 """How a picture shows the edges of a print: softened or sharpened, lighter or darker than drawn."""
 
 from dataclasses import dataclass
+from functools import cache
+from math import ceil, hypot, sqrt
 
 import numpy as np
 
@@ -32,11 +34,15 @@ class Blur:
 
     def changed(self, change: Array) -> "Blur":
         """The blur after a change (4,) of the variances and the response, within the bounds."""
-        change = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
-        values, axes = np.linalg.eigh(_matrix(self.variances + change[:3]))
-        matrix = (axes * np.clip(values, LEAST_VARIANCE, MOST_VARIANCE)) @ axes.T
-        response = float(np.clip(self.response + change[3], -MOST_RESPONSE, MOST_RESPONSE))
-        return Blur(np.array([matrix[0, 0], matrix[1, 1], matrix[0, 1]]), response)
+        change = np.minimum(np.maximum(change, -MOST_CHANGE), MOST_CHANGE)
+        variances = self.variances + change[:3]
+        low, high = _principal(variances)
+        if low < LEAST_VARIANCE or high > MOST_VARIANCE:
+            values, axes = np.linalg.eigh(_matrix(variances))
+            matrix = (axes * np.clip(values, LEAST_VARIANCE, MOST_VARIANCE)) @ axes.T
+            variances = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 1]])
+        response = min(max(self.response + float(change[3]), -MOST_RESPONSE), MOST_RESPONSE)
+        return Blur(variances, response)
 
     def softened(self, variance: float) -> "Blur":
         """The blur of a picture that is softened further, the same in all directions; pixel²."""
@@ -48,13 +54,17 @@ class Blur:
         A Gaussian along each principal axis, of LEAST_GAUSSIAN at least; what is less is taken away
         by its second derivative (the heat equation), which leaves the halos of a sharpened picture.
         """
+        low, high = _principal(step**2 * self.variances)
+        least = step**2 * LEAST_GAUSSIAN
+        radius = ceil(_REACH_SIGMAS * sqrt(max(high, least)))
+        x, y = _places(min(max(radius, _LEAST_RADIUS), MOST_RADIUS))
+        if low >= least:
+            xx, yy, xy = step**2 * self.variances
+            kernel = np.exp((x * x * yy + y * y * xx - 2 * xy * x * y) / (-2 * (xx * yy - xy * xy)))
+            return (kernel / kernel.sum()).astype(np.float32)
         variances, axes = np.linalg.eigh(step**2 * _matrix(self.variances))
-        spread = np.maximum(variances, step**2 * LEAST_GAUSSIAN)
-        radius = np.ceil(_REACH_SIGMAS * np.sqrt(spread.max()))
-        places = np.arange(2 * int(np.clip(radius, _LEAST_RADIUS, MOST_RADIUS)) + 1, dtype=float)
-        places -= places[-1] / 2
-        along = np.stack(np.meshgrid(places, places), axis=-1) @ axes / np.sqrt(spread)
-        squares = along * along
+        spread = np.maximum(variances, least)
+        squares = (np.stack([x, y], axis=-1) @ axes) ** 2 / spread
         taken = 1 + 0.5 * (squares - 1) @ ((variances - spread) / spread)
         kernel = np.exp(-0.5 * squares.sum(axis=-1)) * taken
         return (kernel / kernel.sum()).astype(np.float32)
@@ -67,3 +77,18 @@ SHARP = Blur(np.array([0.35, 0.35, 0.0]))
 def _matrix(variances: Array) -> Array:
     """The same as a matrix (2, 2)."""
     return variances[[0, 2, 2, 1]].reshape(2, 2)
+
+
+def _principal(variances: Array) -> tuple[float, float]:
+    """The lower and the upper of the principal variances."""
+    xx, yy, xy = variances.tolist()
+    middle, half = (xx + yy) / 2, hypot((xx - yy) / 2, xy)
+    return middle - half, middle + half
+
+
+@cache
+def _places(radius: int) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of a kernel's places, (2r + 1, 2r + 1)."""
+    places = np.arange(-radius, radius + 1, dtype=float)
+    x, y = np.meshgrid(places, places)
+    return x, y

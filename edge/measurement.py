@@ -23,7 +23,7 @@ LEAST_SIGMA_PX = 0.02
 # spacing; more is allowed where all scatter, since real boards are not flat.
 LEAST_WILD_PX = 0.1
 LEAST_WILD_SHARE = 0.01
-# Corners that are all so near their plane need no lens of their own, pixels.
+# Corners that are so near their plane need no lens of their own, pixels.
 ENOUGH_PX = 0.03
 # Parameters of a planar fit: a homography, and a lens that few corners hardly show.
 _PLANE_FREEDOM = 9
@@ -32,6 +32,9 @@ _PLANE_FREEDOM = 9
 _EXPLAINED = 4.0
 LENS_PX = 0.015
 _MARGIN_PX = 2.0
+# A face that lies so near where it was expected also looks as expected, and is glimpsed to a third
+# of a pixel; else its size and slant are off too.
+SURE_PX = 2.0
 # Of a corner of a face that shows too few of them for a plane.
 FEW_CORNERS_SIGMA_PX = 0.1
 
@@ -105,7 +108,11 @@ def followed(
     if reach_px <= 0.0:
         return measured(grey, pattern, fit, blur=blur)
     there = glimpsed(grey, pattern, fit, reach_px)
-    return measured(grey, pattern, there, blur=blur, is_rough=True) if there else None
+    if there is None:
+        return None
+    outline = pattern.face.outline[:, :2]
+    aside = np.linalg.norm(there.project(outline) - fit.project(outline), axis=1)
+    return measured(grey, pattern, there, blur=blur, is_rough=median(aside) > SURE_PX)
 
 
 def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> np.ndarray:

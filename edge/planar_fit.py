@@ -24,8 +24,9 @@ CHAOS_SHARE = 0.4
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
-# After a step that moves every corner by less, the next one moves none by a thousandth of a pixel.
-_SMALL_STEP_PX = 0.02
+# After a step that moves every corner by less, the next one moves none by a thousandth of a pixel:
+# of a homography alone, and with a lens.
+_SMALL_STEP_PX, _SMALL_LENS_STEP_PX = 0.1, 0.02
 _SMALL_GAIN = 1e-4
 _LEAST_DAMPING = 1e-7
 _DAMPING_STEP = 10.0
@@ -243,7 +244,7 @@ def _refined(
     if not abs(fit.homography[2, 2]) > 1e-9:
         return None
     weight = (_PRIOR_SIGMA_PX / fit.scale / _RADIAL_PRIOR) ** 2 if is_lens_free else 0.0
-    small = _SMALL_STEP_PX / fit.scale
+    small = (_SMALL_LENS_STEP_PX if is_lens_free else _SMALL_STEP_PX) / fit.scale
     homogeneous = np.column_stack([points, np.ones(len(points))])
     numbers = np.concatenate([(fit.homography / fit.homography[2, 2]).reshape(-1)[:8], fit.radial])
     count = 10 if is_lens_free else 8

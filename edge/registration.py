@@ -21,8 +21,9 @@ from .planar_fit import PlanarFit, sound_corners
 
 ROUNDS = 6
 ROUGH_ROUNDS = 2
-# And more, for those corners alone that have not settled by then: boards curl.
+# And more, for those corners alone, if few, that have not settled by then: boards curl.
 LATE_ROUNDS = 4
+MOST_LATE = 8
 # By how many corners a face is first brought near.
 ROUGH_CORNERS = 16
 # By how much a picture is softened where corners are off by more than its own blur, pixel².
@@ -35,6 +36,8 @@ NEAR_STEP_PX = 0.5
 # Steps so short change nothing in how corners look.
 STILL_STEP_PX = 0.3
 SMALL_STEP_PX = 0.03
+# Steps that do not become so much shorter lead nowhere: the face is not there.
+LEAST_SHORTER = 0.8
 # A corner may lie so far beside the middle of its patch, pixels, before another part of the picture
 # is taken.
 MOST_ASIDE_PX = 0.6
@@ -73,13 +76,16 @@ def registered(
         fit = _approached(grey, pattern, fit, _spread(ids), blur)
     face = _Face.at(grey, pattern, ids, fit, blur)
     found = face.moved()
+    usual, before = _usual_length(found), np.inf
     for _ in range(ROUNDS - 1):
-        usual = _usual_length(found)
-        if usual < SMALL_STEP_PX and np.all(np.abs(found.change) < SMALL_CHANGE):
+        is_near = usual < SMALL_STEP_PX and np.all(np.abs(found.change) < SMALL_CHANGE)
+        is_vain = usual > STILL_STEP_PX and usual > LEAST_SHORTER * before
+        if is_near or is_vain or not found.is_clear.any():
             break
         if usual > STILL_STEP_PX or not found.is_clear.all():
             face.refit(found.is_clear)
         found = face.moved()
+        usual, before = _usual_length(found), usual
     return face.settled(found)
 
 
@@ -122,7 +128,7 @@ class _Face:
         moves = np.linalg.norm(found.step, axis=1)
         for _ in range(LATE_ROUNDS):
             late = np.flatnonzero(clear & (moves > SETTLED_STEP_PX))
-            if len(late) == 0:
+            if not 0 < len(late) <= MOST_LATE:
                 break
             again = self._aligned(late, found.usual)
             clear[late], sigma[late] = again.is_clear, again.sigma
