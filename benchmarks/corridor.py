@@ -46,6 +46,11 @@ class Corridor:
         return _SPACING_M * self.cameras / (2 * np.pi)
 
     @property
+    def lap_s(self) -> float:
+        """How long once round takes."""
+        return _SPACING_M * self.cameras / SPEED
+
+    @property
     def inputs(self) -> Inputs:
         cameras = "\n".join(_CAMERA.format(i, i) for i in range(self.cameras))
         site = parse_site(_SITE.format(cameras=cameras), directory=Path())

@@ -14,6 +14,7 @@ BENCHMARKS: dict[str, str] = {
     "capacity": "capacity:run",
     "agent": "agent:run",
     "estimator": "estimator_speed:run",
+    "live": "live:run",
     "gtsam": "gtsam_comparison:run",
 }
 
