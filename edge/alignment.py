@@ -38,6 +38,7 @@ _WHITE, _MIDDLE = 255.0, 128.0
 # What each row of a drawing is: first of the corner, then of the face's blur, then what is seen.
 _BY_X, _BY_Y, _VALUE, _ONE, _X, _Y, _XX, _YY, _XY, _BUMP, _SEEN = range(11)
 _ROWS, _OWN = 11, 6
+_LEAST_OWN = 1e-6 * np.eye(_OWN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +56,19 @@ class Alignment:
 
 
 def aligned(
-    patches: Patches, blur: Blur, longest_px: float, *, usual: "Usual | None" = None
+    patches: Patches,
+    blur: Blur,
+    longest_px: float,
+    *,
+    usual: "Usual | None" = None,
+    is_light_even: bool = False,
 ) -> Alignment:
     """One step for every corner; none is trusted beyond `longest_px`. `usual`: what most of the
-    face's corners have, where these are only a few of them."""
+    face's corners have, where these are only a few of them. `is_light_even`: better from far off,
+    where light that rises would take up what the steps should."""
     rows = _rows(patches, blur)
+    if is_light_even:
+        rows[:, _X : _Y + 1] = 0
     match = _Match.of(rows)
     most = usual or Usual.of(match)
     odd = most.odd(match)
@@ -157,7 +166,7 @@ class _Match:
         count = products[:, _ONE, _ONE]
         some = np.maximum(count, 1.0)
         variance = products[:, _VALUE, _VALUE] / some - (products[:, _VALUE, _ONE] / some) ** 2
-        inverse = np.linalg.inv(products[:, :_OWN, :_OWN] + 1e-6 * np.eye(_OWN))
+        inverse = np.linalg.inv(products[:, :_OWN, :_OWN] + _LEAST_OWN)
         right = products[:, :_OWN, _OWN:]
         solved = inverse @ right
         left = products[:, _OWN:, _OWN:] - right.swapaxes(1, 2) @ solved

@@ -70,21 +70,24 @@ def registered(
     is_rough: bool = False,
 ) -> Registration:
     """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
-    two or three where `is_rough` (then one more round is made, with a wider drawing)."""
+    two or three where `is_rough` (then it is brought near by a wider drawing of a few corners).
+    While corners are far, the light counts as even."""
     blur = SHARP if blur is None else blur
     if is_rough:
         fit = _approached(grey, pattern, fit, _spread(ids), blur)
     face = _Face.at(grey, pattern, ids, fit, blur)
-    found = face.moved()
+    is_far = is_rough
+    found = face.moved(is_far=is_far)
     usual, before = _usual_length(found), np.inf
     for _ in range(ROUNDS - 1):
         is_near = usual < SMALL_STEP_PX and np.all(np.abs(found.change) < SMALL_CHANGE)
         is_vain = usual > STILL_STEP_PX and usual > LEAST_SHORTER * before
-        if is_near or is_vain or not found.is_clear.any():
+        if (is_near and not is_far) or is_vain or not found.is_clear.any():
             break
-        if usual > STILL_STEP_PX or not found.is_clear.all():
+        is_far = usual > STILL_STEP_PX
+        if is_far or not found.is_clear.all():
             face.refit(found.is_clear)
-        found = face.moved()
+        found = face.moved(is_far=is_far)
         usual, before = _usual_length(found), usual
     return face.settled(found)
 
@@ -110,9 +113,9 @@ class _Face:
         pixels = fit.project(pattern.points[ids])
         return cls(grey, pattern, ids, fit, blur, pixels, np.rint(pixels))
 
-    def moved(self) -> Alignment:
+    def moved(self, *, is_far: bool = False) -> Alignment:
         """A round for all corners: the clear ones are moved, the blur is mended."""
-        found = self._aligned(np.arange(len(self.ids)), None)
+        found = self._aligned(np.arange(len(self.ids)), None, is_far=is_far)
         self.blur = found.blur
         return found
 
@@ -137,7 +140,9 @@ class _Face:
         clear &= moves <= SETTLED_STEP_PX
         return Registration(self.pixels, clear, sigma, self.blur, self.fit)
 
-    def _aligned(self, which: np.ndarray, usual: Usual | None) -> Alignment:
+    def _aligned(
+        self, which: np.ndarray, usual: Usual | None, *, is_far: bool = False
+    ) -> Alignment:
         """Moves some of the corners (indices) if they are clear. Each keeps the part of the picture
         that it is looked for in while it lies near its middle: in another one it is found a little
         elsewhere, and would step to and fro."""
@@ -145,7 +150,7 @@ class _Face:
         nearest = np.where(np.abs(pixels - nearest) > MOST_ASIDE_PX, np.rint(pixels), nearest)
         ids = self.ids[which]
         patches = patches_around(self.grey, self.pattern, self.fit, ids, pixels, nearest)
-        found = aligned(patches, self.blur, LONGEST_STEP_PX, usual=usual)
+        found = aligned(patches, self.blur, LONGEST_STEP_PX, usual=usual, is_light_even=is_far)
         self.nearest[which] = nearest
         self.pixels[which] = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         return found
@@ -166,7 +171,8 @@ def _approached(
     soft = _softened(grey, pixels)
     for _ in range(ROUGH_ROUNDS):
         patches = patches_around(soft, pattern, fit, ids, pixels, np.rint(pixels))
-        found = aligned(patches, blur.softened(SOFTENING), LONGEST_ROUGH_STEP_PX)
+        soft_blur = blur.softened(SOFTENING)
+        found = aligned(patches, soft_blur, LONGEST_ROUGH_STEP_PX, is_light_even=True)
         pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
         if _usual_length(found) < NEAR_STEP_PX:
