@@ -3,14 +3,13 @@ robot, through the whole of each edge node; the bus is in memory."""
 
 import itertools
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import ClassVar
 
 from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import Clock, SystemClock, to_ns
+from trigpoint.clock import Clock, to_ns
 from trigpoint.config import CameraConfig, Site, parse_site
 from trigpoint.edge.frames import SOURCES, Frame
 from trigpoint.edge.node import EdgeNode
@@ -19,7 +18,7 @@ from trigpoint.node import Node
 
 from .detection import one_thread
 from .table import Row, share_of
-from .timing import worked
+from .timing import WorkClock, worked
 from .views import gallery
 
 CAMERAS, RATE_HZ = 8, 10.0
@@ -58,15 +57,6 @@ class PlayedFrames:
 
     def close(self) -> None:
         """Nothing is held open."""
-
-
-class WorkClock(SystemClock):
-    """Counts the work of the thread that asks, so that no picture is given up since others keep the
-    machine busy."""
-
-    def elapsed_ns(self) -> int:
-        """Processor time of this thread."""
-        return time.thread_time_ns()
 
 
 def run(effort: float = 1.0) -> list[Row]:

@@ -14,6 +14,7 @@ from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.target import Target
 
+from .nasty_pictures import nasty_pictures
 from .opencv_finders import (
     Finder,
     charuco_each,
@@ -24,7 +25,7 @@ from .opencv_finders import (
 )
 from .scoring import Found, Score, score_of
 from .table import Row, share_of
-from .timing import worked
+from .timing import WorkClock, worked
 from .views import Gallery, TrueFace, View, gallery
 
 OURS = "ours"
@@ -35,6 +36,8 @@ _SEQUENCES, _LENGTH = {"640 x 480": 5, "1280 x 720": 2}, 6
 # A followed face has been seen twice.
 _SETTLED = 2
 _ROUNDS = 2
+# Of pictures over which a search could take forever.
+_PERIOD_S = 0.1
 
 
 @dataclass(slots=True)
@@ -52,13 +55,10 @@ class Run:
 
 def run(effort: float = 1.0) -> list[Row]:
     """Both kinds of target, at both sizes, at rest and driving."""
+    choices = ("charuco", "checkerboard")
     with one_thread():
-        return [
-            row
-            for target in ("charuco", "checkerboard")
-            for size in _SIZES
-            for row in _rows(target, size, effort)
-        ]
+        rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
+        return rows + [_worst_row(target) for target in choices]
 
 
 def our_finder(target: Target) -> Finder:
@@ -156,6 +156,24 @@ def _tracked_rows(
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     first = next(iter(others))
     return rows + _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
+
+
+def _worst_row(choice: str) -> Row:
+    """The longest that a tracker takes over a nasty picture, first seen and again, within a frame's
+    period at 10 Hz; its clock counts its own work."""
+    target, worst = gallery(choice).target, 0.0
+    for _, picture in nasty_pictures(target.faces[:1]):
+        tracker = TargetTracker([target], budget_s=_PERIOD_S, clock=WorkClock())
+        for stamp_ns in (100_000_000, 200_000_000):
+            took, _ = worked(lambda t=tracker, p=picture, s=stamp_ns: t.detect(p, s))
+            worst = max(worst, took)
+    return _row(
+        f"{choice} 640 x 480, the nastiest picture",
+        "ms",
+        1e3 * worst,
+        1e3 * _PERIOD_S,
+        "the period",
+    )
 
 
 def _time_rows(what: str, done: Mapping[str, Run], others: Mapping[str, Finder]) -> list[Row]:
