@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.clock import to_ns
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .assembly import Assembled
@@ -86,24 +87,49 @@ def reconsider(data: DataSet, state: State, source: int) -> None:
         return
     fresh = observation.read_as(observation.chosen)
     if map_from_base is not None:
-        camera = state.cameras[observation.camera]
-        points = points_of(fresh, data.targets[observation.robot])
-        pixels = reprojection(
-            camera.lens,
-            camera.map_from_camera,
-            map_from_base,
-            points.in_base(state.robots[observation.robot].base_from_face),
-        )
-        length = np.linalg.norm((pixels - points.pixels) * points.weights[:, None], axis=1)
         far = [
-            bool(np.all(before)) and not np.nanmedian(view) <= _FAR_SIGMAS
-            for before, view in zip(observation.outliers, _by_view(fresh, length), strict=True)
+            is_far and bool(np.all(before))
+            for before, is_far in zip(
+                observation.outliers, _are_far(data, state, fresh, map_from_base), strict=True
+            )
         ]
         if any(far):
-            fresh = fresh.with_outliers(
-                tuple(np.full(len(v.corners), f) for v, f in zip(fresh.views, far, strict=True))
-            )
+            fresh = _without(fresh, far)
     entry.observation = fresh
+
+
+def without_far_views(data: DataSet, state: State, source: int) -> Observation | None:
+    """A rejected observation without the views that are far off where the robot stood by all the
+    others, which drew the good ones of the same picture off; None where all of them are far off, or
+    none."""
+    entry = data.entries[source]
+    observation, map_from_base = entry.observation, entry.map_from_base
+    if observation.chosen is None or map_from_base is None:
+        return None
+    far = _are_far(data, state, observation, map_from_base)
+    return _without(observation, far) if any(far) and not all(far) else None
+
+
+def _are_far(
+    data: DataSet, state: State, observation: Observation, map_from_base: Pose
+) -> list[bool]:
+    """Which views of an observation are far off with the robot at a pose."""
+    camera = state.cameras[observation.camera]
+    points = points_of(observation, data.targets[observation.robot])
+    pixels = reprojection(
+        camera.lens,
+        camera.map_from_camera,
+        map_from_base,
+        points.in_base(state.robots[observation.robot].base_from_face),
+    )
+    length = np.linalg.norm((pixels - points.pixels) * points.weights[:, None], axis=1)
+    return [not np.nanmedian(view) <= _FAR_SIGMAS for view in _by_view(observation, length)]
+
+
+def _without(observation: Observation, left_out: list[bool]) -> Observation:
+    """An observation without some of its views, one flag for each."""
+    views = zip(observation.views, left_out, strict=True)
+    return observation.with_outliers(tuple(np.full(len(v.corners), out) for v, out in views))
 
 
 def _limit(length: Array) -> float:

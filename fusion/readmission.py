@@ -1,13 +1,15 @@
 """Another chance for observations that were set aside: read again where their robot stood by now.
 
 In goes an entry of the data set with a place of its robot, and what is known; its observation is
-accepted where it fits there. One that does not is not tried again until camera or robot have moved.
+accepted where it fits there, of several views those that do. One that does not is not tried again
+until camera or robot have moved.
 """
 
 import numpy as np
 
 from trigpoint.geometry import Pose
 
+from . import judge
 from .dataset import DataSet
 from .filter import Filter, RobotEstimate
 from .observations import Observation, Verdict
@@ -34,9 +36,13 @@ class Readmission:
         camera = known.state.cameras[observation.camera].map_from_camera
         if self._is_in_vain(index, camera, map_from_base):
             return
+        is_rejected = observation.verdict is Verdict.REJECTED
+        part = judge.without_far_views(self._data, known.state, index) if is_rejected else None
+        if part is not None:
+            entry.observation = part.judged(Verdict.ACCEPTED)
+            return
         prior = self._loosely(observation, map_from_base, chain)
         aligned = align_to(self._data, known, observation, prior)
-        is_rejected = observation.verdict is Verdict.REJECTED
         if aligned is None or (is_rejected and _is_elsewhere(aligned[1], prior)):
             self._in_vain[index] = (camera, map_from_base)
         else:
