@@ -14,6 +14,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
+from .estimator import Live
 from .observations import Observation, View, observation_of, view_of
 from .shared import SharedLooks
 
@@ -126,9 +127,25 @@ class Intake:
             return
         for observation in self._shared.ready(is_end=is_end):
             self._queue(observation.robot, observation)
-        if self._shared.untold > self.counts["untold_robot"]:
-            self.counts["untold_robot"] = self._shared.untold
-            self.last_problem = self._shared.problem
+        self._count_untold(self._shared)
+
+    def tell_by_place(self, estimator: Live, *, is_end: bool = False) -> bool:
+        """Queue what is clear of robots that look alike by where the estimator has them; whether
+        anything was. `is_end`: also where nothing has come in since it was last asked."""
+        if self._shared is None:
+            return False
+        found = self._shared.by_place(estimator, is_end=is_end)
+        for observation in found:
+            self._queue(observation.robot, observation)
+        self._count_untold(self._shared)
+        return bool(found)
+
+    def _count_untold(self, shared: SharedLooks) -> None:
+        if shared.untold > self.counts["untold_robot"]:
+            self.last_problem = shared.problem
+        elif not shared.untold and self.last_problem == shared.problem:
+            self.last_problem = ""
+        self.counts["untold_robot"] = shared.untold
 
     def _robots_of(self, face: FaceSighting) -> list[str]:
         if not face.target:

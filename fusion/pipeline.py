@@ -213,6 +213,8 @@ class Pipeline:
         `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
         """
         is_quiet = True
+        if self._is_live:
+            self._intake.tell_by_place(self._estimator)
         for robot, track in self._data.tracks.items():
             if not len(track):
                 continue
@@ -326,16 +328,22 @@ class Pipeline:
         Where a solver does that, `is_answered` says when it has.
         """
         self.advance()
-        for robot, track in self._data.tracks.items():
-            if len(track):
-                for observation in self._intake.rest(robot, track.last_ns):
-                    self._use(observation, None)
+        self._use_rest()
         self._estimator.finish()
+        while self._intake.tell_by_place(self._estimator, is_end=True):
+            self._use_rest()
+            self._estimator.finish()
         self._note_events()
         last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
         self._take_cameras(last_ns, is_urgent=True)
         self._outputs += self._announcements.rest()
         return self.advance()
+
+    def _use_rest(self) -> None:
+        for robot, track in self._data.tracks.items():
+            if len(track):
+                for observation in self._intake.rest(robot, track.last_ns):
+                    self._use(observation, None)
 
     def ask(self) -> None:
         """Have a solver report what is known now; `is_answered` says when it has."""

@@ -2,22 +2,28 @@
 
 They look alike, but they do not drive alike: over a visit to a camera only the robot that was there
 moved as its pictures show. So every robot is a hypothesis, and a visit is a robot's where its
-odometry alone fits, wherever the camera may be.
+odometry alone fits, wherever the camera may be. Robots that drove alike are told apart once camera
+and robots have their places in the map, by who stood where the camera shows it.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trigpoint.clock import to_ns
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
+from .alignment import placements
 from .dataset import DataSet, Entry
+from .estimator import Live
 from .faces import best_reading
 from .hypotheses import DECISIVE, Hypothesis, distinct, refine
 from .observations import Observation, View, observation_of
 from .odometry_track import composed
 from .starts import spread, starts_of
+from .whereabouts import Whereabouts
 
 _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
@@ -25,9 +31,13 @@ _MOST_LOOKS = 24
 _MOST_HYPOTHESES = 8
 _ACCEPTABLE_RMS = 3.0
 _LEAST_PICTURES = 3
+# χ²: five sigmas from where it is thought to have stood.
+_AT_PLACE = 25.0
 _FITS_SIGMAS = 5.0
 # A robot that was elsewhere fits only against its odometry, at several times the noise's χ².
 _MOST_CHI2 = 2.0
+# Pictures that wait for places in the map; as many as an hour of one busy camera has.
+_MOST_LEFT = 16384
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +48,27 @@ class _Picture:
     faces: tuple[dict[str, View], ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Whose a visit seems to be; `is_clear`: no other robot's odometry comes near."""
+
+    robot: str
+    hypothesis: Hypothesis
+    is_clear: bool
+
+
 class SharedLooks:
     """Pictures of targets that several robots carry, until it is clear whose. Not thread-safe.
 
-    `untold`: how many pictures it stayed unclear for; `problem`: why, in words.
+    `untold`: how many pictures it is unclear for; `problem`: why, in words.
     """
 
     def __init__(self, data: DataSet) -> None:
         self._data = data
         self._open: dict[str, list[_Picture]] = {}
         self._closed: list[tuple[str, list[_Picture]]] = []
+        self._left: deque[tuple[str, _Picture]] = deque(maxlen=_MOST_LEFT)
+        self._looked = (0, 0, 0)
         self.untold = 0
         self.problem = ""
 
@@ -77,17 +98,89 @@ class SharedLooks:
                 found += self._told(camera, visit)
         return found
 
+    def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
+        """What of the pictures that were left out is clear by where robots and cameras are now;
+        tried again where there are more of either, or pictures, and at the end."""
+        if not self._left:
+            return []
+        tied = sum(estimator.robot(robot) is not None for robot in self._data.site.robots)
+        looked = (self.untold, estimator.located_count, tied)
+        if not estimator.located_count or (looked == self._looked and not is_end):
+            return []
+        self._looked = looked
+        places = Whereabouts(self._data, estimator)
+        found: list[Observation] = []
+        left, self._left = self._left, deque(maxlen=_MOST_LEFT)
+        for camera, picture in left:
+            own: dict[str, list[View]] = {}
+            rest = []
+            for face in picture.faces:
+                robot = self._stood_there(places, camera, picture.stamp_ns, face)
+                if robot is None:
+                    rest.append(face)
+                else:
+                    own.setdefault(robot, []).append(face[robot])
+            found += [
+                observation_of(camera, robot, picture.stamp_ns, tuple(views))
+                for robot, views in own.items()
+            ]
+            if rest:
+                self._left.append((camera, _Picture(picture.stamp_ns, tuple(rest))))
+            else:
+                self.untold -= 1
+        return found
+
+    def _stood_there(
+        self, places: Whereabouts, camera: str, stamp_ns: int, face: dict[str, View]
+    ) -> str | None:
+        """Which robot stood where a located camera shows the face, while every other one that may
+        carry it was elsewhere; None where that is not known."""
+        apart = {
+            robot: self._apart(places, camera, robot, stamp_ns, view)
+            for robot, view in face.items()
+        }
+        best, *others = sorted(apart, key=lambda robot: apart[robot])
+        if not 0 <= apart[best] < _AT_PLACE:
+            return None
+        return best if all(apart[o] - apart[best] >= DECISIVE for o in others) else None
+
+    def _apart(
+        self, places: Whereabouts, camera: str, robot: str, stamp_ns: int, view: View
+    ) -> float:
+        """χ² by which a robot was elsewhere than a camera shows it; -1 where that is not known, so
+        that it may have been there."""
+        there, stood = places.camera(camera), places.robot(robot, stamp_ns)
+        if there is None or stood is None:
+            return -1.0
+        observation = observation_of(camera, robot, stamp_ns, (view,))
+        tangent = self._data.tracks[robot].tangent
+        shown = placements(
+            self._data.moving(observation, stamp_ns),
+            self._data.targets[robot],
+            there.lens,
+            there.map_from_camera,
+            tangent=tangent,
+        )
+        between = stood.map_from_base.translation - there.map_from_camera.translation
+        covariance = stood.covariance + _of_camera(there.covariance, float(between @ between))
+        inner = covariance[np.ix_(tangent, tangent)]
+        differences = [pose.difference(stood.map_from_base)[tangent] for pose in shown]
+        return min((float(d @ np.linalg.solve(inner, d)) for d in differences), default=np.inf)
+
     def _told(self, camera: str, visit: list[_Picture]) -> list[Observation]:
         """Whose the faces of a visit are; one that may be another's is left out."""
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
-        robot, fit = self._best(camera, visit)
-        if fit is None or robot is None:
+        best = self._best(camera, visit)
+        if best is None:
             half = len(visit) // 2
             if half >= _LEAST_PICTURES:  # perhaps one robot left as another one came
                 return self._told(camera, visit[:half]) + self._told(camera, visit[half:])
             self._leave_out(camera, visit)
             return []
-        found, rest = self._split(camera, robot, fit, visit)
+        if not best.is_clear:  # nor would a part of it be
+            self._leave_out(camera, visit)
+            return []
+        found, rest = self._split(camera, best.robot, best.hypothesis, visit)
         if not found:
             self._leave_out(camera, visit)
         elif rest:
@@ -95,6 +188,7 @@ class SharedLooks:
         return found
 
     def _leave_out(self, camera: str, visit: list[_Picture]) -> None:
+        self._left.extend((camera, picture) for picture in visit)
         self.untold += len(visit)
         self.problem = (
             f"camera {camera} saw a target that several robots carry, and their odometry does not "
@@ -102,8 +196,8 @@ class SharedLooks:
             "others stand"
         )
 
-    def _best(self, camera: str, visit: list[_Picture]) -> tuple[str | None, Hypothesis | None]:
-        """The robot that fits most of a visit while no other one comes near."""
+    def _best(self, camera: str, visit: list[_Picture]) -> _Fit | None:
+        """The robot that fits a visit best; None where none fits most of it."""
         robots = dict.fromkeys(robot for p in visit for face in p.faces for robot in face)
         fits = {
             robot: fit
@@ -112,15 +206,15 @@ class SharedLooks:
             and (fit := self._fit(camera, robot, visit)) is not None
         }
         if not fits:
-            return None, None
+            return None
         robot = min(fits, key=lambda name: fits[name].cost)
         best = fits.pop(robot)
         corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
         share = min(1.0, _MOST_LOOKS / len(visit))  # of the pictures that were looked at
         fits_odometry = best.cost < _MOST_CHI2 * max(1.0, best.rms**2) * 2 * corners * share
-        is_clear = all(best.lead(fit) >= DECISIVE for fit in fits.values())
-        is_good = is_clear and fits_odometry and best.rms <= _ACCEPTABLE_RMS
-        return (robot, best) if is_good else (None, None)
+        if not fits_odometry or best.rms > _ACCEPTABLE_RMS:
+            return None
+        return _Fit(robot, best, all(best.lead(fit) >= DECISIVE for fit in fits.values()))
 
     def _fit(self, camera: str, robot: str, visit: list[_Picture]) -> Hypothesis | None:
         """How well a robot's motion explains a visit, with the camera wherever that takes it; None
@@ -185,3 +279,9 @@ class SharedLooks:
             if other:
                 rest.append(_Picture(picture.stamp_ns, tuple(other)))
         return found, rest
+
+
+def _of_camera(covariance: Array, distance_m2: float) -> Array:
+    """What a camera's own uncertainty adds to where it shows a robot, (6, 6), in any direction."""
+    shift, turn = np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])
+    return np.diag(np.repeat([shift + distance_m2 * turn, turn], 3))

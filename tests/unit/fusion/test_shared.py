@@ -1,0 +1,37 @@
+"""Two robots that carry one target, in the lab of the study."""
+
+import numpy as np
+import pytest
+
+from benchmarks.study.measure import GROSS
+from benchmarks.study.session import StudySession, simulated_session, worked_out
+from trigpoint.fusion.pipeline import Pipeline
+
+
+@pytest.fixture(scope="module")
+def session() -> StudySession:
+    return simulated_session("robots_alike", 0)
+
+
+@pytest.fixture(scope="module")
+def pipeline(session: StudySession) -> Pipeline:
+    return worked_out(session)
+
+
+def test_robots_that_drove_alike_are_told_apart_by_where_they_stood(pipeline: Pipeline) -> None:
+    # r1 passes c2 as r2 passes c3, straight on and equally fast; later r2 comes to c2 alone.
+    used = pipeline.results().network.cameras["c2"]
+    assert used.sightings == 113
+    assert used.rejected == 0
+
+
+def test_no_sighting_is_taken_for_another_robots(session: StudySession, pipeline: Pipeline) -> None:
+    results = pipeline.results()
+    truth = session.simulated.truth.cameras
+    for index, name in enumerate(results.network.located):
+        record = results.network.cameras[name].map_from_camera
+        assert record is not None
+        error = record.pose.difference(truth[name])
+        rows = slice(6 * index, 6 * index + 6)
+        own = results.covariance[rows, rows]
+        assert np.sqrt(error @ np.linalg.solve(own, error) / 6) < GROSS
