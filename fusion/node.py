@@ -119,8 +119,8 @@ class FusionNode:
                 self._pipeline.finish()
         if not is_final:
             _log.warning(
-                "the last solution would take longer than a stop may; `trigpoint calibrate` over "
-                "the recording works it out"
+                "the last solution would take longer than a stop may, so what is kept is the one "
+                "before; `trigpoint calibrate` over the recording works the last one out"
             )
         try:
             self._pipeline.results().save(self._out)

@@ -74,7 +74,7 @@ class Smoother:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
     def collect(self, observation: Observation) -> None:
-        self._batch.collected.append(observation)
+        self._batch.collected.append(of_its_time(self.data.moves, observation))
 
     def _add(self, observation: Observation) -> Update:
         observation = of_its_time(self.data.moves, observation)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
@@ -25,7 +25,7 @@ from trigpoint.watchdog import Pulse
 from .dataset import DataSet
 from .guidance import suggestions
 from .guidance_world import GuidanceWorld
-from .orders import News, Order, Suggested
+from .orders import Finish, News, Order, Suggested, TakeObservation
 from .solving import Solving
 
 START_S = 60.0
@@ -154,8 +154,8 @@ def _serve(orders: Connection, news: Connection) -> None:
         data: DataSet = orders.recv()
     except EOFError:
         return  # whoever would have sent it is gone
-    arrived: queue.SimpleQueue[Sequence[Order]] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(orders, arrived), daemon=True).start()
+    backlog = Backlog()
+    threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
     solving, lock = Solving(data, time.perf_counter), threading.Lock()
     say = _Voice(news).say
 
@@ -166,31 +166,49 @@ def _serve(orders: Connection, news: Connection) -> None:
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
     sign = LifeSign(say, time.monotonic)
     while True:
-        for order in _next(arrived):
-            sign.give()
+        order = backlog.take(_SIGN_PERIOD_S)
+        sign.give()
+        if order is not None:
             with lock:
                 for item in solving.carry_out(order):
                     say(item)
-        sign.give()
-        if arrived.empty() and solving.is_report_due:
-            with lock:
-                say(solving.report())
 
 
-def _listen(orders: Connection, arrived: "queue.SimpleQueue[Sequence[Order]]") -> None:
+def _listen(orders: Connection, backlog: "Backlog") -> None:
     try:
         while True:
-            arrived.put(orders.recv())
+            backlog.put(orders.recv())
     except (EOFError, OSError):
         os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
 
 
-def _next(arrived: "queue.SimpleQueue[Sequence[Order]]") -> Sequence[Order]:
-    """What is to be done next; nothing where nothing comes for a while."""
-    try:
-        return arrived.get(timeout=_SIGN_PERIOD_S)
-    except queue.Empty:
-        return ()
+class Backlog:
+    """Orders that wait, in the order in which they came. One thread puts, another takes.
+
+    Observations that wait before a `Finish` are left to its solution: those in between would only
+    hold it up, and whoever stops us may not wait for it.
+    """
+
+    def __init__(self) -> None:
+        self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
+        self._finishes_put, self._finishes_taken = 0, 0
+
+    def put(self, orders: Sequence[Order]) -> None:
+        self._finishes_put += sum(isinstance(order, Finish) for order in orders)
+        for order in orders:
+            self._orders.put(order)
+
+    def take(self, timeout_s: float) -> Order | None:
+        """The next one; None where none comes in time."""
+        try:
+            order = self._orders.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if isinstance(order, Finish):
+            self._finishes_taken += 1
+        elif isinstance(order, TakeObservation) and self._finishes_put > self._finishes_taken:
+            order = replace(order, is_collected=True)
+        return order
 
 
 class LifeSign:

@@ -36,7 +36,6 @@ class Solving:
         self._smoother = Smoother(data)
         self._count = 0
         self._orders = 0
-        self._said = (0, 0)
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Do what an order says; what is to be told by it."""
@@ -49,13 +48,15 @@ class Solving:
             yield from self._take(order)
         else:
             if isinstance(order, Finish):
-                yield self.report()  # whoever stops us may not wait for the end
                 self._smoother.finish()
             self._orders += 1
-        if self._smoother.solutions != solutions:
+        is_solved = self._smoother.solutions != solutions
+        if is_solved:
             yield from self._solved(self._seconds() - began)
         yield from self._events()
-        if isinstance(order, Finish | Report):
+        # Every solution is reported, however much there is to be done still: whoever stops us may
+        # not wait for the next one.
+        if is_solved or isinstance(order, Finish | Report):
             yield self.report(is_final=isinstance(order, Finish))
 
     def _take(self, order: TakeObservation) -> Iterator[News]:
@@ -91,14 +92,8 @@ class Solving:
         for event in events:
             yield Happened(event)
 
-    @property
-    def is_report_due(self) -> bool:
-        """Whether there was a solution since the last report."""
-        return self._said[1] != self._smoother.solutions
-
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""
-        self._said = (self._count, self._smoother.solutions)
         results = results_of(self._data, self._smoother, map_id_of(self._data))
         return Reported(self._count, self._orders, is_final, results)
 
