@@ -71,6 +71,9 @@ def test_errors_fit_the_joint_covariance(robot: str) -> None:
 def test_distances_are_as_good_as_by_a_start_at_the_truth(robot: str, heading_scale: float) -> None:
     results = solved(robot).results()
     # True over reported turns differ by as much between pieces of 2, 10 and 30 s of one session.
+    # The distance scale is not held to the table's: a metre is worth 1.01 to 1.04 m on straight
+    # stretches and 0.77 to 0.86 m in turns; which mean of both is found depends on how the noise
+    # weighs them, which is learnt here and stated there. What a scale is for is held: distances.
     found = results.network.robots["r1"].heading_scale
     assert found == pytest.approx(heading_scale, abs=0.05)
     error = network_error(results.network, results.covariance, truth_of(robot))
