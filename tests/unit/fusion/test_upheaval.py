@@ -5,7 +5,7 @@ import pytest
 from drives import live
 
 from benchmarks.study.measure import measure_of
-from benchmarks.study.session import simulated_session, worked_out
+from benchmarks.study.session import StudySession, simulated_session, worked_out
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
@@ -13,11 +13,12 @@ from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
 HONEST = 3.0  # eᵀP⁻¹e/6n of two or more cameras
 
 
-def test_cameras_that_a_lifted_robot_met_on_either_side_of_the_lift_are_not_made_up() -> None:
-    session = simulated_session("kidnapped", 0)
-    pipeline = worked_out(session)
+def test_cameras_that_a_lifted_robot_met_on_either_side_of_the_lift_are_not_made_up(
+    kidnapped: StudySession,
+) -> None:
+    pipeline = worked_out(kidnapped)
     results = pipeline.results()
-    measure = measure_of(session, results, 0.0)
+    measure = measure_of(kidnapped, results, 0.0)
     assert measure.located == ["c1", "c2"]
     assert (measure.undetermined, measure.left_open) == ([], ["c3", "c5", "c6"])
     assert measure.honesty is not None
@@ -45,25 +46,27 @@ def test_camera_that_was_moved_is_found_though_nothing_came_after_its_last_visit
     assert pipeline.left_out["camera_moved"] == 1
 
 
-def test_robot_that_was_lifted_and_then_met_known_cameras_costs_no_camera_its_place() -> None:
-    session = simulated_session("kidnapped_known", 0)
-    pipeline = worked_out(session)
-    measure = measure_of(session, pipeline.results(), 0.0)
-    assert measure.located == list(session.inputs.site.cameras)
+def test_robot_that_was_lifted_and_then_met_known_cameras_costs_no_camera_its_place(
+    kidnapped_known: StudySession,
+) -> None:
+    pipeline = worked_out(kidnapped_known)
+    measure = measure_of(kidnapped_known, pipeline.results(), 0.0)
+    assert measure.located == list(kidnapped_known.inputs.site.cameras)
     assert (measure.wrong, measure.made_up) == ([], [])
     assert measure.honesty is not None
     assert measure.honesty < HONEST
     assert pipeline.left_out["robot_lifted"] == 1
 
 
-def test_robot_gets_no_wrong_correction_once_a_lift_shows() -> None:
-    session = simulated_session("kidnapped", 0)
-    truth = session.simulated.truth
+def test_robot_gets_no_wrong_correction_once_a_lift_shows(
+    kidnapped: StudySession,
+) -> None:
+    truth = kidnapped.simulated.truth
     arrivals: list[tuple[int, str, Message]] = []
-    for node, message in session.messages:
+    for node, message in kidnapped.messages:
         assert isinstance(message, Odometry | Sightings)
         arrivals.append((message.stamp_ns, node, message))
-    _, sent = live(session.inputs, arrivals)
+    _, sent = live(kidnapped.inputs, arrivals)
     shows_ns = truth.start_ns + to_ns(47.2)
     errors = []
     for _, output in sent:
