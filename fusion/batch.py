@@ -353,7 +353,8 @@ class BatchSolution:
         for camera in list(self.state.cameras):
             if camera in self.data.known.poses:
                 continue
-            entries = self.data.of_camera(camera)
+            # What it saw of a robot that is not tied yet contradicts nothing.
+            entries = [e for e in self.data.of_camera(camera) if e.map_from_base is not None]
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
             if accepted * 2 >= len(entries) or judge.may_have_moved(entries):
                 continue

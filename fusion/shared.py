@@ -2,11 +2,13 @@
 
 They look alike, but they do not drive alike: over a visit to a camera only the robot that was there
 moved as its pictures show. So every robot is a hypothesis, and a visit is a robot's where its
-odometry alone fits, wherever the camera may be. Robots that drove alike are told apart once camera
-and robots have their places in the map, by who stood where the camera shows it.
+odometry alone fits, wherever the camera may be. Robots that drove alike are told apart once they
+have their places in the map: by who stood where a located camera shows it, or by how other cameras
+saw each drive meanwhile.
 """
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +18,12 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .alignment import placements
+from .company import added_chi2
 from .dataset import DataSet, Entry
 from .estimator import Live
 from .faces import best_reading
 from .hypotheses import DECISIVE, Hypothesis, distinct, refine
-from .observations import Observation, View, observation_of
+from .observations import Observation, Verdict, View, observation_of
 from .odometry_track import composed
 from .starts import spread, starts_of
 from .whereabouts import Whereabouts
@@ -50,11 +53,13 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Whose a visit seems to be; `is_clear`: no other robot's odometry comes near."""
+    """Whose a visit seems to be; `is_clear`: no other robot's odometry comes near; `every`: how
+    each robot fits that does at all."""
 
     robot: str
     hypothesis: Hypothesis
     is_clear: bool
+    every: dict[str, Hypothesis]
 
 
 class SharedLooks:
@@ -109,6 +114,10 @@ class SharedLooks:
             return []
         self._looked = looked
         places = Whereabouts(self._data, estimator)
+        return self._shown_by_cameras(places) + self._told_in_company(places)
+
+    def _shown_by_cameras(self, places: Whereabouts) -> list[Observation]:
+        """What located cameras show where one robot alone stood."""
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
         for camera, picture in left:
@@ -167,6 +176,70 @@ class SharedLooks:
         differences = [pose.difference(stood.map_from_base)[tangent] for pose in shown]
         return min((float(d @ np.linalg.solve(inner, d)) for d in differences), default=np.inf)
 
+    def _told_in_company(self, places: Whereabouts) -> list[Observation]:
+        """Visits to cameras that are not located, which one robot alone explains by how other
+        cameras saw it drive at the time."""
+        found: list[Observation] = []
+        left, self._left = self._left, deque(maxlen=_MOST_LEFT)
+        for camera, visit in _visits(left):
+            robot = None if places.camera(camera) else self._alone(places, camera, visit)
+            if robot is None:
+                self._left.extend((camera, picture) for picture in visit)
+                continue
+            told, rest = self._split(camera, *robot, visit)
+            found += told
+            self._left.extend((camera, picture) for picture in rest)
+            self.untold -= len(visit) - len(rest)
+        return found
+
+    def _alone(
+        self, places: Whereabouts, camera: str, visit: list[_Picture]
+    ) -> tuple[str, Hypothesis] | None:
+        """The robot to which a visit adds so little χ² that every other one is out of the
+        question; None where there is none, or it does not fit."""
+        best = self._best(camera, visit)
+        if best is None:
+            return None
+        added = {
+            robot: self._added(places, camera, robot, fit, visit)
+            for robot, fit in best.every.items()
+        }
+        robot = min(added, key=lambda name: added[name])
+        corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
+        least, fit = added.pop(robot), best.every[robot]
+        scale = max(1.0, fit.rms**2)
+        if least > _MOST_CHI2 * scale * 2 * corners:
+            return None
+        is_alone = all(other - least >= DECISIVE * scale for other in added.values())
+        return (robot, fit) if is_alone else None
+
+    def _added(
+        self,
+        places: Whereabouts,
+        camera: str,
+        robot: str,
+        fit: Hypothesis,
+        visit: list[_Picture],
+    ) -> float:
+        """χ² that a visit adds to what located cameras saw of a robot at the time."""
+        looks = fit.located.map_from_base
+        middle = list(looks)[len(looks) // 2]
+        stood = places.robot(robot, visit[middle].stamp_ns)
+        seen, shift = self._as_of(camera, robot, visit).entries, Pose.identity()
+        if stood is not None:
+            shift = stood.map_from_base @ looks[middle].inverse()
+        entries = [
+            Entry(
+                seen[i].observation.read_as(fit.located.readings[i]).judged(Verdict.ACCEPTED),
+                shift @ pose,
+            )
+            for i, pose in looks.items()
+        ]
+        state = replace(
+            fit.located.camera, map_from_camera=shift @ fit.located.camera.map_from_camera
+        )
+        return added_chi2(self._data, places.camera_states(), camera, state, entries)
+
     def _told(self, camera: str, visit: list[_Picture]) -> list[Observation]:
         """Whose the faces of a visit are; one that may be another's is left out."""
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
@@ -208,13 +281,14 @@ class SharedLooks:
         if not fits:
             return None
         robot = min(fits, key=lambda name: fits[name].cost)
-        best = fits.pop(robot)
+        best = fits[robot]
         corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
         share = min(1.0, _MOST_LOOKS / len(visit))  # of the pictures that were looked at
         fits_odometry = best.cost < _MOST_CHI2 * max(1.0, best.rms**2) * 2 * corners * share
         if not fits_odometry or best.rms > _ACCEPTABLE_RMS:
             return None
-        return _Fit(robot, best, all(best.lead(fit) >= DECISIVE for fit in fits.values()))
+        others = [fit for name, fit in fits.items() if name != robot]
+        return _Fit(robot, best, all(best.lead(fit) >= DECISIVE for fit in others), fits)
 
     def _fit(self, camera: str, robot: str, visit: list[_Picture]) -> Hypothesis | None:
         """How well a robot's motion explains a visit, with the camera wherever that takes it; None
@@ -279,6 +353,19 @@ class SharedLooks:
             if other:
                 rest.append(_Picture(picture.stamp_ns, tuple(other)))
         return found, rest
+
+
+def _visits(left: Iterable[tuple[str, _Picture]]) -> list[tuple[str, list[_Picture]]]:
+    """Pictures by camera and visit, each in order of time."""
+    visits: list[tuple[str, list[_Picture]]] = []
+    last: dict[str, list[_Picture]] = {}
+    for camera, picture in sorted(left, key=lambda item: item[1].stamp_ns):
+        visit = last.get(camera)
+        if visit is None or picture.stamp_ns - visit[-1].stamp_ns > _AWAY_NS:
+            visit = last[camera] = []
+            visits.append((camera, visit))
+        visit.append(picture)
+    return visits
 
 
 def _of_camera(covariance: Array, distance_m2: float) -> Array:

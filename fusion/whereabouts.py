@@ -12,6 +12,7 @@ from .dataset import DataSet
 from .estimator import CameraEstimate, Estimator, Live, Trajectory
 from .filter import RobotEstimate
 from .observations import Verdict
+from .problem import CameraState
 
 # A decimetre and a tenth of a radian: what a solution may be off by that lacks something.
 _FLOOR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
@@ -29,6 +30,13 @@ class Whereabouts:
     def camera(self, name: str) -> CameraEstimate | None:
         """Where a camera hangs; None where that is not known."""
         return self._cameras.get(name)
+
+    def camera_states(self) -> dict[str, CameraState]:
+        """All cameras that are located."""
+        return {
+            name: CameraState(camera.map_from_camera, camera.lens, camera.time_offset_s)
+            for name, camera in self._cameras.items()
+        }
 
     def robot(self, name: str, stamp_ns: int) -> RobotEstimate | None:
         """Where a robot stood; None where nothing leads there from where it is known to be."""

@@ -25,6 +25,16 @@ def test_robots_that_drove_alike_are_told_apart_by_where_they_stood(pipeline: Pi
     assert used.rejected == 0
 
 
+def test_robots_that_drove_alike_are_told_apart_by_what_others_saw_of_them(
+    pipeline: Pipeline,
+) -> None:
+    # c3 and c6 see r2 once each, while another camera sees r1 drive just as straight.
+    network = pipeline.results().network
+    assert network.located == ["c1", "c2", "c3", "c4", "c5", "c6"]
+    assert pipeline.left_out == {}
+    assert pipeline.last_problem == ""
+
+
 def test_no_sighting_is_taken_for_another_robots(session: StudySession, pipeline: Pipeline) -> None:
     results = pipeline.results()
     truth = session.simulated.truth.cameras
