@@ -19,6 +19,7 @@ from trigpoint.config import (
 from trigpoint.fusion.bound import Bound
 from trigpoint.fusion.dataset import KnownCameras
 from trigpoint.fusion.decidable_lifts import left_open
+from trigpoint.fusion.decidable_robots import left_open_by_robots
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import Message, Odometry, Sightings
@@ -55,7 +56,8 @@ class StudySession:
     @property
     def left_open(self) -> set[str]:
         """The cameras whose place the data leave open."""
-        return left_open(*known_to_oracle(self.inputs, self.simulated))
+        data, oracle = known_to_oracle(self.inputs, self.simulated)
+        return left_open(data, oracle) | left_open_by_robots(data, oracle)
 
 
 def simulated_session(name: str, seed: int, *, estimator: str = "smoother") -> StudySession:
