@@ -135,14 +135,23 @@ def _differentiated(soft: np.ndarray, rows: np.ndarray) -> None:
         return soft[:, low + dy : high + dy : STEP, low + dx : high + dx : STEP]
 
     value, right, left, below, above = at(0, 0), at(1, 0), at(-1, 0), at(0, 1), at(0, -1)
-    np.subtract(right, left, out=rows[:, _BY_X])
-    np.subtract(below, above, out=rows[:, _BY_Y])
+    _sloped(right - left, at(2, 0) - at(-2, 0), rows[:, _BY_X])
+    _sloped(below - above, at(0, 2) - at(0, -2), rows[:, _BY_Y])
     rows[:, _VALUE] = value
     twice = 2 * value
     rows[:, _XX] = right + left - twice
     rows[:, _YY] = below + above - twice
     rows[:, _XX : _YY + 1] *= 2
     rows[:, _XY] = at(1, 1) - at(-1, 1) - at(1, -1) + at(-1, -1)
+
+
+def _sloped(near: np.ndarray, far: np.ndarray, slope: np.ndarray) -> None:
+    """Put the derivative a pixel into `slope`, from differences over a pixel and over two: to the
+    fourth order, as blurred edges need; over one pixel alone it comes out a twentieth too low, and
+    a step as much too long, which takes another round to mend."""
+    np.multiply(near, np.float32(4 / 3), out=slope)
+    far *= np.float32(1 / 6)
+    slope -= far
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from trigpoint.target import Face
 from .detector import Appearance, FaceFinder, IsOver
 from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
-from .measurement import Located, followed, measured
+from .measurement import Located, measured, placed_again
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 from .saddles import Curvature, find_saddles, sampled
@@ -79,7 +79,11 @@ class CheckerboardDetector(FaceFinder):
         """
         face = last.look.face
         pattern = CornerPattern.of(face)
-        found = followed(grey, pattern, fit, blur=last.found.blur, reach_px=reach_px)
+        place = placed_again(grey, pattern, fit, reach_px=reach_px)
+        if place is None or not may_be_bordered(grey, face, place[0]):
+            return None
+        there, is_rough = place
+        found = measured(grey, pattern, there, blur=last.found.blur, is_rough=is_rough)
         if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
             return None
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)
@@ -257,9 +261,22 @@ def is_bordered(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     is_dark = (x + y) % 2 == 0
     contrast = values[~is_dark].mean() - values[is_dark].mean()
     rising = np.where(is_dark, values, -values)
-    sides = (rising[0], rising[-1], rising[:, 0], rising[:, -1])
-    steps = [-(side[1:] + side[:-1]) > LEAST_STEP * contrast for side in sides]
+    steps = [-(side[1:] + side[:-1]) > LEAST_STEP * contrast for side in _sides(rising)]
     return all(step.mean() >= LEAST_ALTERNATING_BORDER for step in steps)
+
+
+def may_be_bordered(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
+    """Whether the outermost squares of all four sides are in the picture at all, by the corners
+    between them: cheaper than to measure a board that is leaving it."""
+    pixels = fit.project(face.corners[:, :2])
+    inside = np.all((pixels >= 0) & (pixels <= np.array(grey.shape[::-1]) - 1), axis=1)
+    sides = _sides(inside.reshape(face.rows - 1, face.columns - 1))
+    return all(side.mean() >= LEAST_ALTERNATING_BORDER for side in sides)
+
+
+def _sides(rows: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The outermost ones of what lies in rows and columns (r, c)."""
+    return rows[0], rows[-1], rows[:, 0], rows[:, -1]
 
 
 def _same_place(first: Located, second: Located) -> bool:

@@ -10,7 +10,7 @@ from trigpoint.target import Face, Pattern
 from .detector import Appearance
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
-from .measurement import LEAST_CORNERS, Measured, followed, measured
+from .measurement import LEAST_CORNERS, Measured, measured, placed_again
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 
@@ -81,7 +81,11 @@ class MarkedBoard:
         reach_px: float,
     ) -> Measured | None:
         """The corners of a board that lies about where `fit` has it."""
-        found = followed(grey, self.pattern, fit, blur=last.blur, reach_px=reach_px)
+        place = placed_again(grey, self.pattern, fit, reach_px=reach_px)
+        if place is None:
+            return None
+        there, is_rough = place
+        found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
         if found is None:
             return None
         quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)

@@ -101,18 +101,19 @@ def measured(
     return Measured(ids[keep], pixels[keep], sigma_of(distances, sigma[keep]), found.blur, plane)
 
 
-def followed(
-    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, *, blur: Blur, reach_px: float
-) -> Measured | None:
-    """The corners of a face that lies where `fit` has it, to a pixel, or `reach_px` beside that."""
+def placed_again(
+    grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, *, reach_px: float
+) -> tuple[PlanarFit, bool] | None:
+    """Where a face lies that should lie where `fit` has it, or up to `reach_px` beside that, and
+    whether that is rough, as of `measured`; None where it is not to be seen."""
     if reach_px <= 0.0:
-        return measured(grey, pattern, fit, blur=blur)
+        return fit, False
     there = glimpsed(grey, pattern, fit, reach_px)
     if there is None:
         return None
     outline = pattern.face.outline[:, :2]
     aside = np.linalg.norm(there.project(outline) - fit.project(outline), axis=1)
-    return measured(grey, pattern, there, blur=blur, is_rough=median(aside) > SURE_PX)
+    return there, median(aside) > SURE_PX
 
 
 def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> np.ndarray:

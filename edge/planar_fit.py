@@ -52,6 +52,12 @@ class PlanarFit:
     centre: Array
     scale: float
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """The picture's width and height."""
+        width, height = (2 * self.centre + 1).round().astype(int).tolist()
+        return width, height
+
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of face points (n, 2)."""
         return self._project(points)[0]

@@ -35,7 +35,10 @@ LONGEST_ROUGH_STEP_PX = 2.5
 NEAR_STEP_PX = 0.5
 # Steps so short change nothing in how corners look.
 STILL_STEP_PX = 0.3
-SMALL_STEP_PX = 0.03
+# What is left after a step is a fiftieth of it: after such steps, if few corners step further than
+# SETTLED_STEP_PX, the face needs no other round. After such far ones it is not near yet.
+SMALL_STEP_PX = 0.12
+FAR_STEP_PX = 0.6
 # Steps that do not become so much shorter lead nowhere: the face is not there.
 LEAST_SHORTER = 0.8
 # A corner may lie so far beside the middle of its patch, pixels, before another part of the picture
@@ -43,7 +46,7 @@ LEAST_SHORTER = 0.8
 MOST_ASIDE_PX = 0.6
 SETTLED_STEP_PX = 0.15
 # Of the blur's numbers.
-SMALL_CHANGE = np.array([0.3, 0.3, 0.3, 0.1])
+SMALL_CHANGE = 0.1
 _AROUND_PX = MOST_HALF_PX + 6
 
 
@@ -72,20 +75,18 @@ def registered(
     """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
     two or three where `is_rough` (then it is brought near by a wider drawing of a few corners).
     While corners are far, the light counts as even."""
-    blur = SHARP if blur is None else blur
+    blur, is_far = SHARP if blur is None else blur, False
     if is_rough:
-        fit = _approached(grey, pattern, fit, _spread(ids), blur)
+        fit, is_far = _approached(grey, pattern, fit, _spread(ids), blur)
     face = _Face.at(grey, pattern, ids, fit, blur)
-    is_far = is_rough
     found = face.moved(is_far=is_far)
     usual, before = _usual_length(found), np.inf
     for _ in range(ROUNDS - 1):
-        is_near = usual < SMALL_STEP_PX and np.all(np.abs(found.change) < SMALL_CHANGE)
         is_vain = usual > STILL_STEP_PX and usual > LEAST_SHORTER * before
-        if (is_near and not is_far) or is_vain or not found.is_clear.any():
+        if (_is_near(found) and not is_far) or is_vain or not found.is_clear.any():
             break
-        is_far = usual > STILL_STEP_PX
-        if is_far or not found.is_clear.all():
+        is_far = usual > FAR_STEP_PX
+        if usual > STILL_STEP_PX or not found.is_clear.all():
             face.refit(found.is_clear)
         found = face.moved(is_far=is_far)
         usual, before = _usual_length(found), usual
@@ -164,8 +165,9 @@ def _spread(ids: np.ndarray) -> np.ndarray:
 
 def _approached(
     grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, ids: np.ndarray, blur: Blur
-) -> PlanarFit:
-    """A fit that is off by a pixel at most, found in the softened picture."""
+) -> tuple[PlanarFit, bool]:
+    """A fit that is off by a pixel at most, found in the softened picture, and whether it still is
+    far."""
     points, size = pattern.points[ids], (grey.shape[1], grey.shape[0])
     pixels = fit.project(points)
     soft = _softened(grey, pixels)
@@ -176,8 +178,19 @@ def _approached(
         pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
         if _usual_length(found) < NEAR_STEP_PX:
-            break
-    return fit
+            return fit, False
+    return fit, True
+
+
+def _is_near(found: Alignment) -> bool:
+    """Whether what is left to mend is of no account, but for a few corners."""
+    moves = np.linalg.norm(found.step[found.is_clear], axis=1)
+    return bool(
+        len(moves) > 0
+        and median(moves) < SMALL_STEP_PX
+        and np.count_nonzero(moves > SETTLED_STEP_PX) <= MOST_LATE
+        and np.all(np.abs(found.change) < SMALL_CHANGE)
+    )
 
 
 def _usual_length(found: Alignment) -> float:

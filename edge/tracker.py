@@ -17,6 +17,7 @@ from trigpoint.target import Target
 
 from .detector import FaceFinder, IsOver, finders_for
 from .measurement import LEAST_CORNERS, Located
+from .middle import median
 from .picture import as_grey
 from .planar_fit import PlanarFit, fit_plane
 
@@ -32,7 +33,7 @@ MOST_REACH_PX = 80.0
 # The same where its motion is not known yet.
 UNKNOWN_REACH_PX = 60.0
 # A face that came so near its prediction is first looked for just there the next time, pixels.
-NEAR_PX = 0.4
+NEAR_PX = 0.8
 # After this share of a picture's time no step is begun any more: the last one takes its time too.
 LAST_BEGIN = 0.5
 # An outline that reaches further was not projected in earnest, pixels.
@@ -42,19 +43,20 @@ _COARSE = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A face that is followed: what was last seen of it, when, and how each of the corners seen
-    moved, (n, 2) pixels a second; None until it was seen twice. `misses`: pictures since then in
-    which it was looked for; `is_steady`: whether it was where it was expected."""
+    """A face that is followed: what was last seen of it, when, and how its plane's homography
+    changes a second, (3, 3), as `_scaled`; None until it was seen twice. `misses`: pictures since
+    then in which it was looked for; `is_steady`: unless it was found beside where it was
+    expected."""
 
     located: Located
     seen_ns: int
-    velocity: Array | None
+    change: Array | None
     misses: int = 0
-    is_steady: bool = False
+    is_steady: bool = True
 
     def reach_px(self, stamp_ns: int) -> float:
         """How far about that it is looked for."""
-        if self.velocity is None:
+        if self.change is None:
             return UNKNOWN_REACH_PX
         moved = self.pixels_at(stamp_ns) - self.located.found.pixels
         way = REACH_SHARE * float(np.linalg.norm(moved.mean(axis=0)))
@@ -62,21 +64,19 @@ class Track:
 
     def pixels_at(self, stamp_ns: int) -> Array:
         """Where its corners should be by then, (n, 2)."""
-        pixels = self.located.found.pixels
-        if self.velocity is None:
-            return pixels
-        return pixels + self.velocity * ((stamp_ns - self.seen_ns) * 1e-9)
+        return self.fit_at(stamp_ns).project(_points(self.located))
 
-    def fit_at(self, stamp_ns: int) -> PlanarFit | None:
-        """The plane that they should lie on."""
-        found = self.located.found
-        if self.velocity is None:
-            return found.fit
-        points = self.located.look.face.corners[found.corners, :2]
-        centre = found.fit.centre
-        size = (round(2 * centre[0] + 1), round(2 * centre[1] + 1))
-        pixels = found.fit.project(points) + (self.pixels_at(stamp_ns) - found.pixels)
-        return fit_plane(points, pixels, size, has_lens=False, start=found.fit)
+    def fit_at(self, stamp_ns: int) -> PlanarFit:
+        """The plane that they should lie on.
+
+        A plane that only moves changes two columns of its homography not at all and the third one
+        evenly, near or far; one that turns a little, nearly so.
+        """
+        fit = self.located.found.fit
+        if self.change is None:
+            return fit
+        seconds = (stamp_ns - self.seen_ns) * 1e-9
+        return replace(fit, homography=_scaled(fit.homography) + seconds * self.change)
 
 
 class TargetTracker:
@@ -141,10 +141,9 @@ class TargetTracker:
 
     def _where_expected(self, grey: np.ndarray, track: Track, stamp_ns: int) -> Located | None:
         fit = track.fit_at(stamp_ns)
-        if fit is None:
-            return None
         last, reach_px = track.located, track.reach_px(stamp_ns)
-        for reach in (0.0, reach_px) if track.is_steady else (reach_px,):
+        is_sure = track.is_steady and track.change is not None
+        for reach in (0.0, reach_px) if is_sure else (reach_px,):
             located = self._finder(last).follow(grey, last, fit, reach_px=reach)
             if located is not None:
                 return located
@@ -211,8 +210,7 @@ def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
     if located.look.is_unique:
         return True
     expected = track.pixels_at(stamp_ns).mean(axis=0)
-    points = located.look.face.corners[track.located.found.corners, :2]
-    off = located.found.fit.project(points).mean(axis=0) - expected
+    off = located.found.fit.project(_points(track.located)).mean(axis=0) - expected
     reach = 0.5 * np.ptp(track.located.found.pixels, axis=0) + LEAST_REACH_PX
     return bool(np.all(np.abs(off) < reach))
 
@@ -221,15 +219,28 @@ def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track
     """The track of a face that was just located, and before, or not."""
     if last is None or len(located.found.corners) < LEAST_CORNERS:
         return Track(located, stamp_ns, None)
-    found, before = located.found, last.located.found
-    points = located.look.face.corners[found.corners, :2]
-    there, then = found.fit.project(points), before.fit.project(points)
-    velocity = (there - then) / ((stamp_ns - last.seen_ns) * 1e-9)
-    again = np.isin(before.corners, found.corners)
-    expected = last.pixels_at(stamp_ns)[again]
-    off = np.linalg.norm(expected - found.pixels[np.isin(found.corners, before.corners)], axis=1)
-    is_steady = last.velocity is not None and len(off) > 0 and float(np.median(off)) < NEAR_PX
-    return Track(located, stamp_ns, velocity, is_steady=is_steady)
+    now, then = located.found.fit, last.located.found.fit
+    points = located.look.face.corners[:, :2]
+    before = fit_plane(points, then.project(points), now.size, has_lens=False, start=now)
+    if before is None:
+        return Track(located, stamp_ns, None)
+    seconds = (stamp_ns - last.seen_ns) * 1e-9
+    change = (_scaled(now.homography) - _scaled(before.homography)) / seconds
+    expected = last.fit_at(stamp_ns).residuals(_points(located), located.found.pixels)
+    is_steady = last.change is None or median(expected) < NEAR_PX
+    return Track(located, stamp_ns, change, is_steady=is_steady)
+
+
+def _points(located: Located) -> Array:
+    """The corners that were seen, in the face frame, (n, 2)."""
+    return located.look.face.corners[located.found.corners, :2]
+
+
+def _scaled(homography: Array) -> Array:
+    """The homography with its first two columns of length 1 together, as those of a face that moves
+    but does not turn keep it, and with points in front of the camera."""
+    length = np.linalg.norm(homography[:, :2])
+    return homography * (np.sign(homography[2, 2]) / length)
 
 
 def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:

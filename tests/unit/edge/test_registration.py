@@ -2,8 +2,10 @@
 
 import cv2
 import numpy as np
+import pytest
 from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
 
+from trigpoint.edge import registration
 from trigpoint.edge.measurement import Measured, measured
 from trigpoint.edge.patches import CornerPattern
 from trigpoint.edge.planar_fit import PlanarFit, fit_plane
@@ -86,3 +88,21 @@ def test_a_corner_of_a_board_that_curls_is_found_off_the_plane() -> None:
     found = registered(curled, CornerPattern.of(BOARD), plane(), np.arange(BOARD.corner_count))
     assert found.is_clear.all()
     assert np.allclose(found.pixels[0] - true_pixels(VIEW)[0], [2.5, -2.5], atol=0.1)
+
+
+def test_one_step_leads_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Derivatives that are too low by a twentieth would leave as much of the way."""
+    monkeypatch.setattr(registration, "ROUNDS", 1)
+    picture = fine_picture_of([VIEW], noise=0.0, blur_px=0.6)
+    ids, size = np.arange(BOARD.corner_count), SIZE
+    start = registered(picture, CornerPattern.of(BOARD), plane(), ids)
+    there = fit_plane(CornerPattern.of(BOARD).points, start.pixels, size)
+    aside = start.pixels + np.array([0.1, -0.1])
+    beside = fit_plane(CornerPattern.of(BOARD).points, aside, size)
+    assert there is not None
+    assert beside is not None
+    settled, found = (
+        registered(picture, CornerPattern.of(BOARD), fit, ids, blur=start.blur)
+        for fit in (there, beside)
+    )
+    assert np.abs((found.pixels - settled.pixels).mean(axis=0)).max() < 0.002

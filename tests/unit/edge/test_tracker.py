@@ -14,6 +14,7 @@ from boards import (
 )
 
 from trigpoint.clock import ManualClock
+from trigpoint.edge import detector_checkerboard
 from trigpoint.edge import tracker as tracker_module
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.target import Face
@@ -89,6 +90,35 @@ def test_checkerboard_that_moves_by_whole_squares_keeps_its_numbers(x: float, y:
         (found,) = tracker.detect(picture_of([view]), index * STEP_NS)
         error = found.pixels - true_pixels(view)[found.corners.astype(int)]
         assert np.abs(error).max() < 0.3
+
+
+@pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
+def test_face_that_comes_nearer_is_expected_where_it_is(face: Face) -> None:
+    """Its corners' way in the picture grows from picture to picture, evenly in none."""
+    tracker = TargetTracker([target_of(face)])
+    views = [placed(face, distance=1.0 - 0.1 * i, x=-0.1 + 0.05 * i, tilt_deg=20) for i in range(3)]
+    for index, view in enumerate(views[:2]):
+        tracker.detect(picture_of([view], noise=1.0), index * STEP_NS)
+    (track,) = tracker._tracks
+    off = track.pixels_at(2 * STEP_NS) - true_pixels(views[2])[track.located.found.corners]
+    assert np.abs(off).max() < 0.8
+
+
+def test_checkerboard_that_leaves_the_picture_is_not_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    face = checkerboard(8, 5)
+    tracker = TargetTracker([target_of(face)])
+    for index in range(3):
+        view = placed(face, distance=0.9, x=0.18 * index)
+        assert len(tracker.detect(picture_of([view]), index * STEP_NS)) == 1
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("the board was measured")
+
+    monkeypatch.setattr(detector_checkerboard, "measured", refuse)
+    leaving = picture_of([placed(face, distance=0.9, x=0.54)])
+    assert tracker._where_expected(leaving, tracker._tracks[0], 3 * STEP_NS) is None
 
 
 def test_pictures_that_go_back_in_time_begin_anew() -> None:
