@@ -41,10 +41,8 @@ from .present import Present
 
 # What comes later than this after its moment comes after what is later than it.
 _MOST_HELD_S = 2.0
-# How many sightings a new filter is brought on by in a turn in which none came, and beside as many
-# as came where some came in the turn before as well.
+# How many sightings a new filter is brought on by in a turn in which none came.
 _CATCHING_UP = 2
-_CATCHING_UP_BUSY = 1
 
 
 @dataclass(slots=True)
@@ -160,8 +158,7 @@ class Follower:
         coming = self._coming
         if coming is None:
             return
-        more = _CATCHING_UP_BUSY if before else 0
-        for _ in range(min(len(coming.missing), came + more if came else _CATCHING_UP)):
+        for _ in range(min(len(coming.missing), catching_up(came, before))):
             try:
                 self._use(coming.present, coming.missing.popleft())
             except (LinAlgError, ValueError):
@@ -223,6 +220,17 @@ class Follower:
     @property
     def located_count(self) -> int:
         return len(self._located)
+
+
+def catching_up(came: int, before: int) -> int:
+    """How many sightings a new filter is brought on by in a turn in which some came, and before it.
+
+    It gains on them whatever comes, and in a turn in which a robot waits it does no more than that
+    takes: nothing for a single sighting after a turn without one.
+    """
+    if not came:
+        return _CATCHING_UP
+    return came + 1 if before else came - 1
 
 
 def _cameras(present: Present) -> set[str]:

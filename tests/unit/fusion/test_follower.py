@@ -21,6 +21,7 @@ from trigpoint.errors import OperationError
 from trigpoint.fusion import gaussian
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.dataset import Event
+from trigpoint.fusion.follower import catching_up
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.orders import News, Order, Report, Reported, Solver
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
@@ -188,6 +189,15 @@ def test_late_sighting_is_put_in_its_place_where_much_is_known(
     np.testing.assert_allclose(
         ends[0].map_from_base.difference(ends[1].map_from_base), 0.0, atol=1e-9
     )
+
+
+@pytest.mark.parametrize("turns", [(1, 0, 0, 0), (2, 0), (5, 0), (1,), (3, 1), (1, 2, 0)])
+def test_new_filter_gains_on_what_comes_in_any_pattern(turns: tuple[int, ...]) -> None:
+    """And leaves a turn with one sighting after a turn without to the robot that waits."""
+    before = (turns[-1], *turns)
+    caught_up = [catching_up(came, last) for came, last in zip(turns, before, strict=False)]
+    assert sum(caught_up) > sum(turns)
+    assert catching_up(1, 0) == 0
 
 
 # -- in a process of its own, on a bus ------------------------------------------------------------
