@@ -17,6 +17,9 @@ from .planar_fit import PlanarFit, settled_fit
 # A board's markers, looked at where its corners put them, must match so well on the mean; one, two
 # or three alone must do better, since foreign markers match by chance.
 LEAST_AGREEMENT = 0.5
+# Those that led to a board match better still where its measured corners put them: of moving boards
+# 0.9; tags with a border of one cell, read as such of two, 0.66.
+LEAST_OWN_AGREEMENT = 0.75
 # Markers' corners that are all so near their plane need no lens, pixels.
 ENOUGH_PX = 2.0
 # Corners that scatter so much were measured from too far off: they are measured again, pixels.
@@ -52,19 +55,23 @@ class MarkedBoard:
             found = measured(grey, self.pattern, found.fit, is_rough=True)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
-        agree = self.agrees(grey, found.fit, group.numbers, reader) and self.agrees(
-            grey, found.fit, self._beside(grey, found), reader
-        )
-        return found if agree else None
+        own = self._agreement(grey, found.fit, group.numbers, reader).mean()
+        if own < max(LEAST_OWN_AGREEMENT, _LEAST_OF_FEW.get(len(group.numbers), 0.0)):
+            return None
+        beside = self._beside(grey, found)
+        return found if self.agrees(grey, found.fit, beside, reader) else None
 
     def _beside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
         """The markers (k,) that touch found corners and lie wholly in the picture."""
-        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
-        inside = np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
         corners = self.pattern.points[found.corners]
         apart = np.abs(corners[:, None] - self.layout.mean(axis=1)[None])
         touches = np.any(np.all(apart < 0.75 * self.face.square, axis=-1), axis=0)
-        return np.flatnonzero(inside & touches)
+        return np.flatnonzero(self._is_inside(grey, found) & touches)
+
+    def _is_inside(self, grey: np.ndarray, found: Measured) -> np.ndarray:
+        """Which markers (m,) lie wholly in the picture."""
+        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
+        return np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
 
     def _least_corners(self, markers: int) -> int:
         """How many corners must be seen beside so many markers: a tag alone has four."""
@@ -88,12 +95,10 @@ class MarkedBoard:
         found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
         if found is None:
             return None
-        quads = found.fit.project(self.layout.reshape(-1, 2)).reshape(-1, 4, 2)
-        inside = np.all((quads > 0) & (quads < np.array(grey.shape[::-1]) - 1), axis=(1, 2))
-        numbers = np.flatnonzero(inside)
+        numbers = np.flatnonzero(self._is_inside(grey, found))
         if len(numbers) == 0 or len(found.corners) < self._least_corners(len(numbers)):
             return None
-        scores = reader.agreement(grey, self.face, quads[numbers], numbers)
+        scores = self._agreement(grey, found.fit, numbers, reader)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
         return found if np.median(scores) >= least else None
 
@@ -103,6 +108,12 @@ class MarkedBoard:
         """Whether the markers `numbers`, where a fit puts them, are the board's; none are."""
         if len(numbers) == 0:
             return True
-        quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
         least = _LEAST_OF_FEW.get(len(numbers), LEAST_AGREEMENT)
-        return bool(reader.agreement(grey, self.face, quads, numbers).mean() >= least)
+        return bool(self._agreement(grey, fit, numbers, reader).mean() >= least)
+
+    def _agreement(
+        self, grey: np.ndarray, fit: PlanarFit, numbers: np.ndarray, reader: MarkerReader
+    ) -> Array:
+        """How well each of the markers `numbers` matches where a fit puts it, (n,)."""
+        quads = fit.project(self.layout[numbers].reshape(-1, 2)).reshape(-1, 4, 2)
+        return reader.agreement(grey, self.face, quads, numbers)

@@ -6,6 +6,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .detector import IsOver, never
+from .quad_edges import straightened
 from .workspace import Workspace
 
 # Small markers are looked for in the picture, large ones and blurred ones at half its size: how
@@ -51,7 +52,7 @@ class QuadFinder:
                 cv2.resize(grey, size, dst=small, interpolation=cv2.INTER_AREA)
             more = step * self._outlines(small, step, window_px) + (step - 1) / 2
             found = np.concatenate([found, more[~_are_among(more, found)]])
-        return found
+        return straightened(grey, found)
 
     def _outlines(self, grey: np.ndarray, step: int, window_px: int) -> Array:
         """The quadrilaterals (n, 4, 2) of one pass, its pixels."""
