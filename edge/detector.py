@@ -42,10 +42,16 @@ class FaceFinder(Protocol):
         ...
 
     def follow(
-        self, grey: np.ndarray, last: "Located", fit: "PlanarFit", *, reach_px: float
+        self,
+        grey: np.ndarray,
+        last: "Located",
+        fit: "PlanarFit",
+        *,
+        reach_px: float,
+        is_over: "IsOver" = ...,
     ) -> "Located | None":
         """A face that was found before and now lies where `fit` has it, to a pixel, or up to
-        `reach_px` beside that; None where not."""
+        `reach_px` beside that; None where not, or where `is_over` becomes true before."""
         ...
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
-from .detector import Appearance, FaceFinder, IsOver
+from .detector import Appearance, FaceFinder, IsOver, never
 from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
 from .measurement import Located, measured, placed_again
@@ -70,7 +70,13 @@ class CheckerboardDetector(FaceFinder):
         return found
 
     def follow(
-        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, reach_px: float
+        self,
+        grey: np.ndarray,
+        last: Located,
+        fit: PlanarFit,
+        *,
+        reach_px: float,
+        is_over: IsOver = never,
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it.
 
@@ -83,7 +89,8 @@ class CheckerboardDetector(FaceFinder):
         if place is None or not may_be_bordered(grey, face, place[0]):
             return None
         there, is_rough = place
-        found = measured(grey, pattern, there, blur=last.found.blur, is_rough=is_rough)
+        blur = last.found.blur
+        found = measured(grey, pattern, there, blur=blur, is_rough=is_rough, is_over=is_over)
         if found is None or len(found.corners) < LEAST_AGAIN * len(last.found.corners):
             return None
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)
@@ -106,7 +113,7 @@ class CheckerboardDetector(FaceFinder):
                 break
             grid = waiting.popleft()
             board = self._board_of(grid, curvature, allowance)
-            sighting = _measured(*board, grey, step) if board and not is_over() else None
+            sighting = _measured(*board, grey, step, is_over) if board else None
             if sighting is None:
                 waiting.extend(self._parts(grid, small, allowance))
             elif not any(_same_place(sighting, other) for other in found):
@@ -225,15 +232,18 @@ def _uprightness(places: np.ndarray, pixels: Array) -> float:
     return float(across[0] / np.linalg.norm(across) + down[1] / np.linalg.norm(down))
 
 
-def _measured(grid: Grid, look: Appearance, grey: np.ndarray, step: int) -> Located | None:
-    """The sighting with sub-pixel corners of the full picture, wild ones dropped."""
+def _measured(
+    grid: Grid, look: Appearance, grey: np.ndarray, step: int, is_over: IsOver
+) -> Located | None:
+    """The sighting with sub-pixel corners of the full picture, wild ones dropped; None also where
+    the time is over."""
     ids = _numbered(grid, look)
-    if ids is None:
+    if ids is None or is_over():
         return None
     # pyrDown's pixel (x, y) is the full picture's (2x, 2y).
     points, size = look.face.corners[ids, :2], (grey.shape[1], grey.shape[0])
     fit = settled_fit(points, grid.pixels * step, size, ENOUGH_PX)
-    found = measured(grey, CornerPattern.of(look.face), fit) if fit else None
+    found = measured(grey, CornerPattern.of(look.face), fit, is_over=is_over) if fit else None
     if found is None or len(found.corners) < LEAST_SHARE * look.face.corner_count:
         return None
     if not alternates(grey, look.face, found.fit):

@@ -7,7 +7,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
-from .detector import Appearance
+from .detector import Appearance, IsOver, never
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
 from .measurement import LEAST_CORNERS, Measured, measured, placed_again
@@ -45,14 +45,19 @@ class MarkedBoard:
         """One of the faces that look so."""
         return self.look.face
 
-    def locate(self, grey: np.ndarray, group: MarkerGroup, reader: MarkerReader) -> Measured | None:
-        """The corners that a group of markers leads to; None where the picture denies it."""
+    def locate(
+        self, grey: np.ndarray, group: MarkerGroup, reader: MarkerReader, is_over: IsOver = never
+    ) -> Measured | None:
+        """The corners that a group of markers leads to; None where the picture denies it, or the
+        time is over."""
         size = (grey.shape[1], grey.shape[0])
         layout = self.layout[group.numbers].reshape(-1, 2)
         fit = settled_fit(layout, group.corners.reshape(-1, 2), size, ENOUGH_PX)
-        found = measured(grey, self.pattern, fit, is_rough=True) if fit else None
-        if found is not None and found.sigma > MOST_SCATTER_PX:
-            found = measured(grey, self.pattern, found.fit, is_rough=True)
+        if fit is None:
+            return None
+        found = measured(grey, self.pattern, fit, is_rough=True, is_over=is_over)
+        if found is not None and found.sigma > MOST_SCATTER_PX and not is_over():
+            found = measured(grey, self.pattern, found.fit, is_rough=True, is_over=is_over)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
         own = self._agreement(grey, found.fit, group.numbers, reader).mean()
@@ -86,13 +91,16 @@ class MarkedBoard:
         reader: MarkerReader,
         *,
         reach_px: float,
+        is_over: IsOver = never,
     ) -> Measured | None:
         """The corners of a board that lies about where `fit` has it."""
         place = placed_again(grey, self.pattern, fit, reach_px=reach_px)
         if place is None:
             return None
         there, is_rough = place
-        found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
+        found = measured(
+            grey, self.pattern, there, blur=last.blur, is_rough=is_rough, is_over=is_over
+        )
         if found is None:
             return None
         numbers = np.flatnonzero(self._is_inside(grey, found))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .detector import FaceFinder, IsOver
+from .detector import FaceFinder, IsOver, never
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import reader_key, readers_for
@@ -36,13 +36,19 @@ class MarkedSearch(FaceFinder):
         return found
 
     def follow(
-        self, grey: np.ndarray, last: Located, fit: PlanarFit, *, reach_px: float
+        self,
+        grey: np.ndarray,
+        last: Located,
+        fit: PlanarFit,
+        *,
+        reach_px: float,
+        is_over: IsOver = never,
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it."""
         board = next(board for board in self._boards if board.look is last.look)
         shown = cv2.bitwise_not(grey) if board.face.inverted else grey
         reader = self._readers[reader_key(board.face)]
-        found = board.follow(shown, last.found, fit, reader, reach_px=reach_px)
+        found = board.follow(shown, last.found, fit, reader, reach_px=reach_px, is_over=is_over)
         return Located(board.look, found) if found else None
 
     def _search(
@@ -54,6 +60,8 @@ class MarkedSearch(FaceFinder):
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}
         claims: list[tuple[MarkerGroup, MarkedBoard]] = []
         for board in boards:
+            if is_over():
+                break
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
             claims += [(group, board) for group in group_markers(markers, board.layout, is_over)]
@@ -74,7 +82,7 @@ class MarkedSearch(FaceFinder):
             if id(board) in seen or not taken.isdisjoint(group.quads.tolist()):
                 continue
             reader = self._readers[reader_key(board.look.face)]
-            measured = board.locate(grey, group, reader)
+            measured = board.locate(grey, group, reader, is_over)
             if measured is None:
                 refused += 1
             else:

@@ -8,7 +8,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 
 from .blur import Blur
-from .detector import Appearance
+from .detector import Appearance, IsOver, never
 from .glimpse import glimpsed
 from .middle import median
 from .patches import CornerPattern
@@ -71,17 +71,20 @@ def measured(
     *,
     blur: Blur | None = None,
     is_rough: bool = False,
+    is_over: IsOver = never,
 ) -> Measured | None:
     """Every corner that the picture shows of a face that lies about where `fit` has it.
 
-    `blur` and `is_rough`: as of `registered`. None where the picture shows none, or those that it
-    shows lie on no plane.
+    `blur`, `is_rough` and `is_over`: as of `registered`. None where the picture shows none, or
+    those that it shows lie on no plane, or the time is over.
     """
     size = (grey.shape[1], grey.shape[0])
     ids = in_view(fit, pattern.points, size)
     if len(ids) == 0:
         return None
-    found = registered(grey, pattern, fit, ids, blur=blur, is_rough=is_rough)
+    found = registered(grey, pattern, fit, ids, blur=blur, is_rough=is_rough, is_over=is_over)
+    if found is None:
+        return None
     clear = found.is_clear
     ids, pixels, sigma = ids[clear], found.pixels[clear], found.sigma[clear]
     if 0 < len(ids) < LEAST_CORNERS:

@@ -15,6 +15,7 @@ from trigpoint.geometry.rotation import Array
 
 from .alignment import Alignment, Usual, aligned
 from .blur import SHARP, Blur
+from .detector import IsOver, never
 from .middle import median
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
 from .planar_fit import PlanarFit, sound_corners
@@ -71,13 +72,17 @@ def registered(
     *,
     blur: Blur | None = None,
     is_rough: bool = False,
-) -> Registration:
+    is_over: IsOver = never,
+) -> Registration | None:
     """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
     two or three where `is_rough` (then it is brought near by a wider drawing of a few corners).
-    While corners are far, the light counts as even."""
+    While corners are far, the light counts as even. None where `is_over` becomes true before they
+    have settled."""
     blur, is_far = SHARP if blur is None else blur, False
     if is_rough:
         fit, is_far = _approached(grey, pattern, fit, _spread(ids), blur)
+        if is_over():
+            return None
     face = _Face.at(grey, pattern, ids, fit, blur)
     found = face.moved(is_far=is_far)
     usual, before = _usual_length(found), np.inf
@@ -85,6 +90,8 @@ def registered(
         is_vain = usual > STILL_STEP_PX and usual > LEAST_SHORTER * before
         if (_is_near(found) and not is_far) or is_vain or not found.is_clear.any():
             break
+        if is_over():
+            return None
         is_far = usual > FAR_STEP_PX
         if usual > STILL_STEP_PX or not found.is_clear.all():
             face.refit(found.is_clear)

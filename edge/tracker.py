@@ -134,17 +134,21 @@ class TargetTracker:
         """The faces that are where they can be by now."""
         found: list[Located] = []
         for track in self._tracks:
-            located = None if is_over() else self._where_expected(grey, track, stamp_ns)
+            located = self._where_expected(grey, track, stamp_ns, is_over)
             if located is not None and not _is_among(located, found):
                 found.append(located)
         return found
 
-    def _where_expected(self, grey: np.ndarray, track: Track, stamp_ns: int) -> Located | None:
+    def _where_expected(
+        self, grey: np.ndarray, track: Track, stamp_ns: int, is_over: IsOver
+    ) -> Located | None:
         fit = track.fit_at(stamp_ns)
         last, reach_px = track.located, track.reach_px(stamp_ns)
         is_sure = track.is_steady and track.change is not None
         for reach in (0.0, reach_px) if is_sure else (reach_px,):
-            located = self._finder(last).follow(grey, last, fit, reach_px=reach)
+            if is_over():
+                break
+            located = self._finder(last).follow(grey, last, fit, reach_px=reach, is_over=is_over)
             if located is not None:
                 return located
         return None

@@ -20,7 +20,8 @@ from trigpoint.edge import (
     quads,
     saddles,
 )
-from trigpoint.edge.detector import detector_for
+from trigpoint.edge.detector import appearances, detector_for
+from trigpoint.edge.detector_charuco import CharucoDetector
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.errors import InputError
 
@@ -32,9 +33,9 @@ COSTLY: list[tuple[object, str]] = [
     (detector_checkerboard, "grown"),
     (detector_checkerboard, "largest_flat"),
     (detector_checkerboard, "_measured"),
-    (detector_checkerboard, "followed"),
+    (detector_checkerboard, "measured"),
     (marked_board.MarkedBoard, "locate"),
-    (marked_board, "followed"),
+    (marked_board, "measured"),
     (quads.QuadFinder, "_outlines"),
     (marker_groups, "_gathered"),
     (quads, "_quad_of"),
@@ -124,3 +125,18 @@ def counted(
     for owner, name in names:
         monkeypatch.setattr(owner, name, wrapped(name, getattr(owner, name)))
     return calls
+
+
+def test_boards_that_are_left_when_the_time_is_up_are_not_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[object] = []
+
+    def group(*arguments: object) -> list[object]:
+        tried.append(arguments)
+        return []
+
+    monkeypatch.setattr(marked_search, "group_markers", group)
+    looks = appearances([target_of(charuco(number=1), charuco(number=2, first=20))])
+    CharucoDetector(looks).locate(NASTY["markers of 24 px"], lambda: bool(tried))
+    assert len(tried) == 1

@@ -86,6 +86,7 @@ def test_a_corner_of_a_board_that_curls_is_found_off_the_plane() -> None:
     curl = 2.5 * np.exp(-far / (2 * 40**2))
     curled = cv2.remap(picture, columns - curl, rows + curl, cv2.INTER_CUBIC)
     found = registered(curled, CornerPattern.of(BOARD), plane(), np.arange(BOARD.corner_count))
+    assert found is not None
     assert found.is_clear.all()
     assert np.allclose(found.pixels[0] - true_pixels(VIEW)[0], [2.5, -2.5], atol=0.1)
 
@@ -95,9 +96,22 @@ def test_one_step_leads_there(monkeypatch: pytest.MonkeyPatch) -> None:
     picture = fine_picture_of([VIEW], noise=0.0, blur_px=0.6)
     pattern, ids = CornerPattern.of(BOARD), np.arange(BOARD.corner_count)
     settled = registered(picture, pattern, plane(), ids)
+    assert settled is not None
     monkeypatch.setattr(registration, "ROUNDS", 1)
     monkeypatch.setattr(registration, "LATE_ROUNDS", 0)
-    there, beside = (
-        registered(picture, pattern, plane(off_px), ids, blur=settled.blur) for off_px in (0.0, 0.1)
-    )
+    there = registered(picture, pattern, plane(), ids, blur=settled.blur)
+    beside = registered(picture, pattern, plane(0.1), ids, blur=settled.blur)
+    assert there is not None
+    assert beside is not None
     assert np.abs((beside.pixels - there.pixels).mean(axis=0)).max() < 0.002
+
+
+def test_registration_whose_time_is_over_is_given_up() -> None:
+    """Between two rounds; what settles in the first one is not asked for time."""
+    picture, ids = fine_picture_of([VIEW], noise=1.0), np.arange(BOARD.corner_count)
+    pattern = CornerPattern.of(BOARD)
+    assert registered(picture, pattern, plane(0.5), ids, is_over=lambda: True) is None
+    assert (
+        registered(picture, pattern, plane(0.5), ids, is_rough=True, is_over=lambda: True) is None
+    )
+    assert measured(picture, pattern, plane(0.5), is_over=lambda: True) is None

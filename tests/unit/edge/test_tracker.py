@@ -16,6 +16,7 @@ from boards import (
 from trigpoint.clock import ManualClock
 from trigpoint.edge import detector_checkerboard
 from trigpoint.edge import tracker as tracker_module
+from trigpoint.edge.detector import never
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.target import Face
 
@@ -118,7 +119,7 @@ def test_checkerboard_that_leaves_the_picture_is_not_measured(
 
     monkeypatch.setattr(detector_checkerboard, "measured", refuse)
     leaving = picture_of([placed(face, distance=0.9, x=0.54)])
-    assert tracker._where_expected(leaving, tracker._tracks[0], 3 * STEP_NS) is None
+    assert tracker._where_expected(leaving, tracker._tracks[0], 3 * STEP_NS, never) is None
 
 
 def test_pictures_that_go_back_in_time_begin_anew() -> None:
