@@ -24,7 +24,6 @@ MARGIN_PX = 3  # of the drawing around the picture's part, for blur to come from
 _STENCIL = 0.75
 _THREE = np.array([-1.0, 0.0, 1.0], np.float32)
 _SLACK = 0.05  # of the reach, left out beside an unknown sector
-_OUTWARD = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,11 +68,14 @@ class CameraAnnouncements:
         return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS if is_quiet else _LONG_NS)
 
     def take(self, stamp_ns: int, cameras: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
-        """Have the cameras said, as they are known at a moment; `is_urgent`: and every floor."""
+        """Have the cameras said, as they are known at a moment; `is_urgent`: and
+        every floor that changed. One that is not located any more is not said."""
         self._taken_ns = stamp_ns
         known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
         new = {name: one for name, one in known.items() if name not in self._said}
-        self._poses = new | self._poses | known
+        waiting = {name: known[name] for name in self._poses if name in known}
+        self._poses = new | waiting | known
+        self._floors = {name: one for name, one in self._floors.items() if name in known}
         if is_urgent or _has_passed(self._looked_ns, stamp_ns, _COVERAGE_PERIOD_NS):
             self._looked_ns = stamp_ns
             self._floors |= {n: one for n, one in known.items() if self._sees_another_floor(n, one)}

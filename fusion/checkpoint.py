@@ -75,9 +75,12 @@ class Checkpoint:
         with suppress(OSError):  # what waits to be written is not wanted any more
             self._file.close()
         self.trouble = ""
+        self._try(self._begin_anew)
+
+    def _begin_anew(self) -> None:
         self._file = self._path.open("w+b")
-        self._try(lambda: self._file.write(_MAGIC))
-        self._try(self._synchronise)
+        self._file.write(_MAGIC)
+        self._synchronise()
 
     def close(self) -> None:
         self._try(self._synchronise)

@@ -8,6 +8,7 @@ saw of the robot at the time, and the χ² that it adds is what speaks against t
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from trigpoint.clock import to_ns
 
@@ -45,8 +46,12 @@ def added_chi2(
         and entry.map_from_base is not None
         and min(stamps) - _BESIDE_NS <= entry.observation.stamp_ns <= max(stamps) + _BESIDE_NS
     ]
-    together = _chi2(data, {**cameras, camera: state}, [*beside, *visit])
-    return together - (_chi2(data, cameras, beside) if beside else 0.0)
+    try:
+        without = _chi2(data, cameras, beside) if beside else 0.0
+        together = _chi2(data, {**cameras, camera: state}, [*beside, *visit])
+    except LinAlgError:
+        return np.inf
+    return together - without if np.isfinite(without) else np.inf
 
 
 def _chi2(data: DataSet, cameras: dict[str, CameraState], entries: list[Entry]) -> float:

@@ -209,13 +209,14 @@ class FusionNode:
         """Bring what the pipeline left out, and what went wrong, into the diagnostics."""
         for reason, count in self._pipeline.left_out.items():
             more = count - self._reported.get(reason, 0)
-            if more > 0:
+            if more > 0:  # what is cleared up later was left out all the same
                 self._node.health.count(f"left_out.{reason}", more)
-            self._reported[reason] = count
+                self._reported[reason] = count
         problem = self._open_checkpoint.trouble or self._pipeline.last_problem
         if problem != self._problem:
             self._problem = problem
-            self._node.health.fail(problem)
+            if problem:
+                self._node.health.fail(problem)
 
     # -- the checkpoint ---------------------------------------------------------------------------
 

@@ -213,18 +213,19 @@ class Pipeline:
         `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
         """
         is_quiet = True
-        if self._is_live:
-            self._intake.tell_by_place(self._estimator)
         for robot, track in self._data.tracks.items():
             if not len(track):
                 continue
             for observation in self._intake.ready(robot, track.first_ns, track.last_ns):
                 self._use(observation, now_ns)
                 is_quiet = False
+        if self._is_live and is_quiet:
+            self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-        if self._announcements.is_due(self._used_ns, is_quiet=is_quiet):
-            self._take_cameras(self._used_ns, is_urgent=False)
+        stamp_ns = self._used_ns or self._last_odometry_ns()
+        if self._announcements.is_due(stamp_ns, is_quiet=is_quiet):
+            self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._announcements.next(is_quiet=is_quiet)
         outputs, self._outputs = self._outputs, []
         return outputs
@@ -238,8 +239,11 @@ class Pipeline:
                 self._note(news.event)
         if follower.has_new_camera:
             follower.has_new_camera = False
-            last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
-            self._take_cameras(last_ns, is_urgent=True)
+            self._take_cameras(self._last_odometry_ns(), is_urgent=True)
+
+    def _last_odometry_ns(self) -> int:
+        """The newest odometry message's stamp; 0 before the first."""
+        return max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):

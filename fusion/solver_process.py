@@ -152,7 +152,7 @@ def _serve(orders: Connection, news: Connection) -> None:
     """Take the data set and carry out orders, until the pipe ends."""
     try:
         data: DataSet = orders.recv()
-    except EOFError:
+    except (EOFError, OSError):
         return  # whoever would have sent it is gone
     backlog = Backlog()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()

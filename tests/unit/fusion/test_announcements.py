@@ -99,3 +99,11 @@ def test_floor_is_said_again_of_a_camera_that_moved() -> None:
     known["c2"] = replace(known["c2"], map_from_camera=LOOKING_DOWN.disturbed(far))
     news.take(1, known, is_urgent=True)
     assert floors(list(news.rest())) == ["c2"]
+
+
+def test_camera_that_is_not_located_any_more_is_not_said() -> None:
+    news = announcements()
+    news.take(0, cameras(3), is_urgent=True)
+    news.take(1, cameras(2), is_urgent=True)
+    outputs = list(news.rest())
+    assert said(outputs) == floors(outputs) == ["c0", "c1"]

@@ -265,8 +265,11 @@ def test_checkpoint_of_another_site_is_refused(charuco: Session, tmp_path: Path)
     checkpoint = Checkpoint(tmp_path / "checkpoint.bin", ManualClock())
     checkpoint.write("hall/robot/r1/odom", cdr.encode(charuco.messages[0][1]))
     checkpoint.close()
-    with pytest.raises(OperationError, match="another site"), running(charuco.inputs, tmp_path):
-        pass
+    with (
+        pytest.raises(OperationError, match="another site"),
+        running(charuco.inputs, tmp_path) as fusion,
+    ):
+        fusion.node.wait()  # until it has read it
 
 
 def test_poses_that_are_said_are_those_of_the_map(charuco: Session, tmp_path: Path) -> None:
