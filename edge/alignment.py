@@ -14,7 +14,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .blur import Blur
+from .blur import LEAST_SOFT_VARIANCE, LEAST_VARIANCE, Blur
 from .middle import median
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
@@ -62,12 +62,14 @@ def aligned(
     *,
     usual: "Usual | None" = None,
     is_light_even: bool = False,
+    is_balanced: bool = True,
 ) -> Alignment:
     """One step for every corner; none is trusted beyond `longest_px`. `usual`: what most of the
     face's corners have, where these are only a few of them. `is_light_even`: better from far off,
-    where light that rises would take up what the steps should."""
+    where light that rises would take up what the steps should. `is_balanced`: see CornerPattern;
+    else neither response, sharpening nor rising light can be told from steps, and none is."""
     rows = _rows(patches, blur)
-    if is_light_even:
+    if is_light_even or not is_balanced:
         rows[:, _X : _Y + 1] = 0
     match = _Match.of(rows)
     most = usual or Usual.of(match)
@@ -77,14 +79,15 @@ def aligned(
         match = match.replaced(odd, _Match.of(rows[odd]))
         most = usual or Usual.of(match)
     clear = _clear(match, most, patches)
-    change = _blur_change(match, clear)
+    change = _blur_change(match, clear, with_response=is_balanced)
     adapted = match.values - match.gain[:, None] * (match.by_blur @ change)
     step = -adapted[:, :2] / np.maximum(adapted[:, 2:3], 1e-6 * _WHITE)
     length = np.linalg.norm(step, axis=1)
     step *= np.minimum(1.0, longest_px / np.maximum(length, 1e-9))[:, None]
     spread = np.maximum(0.5 * (match.inverse[:, 0, 0] + match.inverse[:, 1, 1]), 0.0)
     sigma = np.sqrt(match.power * spread) / np.maximum(match.gain, 1e-6 * _WHITE)
-    return Alignment(step, clear, sigma, blur.changed(change), change, most)
+    mended = blur.changed(change, least=LEAST_VARIANCE if is_balanced else LEAST_SOFT_VARIANCE)
+    return Alignment(step, clear, sigma, mended, change, most)
 
 
 def _rows(patches: Patches, blur: Blur) -> np.ndarray:
@@ -241,10 +244,13 @@ def _clear(match: _Match, usual: Usual, patches: Patches) -> np.ndarray:
     )
 
 
-def _blur_change(match: _Match, clear: np.ndarray) -> Array:
+def _blur_change(match: _Match, clear: np.ndarray, *, with_response: bool) -> Array:
     """The change of blur (4,) that all clear corners together ask for."""
+    change = np.zeros(4)
     gain = np.where(clear, match.gain, 0.0)
     normal = np.einsum("n,nij->ij", gain * gain, match.left[:, :4, :4])
     right = gain @ match.left[:, :4, 4]
     normal += np.diag(1e-3 * np.diag(normal) + 1e-9)
-    return np.linalg.solve(normal, right)
+    asked = 4 if with_response else 3
+    change[:asked] = np.linalg.solve(normal[:asked, :asked], right[:asked])
+    return change

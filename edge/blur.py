@@ -11,6 +11,8 @@ from trigpoint.geometry.rotation import Array
 # Bounds of the variances, pixel²: below 0 the camera sharpens, as most webcams do; the upper one is
 # that of 6 pixels of motion.
 LEAST_VARIANCE = -1.5
+# Where sharpening cannot be told from corners that lie elsewhere: a little less than a pixel's own.
+LEAST_SOFT_VARIANCE = 0.12
 MOST_VARIANCE = 3.0
 # As far as a drawing is softened at least; what is less is made up by second derivatives.
 LEAST_GAUSSIAN = 0.2
@@ -32,14 +34,15 @@ class Blur:
     variances: Array
     response: float = 0.0
 
-    def changed(self, change: Array) -> "Blur":
-        """The blur after a change (4,) of the variances and the response, within the bounds."""
+    def changed(self, change: Array, *, least: float = LEAST_VARIANCE) -> "Blur":
+        """The blur after a change (4,) of the variances and the response, within the bounds;
+        `least`: that of the variances."""
         change = np.minimum(np.maximum(change, -MOST_CHANGE), MOST_CHANGE)
         variances = self.variances + change[:3]
         low, high = _principal(variances)
-        if low < LEAST_VARIANCE or high > MOST_VARIANCE:
+        if low < least or high > MOST_VARIANCE:
             values, axes = np.linalg.eigh(_matrix(variances))
-            matrix = (axes * np.clip(values, LEAST_VARIANCE, MOST_VARIANCE)) @ axes.T
+            matrix = (axes * np.clip(values, least, MOST_VARIANCE)) @ axes.T
             variances = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 1]])
         response = min(max(self.response + float(change[3]), -MOST_RESPONSE), MOST_RESPONSE)
         return Blur(variances, response)

@@ -37,6 +37,12 @@ class CornerPattern:
     reach: float
     outward: Array
 
+    @property
+    def is_balanced(self) -> bool:
+        """Whether dark and light lie alike around every corner. Where they do not, ink that runs
+        looks like corners that lie elsewhere."""
+        return not self.outward.any()
+
     @classmethod
     @cache
     def of(cls, face: Face) -> "CornerPattern":

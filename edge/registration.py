@@ -158,7 +158,14 @@ class _Face:
         nearest = np.where(np.abs(pixels - nearest) > MOST_ASIDE_PX, np.rint(pixels), nearest)
         ids = self.ids[which]
         patches = patches_around(self.grey, self.pattern, self.fit, ids, pixels, nearest)
-        found = aligned(patches, self.blur, LONGEST_STEP_PX, usual=usual, is_light_even=is_far)
+        found = aligned(
+            patches,
+            self.blur,
+            LONGEST_STEP_PX,
+            usual=usual,
+            is_light_even=is_far,
+            is_balanced=self.pattern.is_balanced,
+        )
         self.nearest[which] = nearest
         self.pixels[which] = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         return found
@@ -181,7 +188,13 @@ def _approached(
     for _ in range(ROUGH_ROUNDS):
         patches = patches_around(soft, pattern, fit, ids, pixels, np.rint(pixels))
         soft_blur = blur.softened(SOFTENING)
-        found = aligned(patches, soft_blur, LONGEST_ROUGH_STEP_PX, is_light_even=True)
+        found = aligned(
+            patches,
+            soft_blur,
+            LONGEST_ROUGH_STEP_PX,
+            is_light_even=True,
+            is_balanced=pattern.is_balanced,
+        )
         pixels = pixels + np.where(found.is_clear[:, None], found.step, 0.0)
         fit, pixels = _refitted(fit, points, pixels, found.is_clear, size)
         if _usual_length(found) < NEAR_STEP_PX:
