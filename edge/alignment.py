@@ -67,9 +67,9 @@ def aligned(
     """One step for every corner; none is trusted beyond `longest_px`. `usual`: what most of the
     face's corners have, where these are only a few of them. `is_light_even`: better from far off,
     where light that rises would take up what the steps should. `is_balanced`: see CornerPattern;
-    else neither response, sharpening nor rising light can be told from steps, and none is."""
+    else neither response nor sharpening can be told from steps, and neither is."""
     rows = _rows(patches, blur)
-    if is_light_even or not is_balanced:
+    if is_light_even:
         rows[:, _X : _Y + 1] = 0
     match = _Match.of(rows)
     most = usual or Usual.of(match)
