@@ -116,6 +116,11 @@ class DataSet:
         return None if self.known.poses else self.site.first_robot
 
     @property
+    def last_ns(self) -> int:
+        """The newest odometry message of any robot; 0 before the first."""
+        return max((track.last_ns for track in self.tracks.values() if len(track)), default=0)
+
+    @property
     def epoch_ns(self) -> int:
         """The moment from which clocks drift: the first robot's first odometry message."""
         tracks = [self.tracks[self.site.first_robot], *self.tracks.values()]

@@ -223,7 +223,7 @@ class Pipeline:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-        stamp_ns = self._used_ns or self._last_odometry_ns()
+        stamp_ns = self._used_ns or self._data.last_ns
         if self._announcements.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._announcements.next(is_quiet=is_quiet)
@@ -239,11 +239,7 @@ class Pipeline:
                 self._note(news.event)
         if follower.has_new_camera:
             follower.has_new_camera = False
-            self._take_cameras(self._last_odometry_ns(), is_urgent=True)
-
-    def _last_odometry_ns(self) -> int:
-        """The newest odometry message's stamp; 0 before the first."""
-        return max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
+            self._take_cameras(self._data.last_ns, is_urgent=True)
 
     def _use(self, observation: Observation, now_ns: int | None) -> None:
         if self._data.tracks[observation.robot].is_in_gap(observation.stamp_ns):

@@ -243,11 +243,8 @@ def until(node: Node, holds: Callable[[], bool]) -> None:
 
 @pytest.mark.timeout(PATIENCE_S)
 def test_process_solves_and_a_stop_has_its_last_solution(
-    charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    charuco: Session, charuco_results: Results, tmp_path: Path
 ) -> None:
-    # On a busy machine a process may take longer than a stop waits for it.
-    monkeypatch.setattr("trigpoint.fusion.node._LAST_SOLUTION_S", PATIENCE_S)
-
     def make() -> Solver:
         return SolverProcess(charuco.inputs.data_set())
 
