@@ -72,6 +72,7 @@ class FusionNode:
         self._checkpoint: Checkpoint | None = None
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: list[tuple[Topic, Subscription]] = []
+        self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
         self._problem = ""
 
     def start(self) -> None:
@@ -144,7 +145,10 @@ class FusionNode:
     # -- the working thread -----------------------------------------------------------------------
 
     def _run(self, pulse: Pulse) -> None:
-        self._resume(pulse)
+        try:
+            self._resume(pulse)
+        finally:
+            self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
             first = self._subscriptions[0][1].take(_TURN_S)
@@ -295,7 +299,13 @@ class FusionNode:
 
     # -- commands, on the bus's threads -----------------------------------------------------------
 
+    def _wait_for_the_checkpoint(self) -> None:
+        """Until it is read there is a part of a map at most; nobody is told of that one."""
+        if not self._is_read.wait(_ANSWER_S):
+            raise OperationError(f"fusion is still reading {self._path}; ask again in a moment")
+
     def _answer_network(self, _request: bytes) -> bytes:
+        self._wait_for_the_checkpoint()
         with self._lock:
             pipeline = self._pipeline
             pipeline.ask()
@@ -310,6 +320,7 @@ class FusionNode:
         return encode_network(results.network)
 
     def _answer_map(self, _request: bytes) -> bytes:
+        self._wait_for_the_checkpoint()
         with self._lock:
             map_id = self._pipeline.map_id
         if map_id is None:
