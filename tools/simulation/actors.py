@@ -80,6 +80,11 @@ class SimulatedCamera:
                 pose = pose.disturbed(move.by)
         return pose
 
+    def between_moves(self, times_s: Array) -> list[Array]:
+        """World times (n,), rising, cut where it is moved; no part is empty."""
+        cuts = np.searchsorted(times_s, sorted(move.at_s for move in self.moves))
+        return [part for part in np.split(times_s, cuts) if len(part)]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRobot:

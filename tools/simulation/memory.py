@@ -99,12 +99,14 @@ def views_of(world: World) -> Views:
             for moment_s in (0.0, *(move.at_s for move in camera.moves)):
                 hung = camera.map_from_camera_at(moment_s)
                 maybe |= may_be_seen(robot.carried, poses, hung, camera.model)
-        found = []
-        for t_s in times_s[maybe].tolist():
-            seen = {robot: world.seen(name, robot, t_s) for robot in world.robots}
-            if any(seen.values()):
-                found.append((t_s, seen))
-        views[name] = found
+        times_s = times_s[maybe]
+        seen = {robot: world.seen_each(name, robot, times_s) for robot in world.robots}
+        each = [dict(zip(seen, faces, strict=True)) for faces in zip(*seen.values(), strict=True)]
+        views[name] = [
+            (t_s, faces)
+            for t_s, faces in zip(times_s.tolist(), each, strict=True)
+            if any(faces.values())
+        ]
     return views
 
 

@@ -49,26 +49,48 @@ def seen_faces(
 
     `others`: the other robots' targets with their map_from_base; they may stand in between.
     """
-    eye = map_from_camera.translation
-    camera_from_map = map_from_camera.inverse()
-    if not may_be_seen(target, map_from_base, map_from_camera, model):
-        return []
-    faces = []
-    for face in target.faces:
-        map_from_face = map_from_base @ face.base_from_face
-        corners = map_from_face @ face.corners
-        if not _shows_front(map_from_face, corners, eye):
-            continue
-        points = camera_from_map @ corners
-        seen = _well_inside(model, points) & ~hidden_by_walls(eye, corners, walls)
-        seen &= ~_hidden_by_faces(eye, corners, target, map_from_base, own=face)
-        for other, map_from_other in others:
-            seen &= ~_hidden_by_faces(eye, corners, other, map_from_other)
-        pixels = model.project(np.where(seen[:, None], points, [0.0, 0.0, 1.0]))
-        square = _smallest_square(face, model.project(points)) if np.any(seen) else 0.0
-        ids = np.flatnonzero(seen).astype(np.uint16)
-        faces.append(SeenFace(face, ids, pixels[seen], square))
+    there = tuple((other, Pose.stack([pose])) for other, pose in others)
+    [faces] = seen_faces_each(
+        target, Pose.stack([map_from_base]), map_from_camera, model, walls, there
+    )
     return faces
+
+
+def seen_faces_each(
+    target: Target,
+    map_from_base: Pose,
+    map_from_camera: Pose,
+    model: CameraModel,
+    walls: tuple[Wall, ...],
+    others: tuple[tuple[Target, Pose], ...] = (),
+) -> list[list[SeenFace]]:
+    """`seen_faces` for each of many poses (n) of the robot, and of the others."""
+    found: list[list[SeenFace]] = [[] for _ in range(len(map_from_base))]
+    near = np.flatnonzero(may_be_seen(target, map_from_base, map_from_camera, model))
+    eye, camera_from_map = map_from_camera.translation, map_from_camera.inverse()
+    for face in target.faces:
+        map_from_face = map_from_base[near] @ _base_from_face(face)
+        in_front = _shows_front(map_from_face, face.corners.mean(axis=0), eye)
+        moments = near[in_front]
+        corners = map_from_face[in_front] @ face.corners
+        points = camera_from_map @ corners
+        seen = _well_inside(model, points)
+        seen &= ~hidden_by_walls(eye, corners.reshape(-1, 3), walls).reshape(seen.shape)
+        seen &= ~_hidden_by_faces(eye, corners, target, map_from_base[moments], own=face)
+        for other, map_from_other in others:
+            seen &= ~_hidden_by_faces(eye, corners, other, map_from_other[moments])
+        pixels = model.project(np.where(seen[..., None], points, [0.0, 0.0, 1.0]))
+        for row, moment in enumerate(moments.tolist()):
+            is_any = np.any(seen[row])
+            square = _smallest_square(face, model.project(points[row])) if is_any else 0.0
+            ids = np.flatnonzero(seen[row]).astype(np.uint16)
+            found[moment].append(SeenFace(face, ids, pixels[row, seen[row]], square))
+    return found
+
+
+@cache
+def _base_from_face(face: Face) -> Pose:
+    return face.base_from_face
 
 
 def may_be_seen(
@@ -101,15 +123,17 @@ def _widest_angle(model: CameraModel) -> float:
     return float(np.arctan(np.linalg.norm(edges, axis=1).max()))
 
 
-def _shows_front(map_from_face: Pose, corners: Array, eye: Array) -> bool:
-    sight = eye - corners.mean(axis=0)
-    cosine = -float(map_from_face.rotation[:, 2] @ sight) / float(np.linalg.norm(sight))
-    return cosine > STEEPEST_COSINE
+def _shows_front(map_from_face: Pose, middle: Array, eye: Array) -> np.ndarray:
+    """Whether faces (n) turn their front to the eye; `middle`: of their corners; (n,) bool."""
+    sight = eye - (map_from_face.rotation @ middle + map_from_face.translation)
+    into = map_from_face.rotation[..., 2]
+    return -np.sum(into * sight, axis=-1) > STEEPEST_COSINE * np.linalg.norm(sight, axis=-1)
 
 
 def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
+    """Which points (…, 3) of the optical frame lie in the picture, off its edge; (…) bool."""
     inside = model.sees(points)
-    u, v = np.moveaxis(model.project(np.where(inside[:, None], points, [0.0, 0.0, 1.0])), -1, 0)
+    u, v = np.moveaxis(model.project(np.where(inside[..., None], points, [0.0, 0.0, 1.0])), -1, 0)
     margin = PICTURE_MARGIN_PX
     inside &= (u > margin) & (u < model.width - 1 - margin)
     return inside & (v > margin) & (v < model.height - 1 - margin)
@@ -125,22 +149,27 @@ def _smallest_square(face: Face, pixels: Array) -> float:
 def _hidden_by_faces(
     eye: Array, points: Array, target: Target, map_from_base: Pose, *, own: Face | None = None
 ) -> np.ndarray:
-    """Which points a target's sheets hide; `own`: the face that the points lie on."""
-    hidden = np.zeros(len(points), dtype=bool)
+    """Which points (n, k, 3) the sheets of a target at poses (n) hide; `own`: the face that the
+    points lie on; (n, k) bool."""
+    hidden = np.zeros(points.shape[:-1], dtype=bool)
     for face in target.faces:
         if face is not own:
-            face_from_map = (map_from_base @ face.base_from_face).inverse()
-            hidden |= _crosses_panel(face_from_map @ eye, face_from_map @ points, panel(face))
+            face_from_map = (map_from_base @ _base_from_face(face)).inverse()
+            start = face_from_map.rotation @ eye + face_from_map.translation
+            hidden |= _crosses_panel(start, face_from_map @ points, panel(face))
     return hidden
 
 
 def _crosses_panel(eye: Array, points: Array, outline: Array) -> np.ndarray:
-    """Whether the lines from `eye` to `points` (n, 3), in a face's frame, go through its sheet."""
-    fall = eye[2] - points[:, 2]
-    share = np.divide(eye[2], fall, out=np.full(len(points), -1.0), where=np.abs(fall) > 1e-12)
-    crossing = eye[:2] + share[:, None] * (points[:, :2] - eye[:2])
+    """Whether the lines from each eye (n, 3) to its points (n, k, 3), in a face's frame, go through
+    its sheet; (n, k) bool."""
+    fall = eye[:, None, 2] - points[..., 2]
+    share = np.full(fall.shape, -1.0)
+    np.divide(eye[:, None, 2], fall, out=share, where=np.abs(fall) > 1e-12)
+    start = eye[:, None, :2]
+    crossing = start + share[..., None] * (points[..., :2] - start)
     low, high = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
-    inside = np.all((crossing > low) & (crossing < high), axis=1)
+    inside = np.all((crossing > low) & (crossing < high), axis=-1)
     return inside & (share > 1e-6) & (share < 1 - 1e-6)
 
 

@@ -26,7 +26,7 @@ from .odometry import OdometryLog, chained, drawn_scales, reported
 from .path import Drive, rounded_path
 from .rolling import rolled
 from .targets import target_of
-from .visibility import SeenFace, Wall, seen_faces
+from .visibility import SeenFace, Wall, seen_faces_each
 from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
 
 _Item = TypeVar("_Item")
@@ -94,17 +94,25 @@ class World:
 
     def seen(self, camera: str, robot: str, t_s: float) -> list[SeenFace]:
         """The faces of a robot that show a camera their front, with the corners in sight."""
-        eye = self.camera(camera)
+        return self.seen_each(camera, robot, np.array([t_s]))[0]
+
+    def seen_each(self, camera: str, robot: str, times_s: Array) -> list[list[SeenFace]]:
+        """`seen` at each of many world times (n,), rising."""
+        eye, shown = self.camera(camera), self.robot(robot)
         others = [other for name, other in self.robots.items() if name != robot]
-        faces = seen_faces(
-            self.robot(robot).carried,
-            self.map_from_base(robot, t_s),
-            eye.map_from_camera_at(t_s),
-            eye.model,
-            self.walls,
-            tuple((other.carried, other.map_from_base(t_s)) for other in others),
-        )
-        return [rolled(face, eye, self.robot(robot), t_s) for face in faces]
+        found = []
+        for part_s in eye.between_moves(times_s):
+            faces = seen_faces_each(
+                shown.carried,
+                shown.map_from_base(part_s),
+                eye.map_from_camera_at(float(part_s[0])),
+                eye.model,
+                self.walls,
+                tuple((other.carried, other.map_from_base(part_s)) for other in others),
+            )
+            for t_s, seen in zip(part_s.tolist(), faces, strict=True):
+                found.append([rolled(face, eye, shown, t_s) for face in seen])
+        return found
 
     def sightings(self, camera: str, t_s: float) -> tuple[FaceSighting, ...]:
         """What a good detector finds at world time `t_s`, simulated without a picture."""
