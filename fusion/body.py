@@ -96,10 +96,11 @@ def outermost(pixels: Array) -> np.ndarray:
     return np.array(sorted({rising.argmin(), rising.argmax(), falling.argmin(), falling.argmax()}))
 
 
-def can_be_seen(body: Body, faces: np.ndarray, points: Array, eye: Array) -> np.ndarray:
-    """Whether eyes (b, 3) see faces (r,) with points on them (r, k, 3) from in front and past all
-    other faces; base frame; (b, r) bool."""
-    return _from_in_front(body, faces, eye) & ~_hidden(body, faces, points, eye)
+def can_be_seen(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
+    """Whether eyes see faces with points on them from in front and past all other faces; base
+    frame. Many views at once: `faces` (v, r), `points` (v, r, k, 3), `eyes` (b, v, 3); (b, v, r)
+    bool."""
+    return _from_in_front(body, faces, eyes) & ~_hidden(body, faces, points, eyes)
 
 
 def are_seen(
@@ -116,19 +117,21 @@ def are_seen(
     return in_front & (hidden <= _HIDDEN_SHARE)
 
 
-def _from_in_front(body: Body, faces: np.ndarray, eye: Array) -> np.ndarray:
+def _from_in_front(body: Body, faces: np.ndarray, eyes: Array) -> np.ndarray:
     # z of a face points into the board, so away from whoever sees its front.
     into = body.base_from_face.rotation[faces, :, 2]
-    sight = eye[:, None] - body.base_from_face.translation[faces]
+    sight = eyes[..., None, :] - body.base_from_face.translation[faces]
     return np.sum(into * sight, axis=-1) < 0
 
 
-def _hidden(body: Body, faces: np.ndarray, points: Array, eye: Array) -> np.ndarray:
-    """Whether most of the lines from the eyes to the points go through another face, (b, r)."""
-    start = _in_faces(body, eye)[:, :, :, None]  # (f, 3, b, 1), against (f, 3, 1, r k)
-    end = _in_faces(body, points.reshape(-1, 3))[:, :, None]
-    through = _go_through(body, start, end).reshape(-1, len(eye), *points.shape[:-1])
-    through &= (np.arange(len(through))[:, None] != faces)[:, None, :, None]
+def _hidden(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
+    """Whether most of the lines from the eyes to the points go through another face, (b, v, r)."""
+    views, readings, corners = points.shape[:-1]
+    start = _in_faces(body, eyes.reshape(-1, 3)).reshape(-1, 3, *eyes.shape[:-1], 1)
+    end = _in_faces(body, points.reshape(-1, 3)).reshape(-1, 3, 1, views, readings * corners)
+    through = _go_through(body, start, end).reshape(-1, *eyes.shape[:-1], readings, corners)
+    others = np.arange(len(through))[:, None, None] != faces
+    through &= others[:, None, :, :, None]
     return through.any(axis=0).mean(axis=-1) > _HIDDEN_SHARE
 
 
@@ -138,8 +141,8 @@ def _in_faces(body: Body, points: Array) -> Array:
 
 
 def _go_through(body: Body, start: Array, end: Array) -> np.ndarray:
-    """Which lines between points in each face's frame (f, 3, n, m) go through its pattern."""
-    shape = (-1, 1, 1)
+    """Which lines between points in each face's frame (f, 3, …) go through its pattern, (f, …)."""
+    shape = (-1, *([1] * (start.ndim - 2)))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = start[:, 2] / (start[:, 2] - end[:, 2])
         through = (share > _BESIDE) & (share < 1 - _BESIDE)

@@ -134,7 +134,8 @@ def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_b
     rms = np.sqrt(np.mean((projected - view.pixels) ** 2, axis=(-1, -2)))
     few = points[:, outermost(view.pixels)]
     eye = camera_from_base.inverse().translation
-    return np.where(ahead & can_be_seen(body, faces_of(view), few, eye), rms, np.inf)
+    is_seen = can_be_seen(body, faces_of(view)[None], few[None], eye[:, None])[:, 0]
+    return np.where(ahead & is_seen, rms, np.inf)
 
 
 def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Array:

@@ -60,6 +60,8 @@ def _locate(data: DataSet, state: State, camera: str, indices: list[int]) -> Loc
     chosen = decide(data, found)
     if isinstance(chosen, Undetermined):
         return chosen
+    if few == indices:
+        return chosen.located
     final = refine(data, state, camera, chosen.located.map_from_camera, indices)
     return final.located if final is not None else chosen.located
 

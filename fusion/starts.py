@@ -1,6 +1,8 @@
 """Where the search for an unlocated camera starts: poses that single pictures allow, drawn to where
 they fit the other pictures too."""
 
+from itertools import chain
+
 import numpy as np
 
 from trigpoint.geometry import Pose
@@ -32,9 +34,10 @@ def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> l
     if poses is None:
         return []
     lens = data.lenses[camera]
-    seen = [_look(data, index) for index in spread(indices, _MOST_LOOKS)]
-    few = [seen[i] for i in spread(list(range(len(seen))), _FEW_LOOKS)]
-    costs = looks.mean_cost(poses, few, lens)
+    each = [_looks(data, index) for index in spread(indices, _MOST_LOOKS)]
+    seen = list(chain.from_iterable(each))
+    few = [each[i] for i in spread(list(range(len(each))), _FEW_LOOKS)]
+    costs = looks.mean_cost(poses, list(chain.from_iterable(few)), lens)
     ordered = poses[np.argsort(costs, kind="stable")]
     kept = ordered[_distinct(ordered, _MOST_KEPT)]
     drawn = looks.drawn(kept, seen, lens)
@@ -66,10 +69,10 @@ def _of_single_pictures(data: DataSet, camera: str, indices: list[int]) -> Pose 
     return Pose.stack(poses) if poses else None
 
 
-def _look(data: DataSet, index: int) -> looks.Look:
+def _looks(data: DataSet, index: int) -> list[looks.Looks]:
     entry = data.entries[index]
     target = data.targets[entry.observation.robot]
-    return looks.look_of(entry.observation, target, placed(entry))
+    return looks.looks_of(entry.observation, target, placed(entry))
 
 
 def _distinct(poses: Pose, most: int) -> np.ndarray:

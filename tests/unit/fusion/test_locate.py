@@ -188,7 +188,7 @@ def test_robot_is_not_seen_through_its_own_faces() -> None:
     hidden = 0
     for azimuth in np.linspace(0, 2 * np.pi, 73):
         eye = looking_at((2 * np.cos(azimuth), 2 * np.sin(azimuth), 1.2), (0.0, 0.0, 0.72))
-        seen = can_be_seen(body, np.arange(6), points, eye.translation[None])[0]
+        [[seen]] = can_be_seen(body, np.arange(6)[None], points[None], eye.translation[None, None])
         for face in seen_faces(target, Pose.identity(), eye, lens(), ()):
             share = len(face.corners) / face.face.corner_count
             # The simulator's sheets reach a centimetre beyond the pattern.
