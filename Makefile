@@ -12,8 +12,9 @@ SITUATIONS ?=
 demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
 
+# Two at a time: the longest wait for processes that they started, and for time to pass.
 test: $(INSTALLED)  ## every test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: lint types imports test  ## what CI runs
 

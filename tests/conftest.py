@@ -1,6 +1,7 @@
 """What every test gets: a failure where it leaves a thread behind, and a process put back."""
 
 import logging
+import os
 import signal
 import socket
 import threading
@@ -10,6 +11,9 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+# As the program does it, and before numpy is loaded: BLAS threads only get in each other's way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A deadline would assert a speed.
 settings.register_profile("trigpoint", deadline=None, max_examples=50)
