@@ -1,6 +1,7 @@
 """From about where a face lies to its corners: registered, sorted out, with their sigma."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -12,25 +13,25 @@ from .detector import Appearance, IsOver, never
 from .glimpse import glimpsed
 from .middle import median
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, sound_corners
+from .planar_fit import PlanarFit, scatter_about, sound_corners
 from .registration import registered
 
 LEAST_CORNERS = 4
-# The noise of sharp pictures allows less, but no lens model and no print is true to that: a camera
-# before which the demo's robot stood came out 3.5 of its sigmas (0.03 mm) off with 0.003 here.
-LEAST_SIGMA_PX = 0.02
+# What a drawing on half pixels and grey values in whole numbers leave: of rendered faces without
+# any noise the best one was off by so much, RMS.
+LEAST_SIGMA_PX = 0.003
 # Registered corners that lie this far off their plane are not believed: pixels, and share of the
 # spacing; more is allowed where all scatter, since real boards are not flat.
 LEAST_WILD_PX = 0.1
 LEAST_WILD_SHARE = 0.01
 # Corners that are so near their plane need no lens of their own, pixels.
 ENOUGH_PX = 0.03
-# Parameters of a planar fit: a homography, and a lens that few corners hardly show.
-_PLANE_FREEDOM = 9
-# Scatter about a plane counts beyond this multiple of the noise's variance, and beyond what the
-# fit's lens, which is round about the picture's middle, cannot follow.
-_EXPLAINED = 4.0
-LENS_PX = 0.015
+# What the picture's noise says of a face's sigma is worth so many squares of what its corners
+# scatter about their plane: of rendered faces its variance is up to double or half of the true one,
+# as what the drawing leaves counts as noise. It is worth less where scatter exceeds it by more than
+# this multiple: no board is quite flat.
+NOISE_WORTH = 4.0
+MOST_EXCESS = 4.0
 _MARGIN_PX = 2.0
 # A face that lies so near where it was expected also looks as expected, and is glimpsed to a third
 # of a pixel; else its size and slant are off too.
@@ -100,8 +101,8 @@ def measured(
     )
     if plane is None:
         return None
-    distances = plane.residuals(pattern.points[ids[keep]], pixels[keep])
-    return Measured(ids[keep], pixels[keep], sigma_of(distances, sigma[keep]), found.blur, plane)
+    scatter = scatter_about(plane, pattern.points[ids[keep]], pixels[keep])
+    return Measured(ids[keep], pixels[keep], sigma_of(sigma[keep], *scatter), found.blur, plane)
 
 
 def placed_again(
@@ -126,12 +127,14 @@ def in_view(fit: PlanarFit, points: Array, size: tuple[int, int]) -> np.ndarray:
     return np.flatnonzero(np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1))
 
 
-def sigma_of(distances: Array, noise: Array) -> float:
-    """Standard deviation of a coordinate, from what the picture's noise makes of each corner (n,),
-    and from their distances (n,) to a plane, as far as noise and the fit's lens explain them not:
-    boards are not flat."""
-    freedom = max(1, 2 * len(distances) - _PLANE_FREEDOM)
-    usual = median(noise) ** 2
-    scatter = float(np.sum(distances**2)) / freedom
-    unexplained = max(0.0, scatter - _EXPLAINED * usual - LENS_PX**2)
-    return max(LEAST_SIGMA_PX, float(np.sqrt(usual + unexplained)))
+def sigma_of(noise: Array, squares: float, freedom: int) -> float:
+    """Standard deviation of a coordinate: what is expected by the picture's noise, for each corner
+    (n,), and what is seen, as of `scatter_about`.
+
+    The posterior of a variance under a scaled inverse chi-squared prior (Gelman et al., Bayesian
+    Data Analysis, 2.6), which counts for less where the corners deny it.
+    """
+    expected, seen = float(np.mean(noise**2)), squares / max(freedom, 1)
+    excess = MOST_EXCESS * expected
+    worth = NOISE_WORTH if seen <= excess else NOISE_WORTH * excess / seen
+    return max(LEAST_SIGMA_PX, sqrt((worth * expected + squares) / (worth + freedom)))

@@ -24,6 +24,8 @@ CHAOS_SHARE = 0.4
 _RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
+# Numbers of a homography and a lens.
+_LENS_FREEDOM = 10
 # After a step that moves every corner by less, the next one moves none by a thousandth of a pixel:
 # of a homography alone, and with a lens.
 _SMALL_STEP_PX, _SMALL_LENS_STEP_PX = 0.1, 0.02
@@ -178,6 +180,25 @@ def settled_fit(
     if fit is None or float(fit.residuals(points, pixels).max()) <= enough_px:
         return fit
     return fit_plane(points, pixels, size, start=fit)
+
+
+def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, int]:
+    """How far pixels (n, 2) of face points (n, 2) scatter: the sum of squares, pixel², of what no
+    homography and no lens near the fit explains of them, and its freedom; 0 for n < 6.
+
+    The lens counts as free also where the fit left it alone: else what it leaves over would look
+    like corners that are off. To first order, by what is orthogonal to the fit's derivatives.
+    """
+    freedom = 2 * len(points) - _LENS_FREEDOM
+    if freedom <= 0:
+        return 0.0, 0
+    normal = _normalising(points)
+    homography = fit.homography @ np.linalg.inv(normal)
+    numbers = np.concatenate([(homography / homography[2, 2]).reshape(-1)[:8], fit.radial])
+    homogeneous = np.column_stack([points, np.ones(len(points))]) @ normal.T
+    error, jacobian = _linearised(numbers, homogeneous, (pixels - fit.centre) / fit.scale)
+    explained = np.linalg.qr(jacobian)[0].T @ error
+    return fit.scale**2 * max(0.0, float(error @ error - explained @ explained)), freedom
 
 
 def _normalising(points: Array) -> Array:

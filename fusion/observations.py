@@ -19,6 +19,11 @@ from trigpoint.target import Face, Target
 from .odometry_track import OdometryTrack
 from .shutter import Sweep, joined, sweep_of
 
+# No corner counts for more than one of this sigma, pixels (as float32 has it, like any sighting's).
+# Sharp pictures give corners to 0.005 px, but the corners of one view err together: no lens model
+# and no print is true to that (decisions/0661).
+LEAST_SIGMA_PX = float(np.float32(0.02))
+
 
 class Verdict(Enum):
     """What the estimator makes of an observation."""
@@ -38,7 +43,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate.
+    """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate as far as lens
+    and print are believed.
 
     `readings`: every way in which the view can be read; `sweep`: by a rolling shutter.
     """
@@ -118,7 +124,8 @@ class Points:
 
 
 def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> View | None:
-    """The view that a sighting gives, or None where it does not fit the target."""
+    """The view that a sighting gives, its sigma LEAST_SIGMA_PX at least; None where it does not fit
+    the target."""
     if sighting.face >= 0:
         indices = [i for i, face in enumerate(target.faces) if face.id == sighting.face]
     else:
@@ -136,7 +143,8 @@ def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> Vie
         return None
     pixels = np.asarray(sighting.pixels, dtype=float)
     sweep = sweep_of(camera, pixels)
-    return View(sighting.corners.astype(int), pixels, float(sighting.sigma), readings, sweep)
+    sigma = max(float(sighting.sigma), LEAST_SIGMA_PX)
+    return View(sighting.corners.astype(int), pixels, sigma, readings, sweep)
 
 
 def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ...]) -> Observation:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from boards import CAMERA, checkerboard, placed, true_pixels
 
-from trigpoint.edge.planar_fit import fit_plane, sound_corners
+from trigpoint.edge.planar_fit import fit_plane, scatter_about, sound_corners
 from trigpoint.geometry import CameraModel
 
 BOARD = checkerboard(9, 7)
@@ -77,3 +77,25 @@ def test_few_corners_at_the_edge_of_a_picture_do_not_run_away() -> None:
 def test_corners_that_all_scatter_are_none() -> None:
     pixels = seen(0.0) + np.random.default_rng(3).normal(0, 8.0, (48, 2))
     assert not sound_corners(POINTS, pixels, SIZE)[0].any()
+
+
+@pytest.mark.parametrize("has_lens", [False, True])
+def test_scatter_is_that_of_the_corners_and_not_of_the_lens(has_lens: bool) -> None:
+    """Also where the fit was left without one, since all came near enough."""
+    camera = CameraModel(640, 480, 540.0, 540.0, 322.0, 237.0, (-0.02, 0.0, 2e-4, -2e-4, 0.0))
+    squares, freedom = 0.0, 0
+    for seed in range(8):
+        pixels = seen(0.01, seed, camera)
+        fit = fit_plane(POINTS, pixels, SIZE, has_lens=has_lens)
+        assert fit is not None
+        one, more = scatter_about(fit, POINTS, pixels)
+        squares, freedom = squares + one, freedom + more
+    assert freedom == 8 * (96 - 10)
+    assert np.sqrt(squares / freedom) == pytest.approx(0.01, rel=0.08)
+
+
+def test_corners_that_any_plane_and_lens_meet_scatter_not() -> None:
+    pixels = seen(0.3)[:5]
+    fit = fit_plane(POINTS[[0, 3, 20, 40, 47]], pixels, SIZE)
+    assert fit is not None
+    assert scatter_about(fit, POINTS[[0, 3, 20, 40, 47]], pixels) == (0.0, 0)
