@@ -17,13 +17,15 @@ from trigpoint.target import Face
 from .detector import Appearance, FaceFinder, IsOver, never
 from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
-from .measurement import Located, measured, placed_again
+from .measurement import Located, Measured, measured, placed_again
+from .partly_seen import LEAST_SHARE as LEAST_PARTLY
+from .partly_seen import is_partly_seen
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 from .saddles import Curvature, find_saddles, sampled
 from .workspace import Workspace
 
-# Of a board's corners, how many must be seen.
+# Of a board's corners, how many must be seen where no more is asked of its borders.
 LEAST_SHARE = 0.75
 # The same along one side of the board, and how large a step from square to square must be there, of
 # the board's contrast.
@@ -56,7 +58,7 @@ class CheckerboardDetector(FaceFinder):
         self._looks = tuple(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
-        self._least = min(LEAST_SHARE * width * height for width, height in extents)
+        self._least = min(LEAST_PARTLY * width * height for width, height in extents)
         self._most = MOST_BOARDS_JOINED * max(width * height for width, height in extents)
         self._spaces = {1: Workspace(), 2: Workspace()}
 
@@ -155,7 +157,7 @@ class CheckerboardDetector(FaceFinder):
     def _look_of(self, grid: Grid) -> Appearance | None:
         for look in self._looks:
             extent = (look.face.columns - 1, look.face.rows - 1)
-            enough = len(grid) >= LEAST_SHARE * look.face.corner_count
+            enough = len(grid) >= LEAST_PARTLY * look.face.corner_count
             fits = grid.extent in (extent, extent[::-1])
             if enough and fits and _numbered(grid, look) is not None:
                 return look
@@ -244,11 +246,16 @@ def _measured(
     points, size = look.face.corners[ids, :2], (grey.shape[1], grey.shape[0])
     fit = settled_fit(points, grid.pixels * step, size, ENOUGH_PX)
     found = measured(grey, CornerPattern.of(look.face), fit, is_over=is_over) if fit else None
-    if found is None or len(found.corners) < LEAST_SHARE * look.face.corner_count:
-        return None
-    if not alternates(grey, look.face, found.fit):
-        return None
-    return Located(look, found)
+    return Located(look, found) if found and _is_board(grey, look.face, found) else None
+
+
+def _is_board(grey: np.ndarray, face: Face, found: Measured) -> bool:
+    """Whether enough is seen of a board: nearly all of it, or a part that leaves no doubt."""
+    is_whole = len(found.corners) >= LEAST_SHARE * face.corner_count
+    if is_whole and alternates(grey, face, found.fit):
+        return True
+    is_told = is_partly_seen(grey, face, found.fit, found.corners)
+    return is_told and is_bordered(grey, face, found.fit)
 
 
 def alternates(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:

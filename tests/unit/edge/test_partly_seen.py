@@ -1,0 +1,49 @@
+"""Checkerboards of which a part is hidden: what is seen keeps its numbers, or nothing is said."""
+
+import cv2
+import numpy as np
+import pytest
+from boards import checkerboard, picture_of, placed, target_of, true_pixels
+
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.partly_seen import is_partly_seen
+from trigpoint.edge.planar_fit import fit_plane
+
+FACE = checkerboard(8, 7, number=1)
+TRULY_RMS_PX = 0.06
+
+
+@pytest.mark.parametrize("grey", [30, 120, 220])
+@pytest.mark.parametrize("size", [0.2, 0.3])
+def test_thing_before_a_board_hides_corners_and_misleads_about_none(size: float, grey: int) -> None:
+    view = placed(FACE, tilt_deg=20, yaw_deg=-15)
+    pixels = true_pixels(view)
+    picture = picture_of([view])
+    middle, reach = pixels.mean(axis=0), size * np.ptp(pixels, axis=0).min()
+    cv2.circle(picture, middle.astype(int).tolist(), int(reach), (grey,), -1, cv2.LINE_AA)
+    (found,) = detector_for([target_of(FACE)]).detect(picture)
+    ids = found.corners.astype(int)
+    off = found.pixels - pixels[ids]
+    hidden = np.linalg.norm(pixels - middle, axis=1) < reach
+    assert not hidden[ids].any()
+    assert len(ids) >= 0.6 * FACE.corner_count
+    assert np.sqrt(np.mean(off**2)) < TRULY_RMS_PX
+
+
+def test_part_of_a_larger_board_has_no_end_and_is_not_taken() -> None:
+    for other, is_ours in ((FACE, True), (checkerboard(9, 7, number=2), False)):
+        view = placed(other, tilt_deg=20)
+        places = np.arange(other.corner_count).reshape(other.rows - 1, other.columns - 1)
+        pixels = true_pixels(view)[places[:, : FACE.columns - 1].reshape(-1)]
+        fit = fit_plane(FACE.corners[:, :2], pixels, (640, 480), has_lens=False)
+        assert fit is not None
+        ids = np.delete(np.arange(FACE.corner_count), [9, 10, 16, 17])
+        assert is_partly_seen(picture_of([view]), FACE, fit, ids) == is_ours
+
+
+def test_board_without_one_of_its_outermost_lines_is_not_taken() -> None:
+    view = placed(FACE, tilt_deg=20)
+    fit = fit_plane(FACE.corners[:, :2], true_pixels(view), (640, 480), has_lens=False)
+    assert fit is not None
+    first_line_hidden = np.arange(FACE.columns - 1, FACE.corner_count)
+    assert not is_partly_seen(picture_of([view]), FACE, fit, first_line_hidden)
