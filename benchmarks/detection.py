@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
+from trigpoint.messages import FaceSighting
 from trigpoint.target import Target
 
 from .nasty_pictures import nasty_pictures
@@ -66,7 +67,7 @@ def our_finder(target: Target) -> Finder:
     detector = detector_for([target])
 
     def find(picture: np.ndarray) -> list[Found]:
-        return [Found(s.face, s.corners, s.pixels) for s in detector.detect(picture)]
+        return [_found(sighting) for sighting in detector.detect(picture)]
 
     return find
 
@@ -131,6 +132,7 @@ def _rows(choice: str, size: str, effort: float) -> list[Row]:
             first, *rest = others
             for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
                 rows += _score_rows(f"{what} {name}, {part}", scores[OURS], scores[other], other)
+        rows.append(_sigma_row(f"{what} {name}", score_of(views, done[OURS].answers)))
     return rows + _tracked_rows(what, driving, others, size, effort)
 
 
@@ -147,7 +149,7 @@ def _tracked_rows(
             if was_found >= _SETTLED:
                 views.append(view)
                 ours.seconds.append(took)
-                ours.answers.append([Found(s.face, s.corners, s.pixels) for s in found])
+                ours.answers.append([_found(sighting) for sighting in found])
             was_found = was_found + 1 if found else 0
     if not views:
         return []
@@ -155,7 +157,8 @@ def _tracked_rows(
     rows = _time_rows(f"{what} driving, found in the last picture", done, others)
     scores = {name: score_of(views, run.answers) for name, run in done.items()}
     first = next(iter(others))
-    return rows + _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
+    rows += _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
+    return [*rows, _sigma_row(f"{what} driving, followed", scores[OURS])]
 
 
 def _worst_row(choice: str) -> Row:
@@ -200,6 +203,16 @@ def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
         rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
     error = (ours.rms(both), other.rms(both))
     return [*rows, _row(f"{what}, corner error, found by both", "px", *error, name)]
+
+
+def _found(sighting: FaceSighting) -> Found:
+    return Found(sighting.face, sighting.corners, sighting.pixels, sighting.sigma)
+
+
+def _sigma_row(what: str, ours: Score) -> Row:
+    """Neither more nor less is better than the same."""
+    what = f"{what}, corner error in its sigmas"
+    return _row(what, "1", ours.normalised_rms, 1.0, "a true sigma")
 
 
 def _row(

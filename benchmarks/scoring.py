@@ -13,24 +13,28 @@ _NEAR_PX = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A face that a finder found: its id, or -1; `corners`: (n,) ids; `pixels`: (n, 2)."""
+    """A face that a finder found: its id, or -1; `corners`: (n,) ids; `pixels`: (n, 2); `sigma`: of
+    a coordinate as the finder says, None where it says nothing."""
 
     face: int
     corners: np.ndarray
     pixels: np.ndarray
+    sigma: float | None = None
 
 
 @dataclass(slots=True)
 class Score:
     """`whole`: faces that should be found; `found`: of these; `wrong`: found where none is.
 
-    `errors`: the distance from the truth of each corner, pixels, by view, face and corner.
+    `errors`: the distance from the truth of each corner, pixels, by view, face and corner;
+    `normalised`: the same in the sigmas that the finder says.
     """
 
     whole: int = 0
     found: int = 0
     wrong: int = 0
     errors: dict[tuple[int, int, int], float] = field(default_factory=dict)
+    normalised: list[float] = field(default_factory=list)
 
     @property
     def share(self) -> float:
@@ -39,8 +43,12 @@ class Score:
 
     def rms(self, among: Iterable[tuple[int, int, int]] | None = None) -> float:
         """Root mean square error of a coordinate over the corners (or some of them), pixels."""
-        errors = [self.errors[key] for key in (self.errors if among is None else among)]
-        return float(np.sqrt(np.mean(np.square(errors)) / 2)) if errors else 0.0
+        return _rms([self.errors[key] for key in (self.errors if among is None else among)])
+
+    @property
+    def normalised_rms(self) -> float:
+        """The same of all corners in sigmas: 1 where they are true."""
+        return _rms(self.normalised)
 
 
 def score_of(views: list[View], answers: list[list[Found]]) -> Score:
@@ -57,9 +65,16 @@ def score_of(views: list[View], answers: list[list[Found]]) -> Score:
             seen.add(true.face.id)
             keys = [(number, true.face.id, corner) for corner in corners.tolist()]
             score.errors.update(zip(keys, errors.tolist(), strict=True))
+            if found.sigma is not None:
+                score.normalised += (errors / found.sigma).tolist()
         score.whole += view.whole
         score.found += sum(true.is_whole and true.face.id in seen for true in view.faces)
     return score
+
+
+def _rms(distances: list[float]) -> float:
+    """Root mean square of a coordinate of distances in the plane; 0 for none."""
+    return float(np.sqrt(np.mean(np.square(distances)) / 2)) if distances else 0.0
 
 
 def _match(

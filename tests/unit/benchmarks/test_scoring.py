@@ -1,0 +1,32 @@
+"""What a finder is credited with."""
+
+import numpy as np
+import pytest
+from boards import checkerboard
+
+from benchmarks.scoring import Found, Score, score_of
+from benchmarks.views import TrueFace, View
+from trigpoint.geometry.rotation import Array
+
+BOARD = checkerboard()
+PIXELS = 1000 * BOARD.corners[:, :2]
+
+
+def score(off: Array, sigma: float | None) -> Score:
+    """Of a face whose corners are `off` (n, 2) from the truth."""
+    view = View(np.zeros((4, 4), np.uint8), (TrueFace(BOARD, PIXELS, True),))
+    ids = np.arange(BOARD.corner_count)
+    return score_of([view], [[Found(BOARD.id, ids, PIXELS + off, sigma)]])
+
+
+def test_error_is_told_in_the_sigmas_that_were_said() -> None:
+    off = np.random.default_rng(0).normal(0.0, 0.01, PIXELS.shape)
+    found = score(off, 0.02)
+    assert found.rms() == pytest.approx(float(np.sqrt(np.mean(off**2))))
+    assert found.normalised_rms == pytest.approx(found.rms() / 0.02)
+
+
+def test_finder_that_says_no_sigma_has_no_error_in_sigmas() -> None:
+    found = score(np.full(PIXELS.shape, 0.5), None)
+    assert found.rms() == pytest.approx(0.5)
+    assert found.normalised_rms == 0.0
