@@ -2,7 +2,8 @@
 
 Our own search, since OpenCV's finders take 50 to 180 ms where no board is in view and have run for
 minutes on near-black pictures. A board counts as seen where its grid is complete in width and
-height; single corners may be missing.
+height; corners may be missing, more of them where its outermost lines are seen and nothing of it
+lies beyond (`partly_seen`).
 """
 
 from collections import deque
