@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from trigpoint.geometry.rotation import Array
@@ -128,36 +128,36 @@ def _bordered(
     """The matrix M of `NestedElimination`, its nodes in the order given."""
     n, d = equations.gradient.shape
     inner, size = n * d, equations.dense_size
-    at = np.arange(inner).reshape(n, d)
+    at, outer = np.arange(inner).reshape(n, d), inner + np.arange(size + 1)
     diagonal = equations.diagonal.copy()
     diagonal[:, np.arange(d), np.arange(d)] *= 1 + damping
-    blocks = [_entries(at, at, diagonal)]
+    corner = np.zeros((1, size + 1, size + 1))
+    corner[0, :size, :size], corner[0, size, size] = border, -1.0
     pairs = [(at[1:], at[:-1], equations.lower[:-1])]
     pairs += [
         (at[part.rows], np.tile(inner + part.columns, (len(part.rows), 1)), part.blocks)
         for part in equations.couplings
     ]
     pairs.append((at, np.full((n, 1), inner + size), equations.gradient[..., None]))
-    for rows, columns, values in pairs:
-        blocks.append(_entries(rows, columns, values))
-        blocks.append(_entries(columns, rows, np.swapaxes(values, 1, 2)))
-    outer = inner + np.arange(size + 1)
-    whole = np.zeros((1, size + 1, size + 1))
-    whole[0, :size, :size], whole[0, size, size] = border, -1.0
-    blocks.append(_entries(outer[None], outer[None], whole))
-    rows, columns, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
-    place = np.concatenate([order, outer])
-    shape = (inner + size + 1, inner + size + 1)
-    return csc_array(coo_array((values, (place[rows], place[columns])), shape=shape))
+    turned = [(columns, rows, np.swapaxes(values, 1, 2)) for rows, columns, values in pairs]
+    blocks = [(at, at, diagonal), *pairs, *turned, (outer[None], outer[None], corner)]
+    return _of_blocks(blocks, np.concatenate([order, outer]))
 
 
-def _entries(
-    rows: np.ndarray, columns: np.ndarray, values: Array
-) -> tuple[np.ndarray, np.ndarray, Array]:
-    """Blocks (m, r, c) at rows (m, r) and columns (m, c), as entries in one row."""
-    _, r, c = values.shape
-    return (
-        np.repeat(rows, c, axis=1).reshape(-1),
-        np.repeat(columns[:, None], r, axis=1).reshape(-1),
-        values.reshape(-1),
-    )
+def _of_blocks(blocks: list[tuple[np.ndarray, np.ndarray, Array]], place: np.ndarray) -> csc_array:
+    """A square matrix of blocks (m, r, c) at rows (m, r) and columns (m, c), with each row and
+    column at its place.
+
+    Written where it stays: of an hour's matrix every copy is tens of megabytes.
+    """
+    count, size = sum(values.size for *_, values in blocks), len(place)
+    place = place.astype(np.int32)
+    entries, row, column = np.empty(count), np.empty(count, np.int32), np.empty(count, np.int32)
+    start = 0
+    for rows, columns, values in blocks:
+        part, shape = slice(start, start + values.size), values.shape
+        entries[part].reshape(shape)[:] = values
+        row[part].reshape(shape)[:] = place[rows][:, :, None]
+        column[part].reshape(shape)[:] = place[columns][:, None]
+        start = part.stop
+    return csc_array((entries, (row, column)), shape=(size, size))
