@@ -15,6 +15,7 @@ from .picture import as_grey
 if TYPE_CHECKING:
     from .measurement import Located
     from .planar_fit import PlanarFit
+    from .region import Region
 
 DETECTORS: dict[Pattern, str] = {
     Pattern.CHECKERBOARD: "detector_checkerboard:CheckerboardDetector",
@@ -37,8 +38,11 @@ class TargetDetector(Protocol):
 class FaceFinder(Protocol):
     """Finds the faces of one pattern in grey pictures, (height, width) uint8."""
 
-    def locate(self, grey: np.ndarray, is_over: "IsOver") -> "list[Located]":
-        """The faces in a picture; those found so far where `is_over` becomes true."""
+    def locate(
+        self, grey: np.ndarray, is_over: "IsOver", within: "Region | None" = None
+    ) -> "list[Located]":
+        """The faces in a picture, or in a part of it alone; those found so far where `is_over`
+        becomes true."""
         ...
 
     def follow(

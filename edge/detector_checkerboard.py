@@ -8,6 +8,7 @@ lies beyond (`partly_seen`).
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from .partly_seen import LEAST_SHARE as LEAST_PARTLY
 from .partly_seen import is_partly_seen
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
+from .region import Region
 from .saddles import Curvature, find_saddles, sampled
 from .workspace import Workspace
 
@@ -63,13 +65,18 @@ class CheckerboardDetector(FaceFinder):
         self._most = MOST_BOARDS_JOINED * max(width * height for width, height in extents)
         self._spaces = {1: Workspace(), 2: Workspace()}
 
-    def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
-        """The boards in a picture; a second look at half the size is for blurred ones."""
-        found = self._search(grey, grey, 1, is_over)
-        if not found and min(grey.shape) >= 64 and not is_over():
-            height, width = grey.shape
+    def locate(
+        self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
+    ) -> list[Located]:
+        """The boards in a picture, or in a part of it; a second look at half the size is for
+        blurred ones."""
+        within = within or Region.whole(grey)
+        part = within.of(grey)
+        found = self._search(part, _Source(grey, within, 1), is_over)
+        if not found and min(part.shape) >= 64 and not is_over():
+            height, width = part.shape
             half = self._spaces[2].array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
-            found = self._search(cv2.pyrDown(grey, dst=half), grey, 2, is_over)
+            found = self._search(cv2.pyrDown(part, dst=half), _Source(grey, within, 2), is_over)
         return found
 
     def follow(
@@ -99,11 +106,9 @@ class CheckerboardDetector(FaceFinder):
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)
         return Located(last.look, found) if is_there else None
 
-    def _search(
-        self, small: np.ndarray, grey: np.ndarray, step: int, is_over: IsOver
-    ) -> list[Located]:
-        """The boards found in a picture `step` times smaller, measured in the full one."""
-        curvature = Curvature.of(small, self._spaces[step])
+    def _search(self, small: np.ndarray, source: "_Source", is_over: IsOver) -> list[Located]:
+        """The boards found in what was made of a picture, measured in that itself."""
+        curvature = Curvature.of(small, self._spaces[source.step])
         saddles = find_saddles(curvature)
         if len(saddles) < min(self._least, LEAST_SEED) or is_over():
             return []
@@ -116,7 +121,7 @@ class CheckerboardDetector(FaceFinder):
                 break
             grid = waiting.popleft()
             board = self._board_of(grid, curvature, allowance)
-            sighting = _measured(*board, grey, step, is_over) if board else None
+            sighting = _measured(*board, source, is_over) if board else None
             if sighting is None:
                 waiting.extend(self._parts(grid, small, allowance))
             elif not any(_same_place(sighting, other) for other in found):
@@ -163,6 +168,19 @@ class CheckerboardDetector(FaceFinder):
             if enough and fits and _numbered(grid, look) is not None:
                 return look
         return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """What a searched picture was made of: a part of `grey`, `step` times smaller."""
+
+    grey: np.ndarray
+    part: Region
+    step: int
+
+    def pixels(self, small: Array) -> Array:
+        """Where pixels (n, 2) of what was made lie in `grey`; pyrDown's (x, y) is (2x, 2y)."""
+        return small * self.step + self.part.corner
 
 
 class _Allowance:
@@ -235,17 +253,15 @@ def _uprightness(places: np.ndarray, pixels: Array) -> float:
     return float(across[0] / np.linalg.norm(across) + down[1] / np.linalg.norm(down))
 
 
-def _measured(
-    grid: Grid, look: Appearance, grey: np.ndarray, step: int, is_over: IsOver
-) -> Located | None:
+def _measured(grid: Grid, look: Appearance, source: "_Source", is_over: IsOver) -> Located | None:
     """The sighting with sub-pixel corners of the full picture, wild ones dropped; None also where
     the time is over."""
     ids = _numbered(grid, look)
     if ids is None or is_over():
         return None
-    # pyrDown's pixel (x, y) is the full picture's (2x, 2y).
+    grey = source.grey
     points, size = look.face.corners[ids, :2], (grey.shape[1], grey.shape[0])
-    fit = settled_fit(points, grid.pixels * step, size, ENOUGH_PX)
+    fit = settled_fit(points, source.pixels(grid.pixels), size, ENOUGH_PX)
     found = measured(grey, CornerPattern.of(look.face), fit, is_over=is_over) if fit else None
     return Located(look, found) if found and _is_board(grey, look.face, found) else None
 

@@ -12,6 +12,7 @@ from .markers import reader_key, readers_for
 from .measurement import Located
 from .planar_fit import PlanarFit
 from .quads import QuadFinder
+from .region import Region
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
 MOST_REFUSED = 3
@@ -26,13 +27,17 @@ class MarkedSearch(FaceFinder):
         self._readers = readers_for([board.look.face for board in boards])
         self._finder = QuadFinder()
 
-    def locate(self, grey: np.ndarray, is_over: IsOver) -> list[Located]:
-        """The boards in a grey picture; inverted ones are looked for in its negative."""
+    def locate(
+        self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
+    ) -> list[Located]:
+        """The boards in a grey picture, or in a part of it; inverted ones are looked for in its
+        negative."""
         found: list[Located] = []
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
             if boards and not is_over():
-                found += self._search(cv2.bitwise_not(grey) if inverted else grey, boards, is_over)
+                shown = cv2.bitwise_not(grey) if inverted else grey
+                found += self._search(shown, boards, is_over, within)
         return found
 
     def follow(
@@ -52,9 +57,9 @@ class MarkedSearch(FaceFinder):
         return Located(board.look, found) if found else None
 
     def _search(
-        self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver
+        self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver, within: Region | None
     ) -> list[Located]:
-        quads = self._finder.find(grey, is_over)
+        quads = self._finder.find(grey, is_over, within)
         if len(quads) == 0 or is_over():
             return []
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}

@@ -7,6 +7,7 @@ from trigpoint.geometry.rotation import Array
 
 from .detector import IsOver, never
 from .quad_edges import straightened
+from .region import Region
 from .workspace import Workspace
 
 # Small markers are looked for in the picture, large ones and blurred ones at half its size: how
@@ -36,26 +37,31 @@ class QuadFinder:
     def __init__(self) -> None:
         self._space = Workspace()
 
-    def find(self, grey: np.ndarray, is_over: IsOver = never) -> Array:
-        """Corners (n, 4, 2) of the dark quadrilaterals, clockwise from any of the four, pixels.
+    def find(
+        self, grey: np.ndarray, is_over: IsOver = never, within: Region | None = None
+    ) -> Array:
+        """Corners (n, 4, 2) of the dark quadrilaterals, clockwise from any of the four, pixels;
+        only of those `within` a region where one is given.
 
         Nothing is looked for where the picture is too crowded.
         """
-        found = np.zeros((0, 4, 2))
+        within = within or Region.whole(grey)
+        part, found = within.of(grey), np.zeros((0, 4, 2))
         for step, window_px in _PASSES:
-            size = (grey.shape[1] // step, grey.shape[0] // step)
+            size = (part.shape[1] // step, part.shape[0] // step)
             if min(size) < 2 * window_px or is_over():
                 break
-            small = grey
+            small = part
             if step > 1:
                 small = self._space.array("small", size[::-1], np.uint8)
-                cv2.resize(grey, size, dst=small, interpolation=cv2.INTER_AREA)
-            more = step * self._outlines(small, step, window_px) + (step - 1) / 2
+                cv2.resize(part, size, dst=small, interpolation=cv2.INTER_AREA)
+            least = _LEAST_PERIMETER * (max(grey.shape) // step)
+            more = step * self._outlines(small, step, window_px, least) + (step - 1) / 2
             found = np.concatenate([found, more[~_are_among(more, found)]])
-        return straightened(grey, found)
+        return straightened(grey, found + within.corner)
 
-    def _outlines(self, grey: np.ndarray, step: int, window_px: int) -> Array:
-        """The quadrilaterals (n, 4, 2) of one pass, its pixels."""
+    def _outlines(self, grey: np.ndarray, step: int, window_px: int, least: float) -> Array:
+        """The quadrilaterals (n, 4, 2) of one pass, its pixels, of at least such a perimeter."""
         dark = self._space.array(f"dark {step}", grey.shape, np.uint8)
         cv2.adaptiveThreshold(
             grey,
@@ -68,7 +74,7 @@ class QuadFinder:
         )
         if dark_runs(dark, self._space.array(f"begins {step}", grey.shape, np.uint8)) > MOST_RUNS:
             return np.zeros((0, 4, 2))
-        pieces = _outer_contours(dark, _LEAST_PERIMETER * max(grey.shape))
+        pieces = _outer_contours(dark, least)
         quads = [quad for piece in pieces if (quad := _quad_of(piece)) is not None]
         return _whole(_clockwise(np.array(quads, dtype=float).reshape(-1, 4, 2)), grey.shape)
 

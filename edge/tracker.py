@@ -1,7 +1,8 @@
 """Finds faces in one camera's pictures, one after the other, by where they were before.
 
 A face that was seen is first looked for where its motion puts it, then around there; the whole
-picture is searched where nothing is followed, and now and then for faces that come in.
+picture is searched where nothing is followed, and now and then for faces that come in; what is
+about the followed ones more often.
 """
 
 from collections.abc import Sequence
@@ -20,9 +21,12 @@ from .measurement import LEAST_CORNERS, Located
 from .middle import median
 from .picture import as_grey
 from .planar_fit import PlanarFit, fit_plane
+from .region import Region, regions_around
 
-# While faces are followed, the whole picture is searched so often.
+# While faces are followed, the whole picture is searched so often, and what is about them, where
+# the next face of a robot that turns comes into view, if nothing was searched for so long.
 SEARCH_EVERY_NS = 500_000_000
+SEARCH_BESIDE_EVERY_NS = 150_000_000
 # A face that was not seen for so long, or in so many pictures, is not looked for any more.
 FORGET_NS = 400_000_000
 MOST_MISSES = 2
@@ -100,6 +104,7 @@ class TargetTracker:
         self._clock = clock or SystemClock()
         self._tracks: list[Track] = []
         self._searched_ns: int | None = None
+        self._looked_ns = 0
         self._shape: tuple[int, ...] = ()
         self.given_up = 0
 
@@ -110,8 +115,12 @@ class TargetTracker:
         self._forget(grey.shape, stamp_ns)
         found = self._followed(grey, stamp_ns, budget.is_over)
         if self._is_search_due(stamp_ns, found):
-            self._searched_ns = stamp_ns
-            found = self._searched(grey, found, budget.is_over)
+            self._searched_ns = self._looked_ns = stamp_ns
+            found = self._searched(grey, found, None, budget.is_over)
+        elif stamp_ns - self._looked_ns >= SEARCH_BESIDE_EVERY_NS:
+            self._looked_ns = stamp_ns
+            for region in regions_around(_outlines(found), grey.shape):
+                found = self._searched(grey, found, region, budget.is_over)
         self._tracks = self._renewed(found, stamp_ns)
         self.given_up += budget.was_over
         return tuple(located.sighting for located in found)
@@ -153,14 +162,16 @@ class TargetTracker:
                 return located
         return None
 
-    def _searched(self, grey: np.ndarray, found: list[Located], is_over: IsOver) -> list[Located]:
-        """What is found and what a search of the whole picture adds."""
+    def _searched(
+        self, grey: np.ndarray, found: list[Located], within: Region | None, is_over: IsOver
+    ) -> list[Located]:
+        """What is found and what a search of the picture, or of a region of it, adds."""
         found = list(found)
         left = _covered(grey, found)
         for finder in self._finders.values():
             if is_over():
                 break
-            new = finder.locate(left, is_over)
+            new = finder.locate(left, is_over, within)
             found += [located for located in new if not _is_among(located, found)]
         return found
 
@@ -253,8 +264,12 @@ def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
         return grey
     left = grey.copy()
     level = float(np.median(grey[::_COARSE, ::_COARSE]))
-    for located in found:
-        outline = located.found.fit.project(located.look.face.outline[:, :2])
-        if np.abs(outline).max() < _FAR_PX:
-            cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
+    for outline in _outlines(found):
+        cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
     return left
+
+
+def _outlines(found: Sequence[Located]) -> list[Array]:
+    """Outlines (n, 2) of faces, pixels, without those that were not projected in earnest."""
+    outlines = [face.found.fit.project(face.look.face.outline[:, :2]) for face in found]
+    return [outline for outline in outlines if np.abs(outline).max() < _FAR_PX]

@@ -22,7 +22,8 @@ from .estimator import CameraEstimate
 _PERIOD_NS = to_ns(1.0)
 _LONG_NS = to_ns(1.5)  # where there is no quiet turn
 _COVERAGE_PERIOD_NS = to_ns(5.0)
-_MOST_A_TURN = 8
+# Poses in a turn, and in one in which a robot waits.
+_MOST_A_TURN, _MOST_IN_BETWEEN = 8, 1
 # A camera that moved less than this sees the floor that was said of it, but for half of the
 # decimetres in which that is given.
 _SAME_FLOOR_M = 0.05
@@ -91,7 +92,7 @@ class CameraAnnouncements:
 
     def next(self, *, is_quiet: bool) -> Iterator[Output]:
         """What is to be said this turn; `is_quiet`: no robot waits."""
-        yield from self._say_poses(_MOST_A_TURN)
+        yield from self._say_poses(_MOST_A_TURN if is_quiet else _MOST_IN_BETWEEN)
         if is_quiet:
             yield from self._say_floor()
 

@@ -36,7 +36,7 @@ def floors(outputs: list[Output]) -> list[str]:
 def test_every_camera_is_said_once_with_its_transform_a_few_a_turn() -> None:
     news = announcements()
     news.take(5, cameras(20), is_urgent=False)
-    turns = [list(news.next(is_quiet=False)) for _ in range(4)]
+    turns = [list(news.next(is_quiet=True)) for _ in range(4)]
     assert [name for turn in turns for name in said(turn)] == list(cameras(20))
     assert max(len(said(turn)) for turn in turns) == 8
     for turn in turns[:3]:
@@ -65,11 +65,17 @@ def test_camera_that_waits_to_be_said_keeps_its_turn_and_is_said_as_it_is_known_
     news.take(0, cameras(20), is_urgent=False)
     list(news.rest())
     news.take(1, cameras(20), is_urgent=False)
-    list(news.next(is_quiet=False))
+    list(news.next(is_quiet=True))
     news.take(2, cameras(20), is_urgent=False)
-    outputs = list(news.next(is_quiet=False))
+    outputs = list(news.next(is_quiet=True))
     assert said(outputs) == [f"c{index}" for index in range(8, 16)]
     assert {o.message.stamp_ns for o in outputs if isinstance(o.message, PoseEstimate)} == {2}
+
+
+def test_one_camera_is_said_in_a_turn_in_which_a_robot_waits() -> None:
+    news = announcements()
+    news.take(0, cameras(3), is_urgent=False)
+    assert [said(list(news.next(is_quiet=False))) for _ in range(4)] == [["c0"], ["c1"], ["c2"], []]
 
 
 def test_they_are_due_once_a_second_and_later_where_a_robot_waits() -> None:

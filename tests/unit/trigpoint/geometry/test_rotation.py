@@ -52,6 +52,13 @@ def test_quaternion_round_trip(vector: Array) -> None:
     np.testing.assert_allclose(so3.from_quaternion(-3.0 * quaternion), matrix, atol=1e-12)
 
 
+@given(vector=vectors)
+def test_quaternion_of_one_rotation_is_that_of_many(vector: Array) -> None:
+    matrix = so3.exp(vector)
+    [of_many] = so3.to_quaternion(matrix[None])
+    np.testing.assert_allclose(so3.to_quaternion(matrix), of_many, atol=1e-15)
+
+
 @pytest.mark.parametrize("axis", [[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi]])
 def test_quaternion_of_half_a_turn_about_an_axis(axis: list[float]) -> None:
     quaternion = so3.to_quaternion(so3.exp(axis))
