@@ -45,7 +45,7 @@ def test_every_camera_is_said_once_with_its_transform_a_few_a_turn() -> None:
         assert isinstance(transforms[0], Transforms)
         named = [transform.child for transform in transforms[0].transforms]
         assert named == [f"{name}/optical" for name in said(turn)]
-    assert turns[3] == []
+    assert said(turns[3]) == []
     messages = [output.message for output in turns[0] if output.topic is topics.CAMERA_POSE]
     assert all(isinstance(message, PoseEstimate) and message.stamp_ns == 5 for message in messages)
 
