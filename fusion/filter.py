@@ -62,6 +62,11 @@ class Filter:
         covariance = self.source.covariance()
         return Gaussian.of(-covariance @ self.source.gradient, covariance)
 
+    @property
+    def is_worth_settling(self) -> bool:
+        """Whether one of the next steps will have to work everything out."""
+        return isinstance(self.source, Gaussian) and self.source.is_worth_settling
+
     def settled(self) -> "Filter":
         """The same, worked out as far as it is known; raise LinAlgError as `known` does."""
         return replace(self, source=self.known.settled())

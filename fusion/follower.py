@@ -156,6 +156,8 @@ class Follower:
         came, before = self._came, self._came_before
         self._came, self._came_before = 0, came
         coming = self._coming
+        if not came:
+            (self._present if coming is None else coming.present).settle()
         if coming is None:
             return
         for _ in range(min(len(coming.missing), catching_up(came, before))):

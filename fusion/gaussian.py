@@ -22,6 +22,7 @@ from scipy.linalg import solve_triangular
 from trigpoint.geometry.rotation import Array
 
 # So many columns are near at most: a step by all of them is still quicker than anything else in it.
+# Whoever has the time works everything out at half of that.
 _MOST_NEAR = 64
 
 
@@ -81,6 +82,11 @@ class Gaussian:
         whole[near.columns], whole[:, near.columns] = rows, rows.T
         whole[np.ix_(near.columns, near.columns)] = near.covariance
         return whole
+
+    @property
+    def is_worth_settling(self) -> bool:
+        """Whether one of the next steps will have to work everything out."""
+        return len(self._near.columns) > _MOST_NEAR // 2
 
     def settled(self) -> "Gaussian":
         """The same with no column near, and nothing of before kept."""

@@ -102,11 +102,12 @@ class FusionNode:
         Called after the working thread ended.
         """
         with self._lock:
-            if self._checkpoint is None:
-                _log.info("stopped before %s was read", self._path)
-            else:
+            if self._checkpoint is not None:
                 self._checkpoint.close()
+            if self.is_resumed:
                 self._save_last()
+            else:
+                _log.info("stopped before %s was read; all of it is still there", self._path)
             if self._solver is not None:
                 self._solver.close()
 
@@ -145,10 +146,9 @@ class FusionNode:
     # -- the working thread -----------------------------------------------------------------------
 
     def _run(self, pulse: Pulse) -> None:
-        try:
-            self._resume(pulse)
-        finally:
-            self._is_read.set()
+        if not self._resume(pulse):
+            return
+        self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
             first = self._subscriptions[0][1].take(_TURN_S)
@@ -230,19 +230,24 @@ class FusionNode:
             raise OperationError("fusion is just starting; ask again in a moment")
         return self._checkpoint
 
-    def _resume(self, pulse: Pulse) -> None:
-        """Take up the map that a killed fusion left; on the working thread.
+    @property
+    def is_resumed(self) -> bool:
+        """Whether the checkpoint was read; nothing is estimated before."""
+        return self._is_read.is_set()
 
-        What comes meanwhile is set aside, and follows.
-        """
+    def _resume(self, pulse: Pulse) -> bool:
+        """Take up the map that a killed fusion left; on the working thread. What comes meanwhile is
+        set aside, and follows. False where it was stopped before the end."""
         with self._lock:
             self._checkpoint = Checkpoint(self._path, self._clock)
         pipeline, count = self._pipeline, 0
         aside: list[tuple[str, Message]] = []
         for key, payload in self._checkpoint.records():
             pulse.beat()
-            if self._node.stopping.is_set() or self._pipeline is not pipeline:
-                return  # stopped, or reset
+            if self._node.stopping.is_set():
+                return False
+            if self._pipeline is not pipeline:
+                return True  # reset
             if not count:
                 _log.info("reading %s; nothing is estimated until that is done", self._path)
             with self._lock:
@@ -250,11 +255,11 @@ class FusionNode:
                 if not count % _RECORDS_AT_ONCE:
                     aside += self._set_aside()
         with self._lock:
-            if self._pipeline is not pipeline:
-                return
-            self._go_on(count)
-            for node, message in aside:
-                self._pipeline.push(node, message)
+            if self._pipeline is pipeline:
+                self._go_on(count)
+                for node, message in aside:
+                    self._pipeline.push(node, message)
+        return True
 
     def _take_again(self, key: str, payload: bytes) -> int:
         """Take a record of the checkpoint; how many messages it was, 0 or 1."""

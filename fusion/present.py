@@ -52,6 +52,12 @@ class Present:
         if self.known is None and (robot == self.data.anchored_robot or self.data.known.poses):
             self.known = Filter.at_origin(self.data)
 
+    def settle(self) -> None:
+        """Do now, where nobody waits, what one of the next sightings would have to wait for."""
+        known = self.known
+        if known is not None and known.is_worth_settling:
+            self.known = known.settled()
+
     def go_on_from(self, known: Filter | None, entries: Iterable[Entry] = ()) -> None:
         """Replace what is known; `entries`: whose shares are to be gone on from, in order."""
         self.known = known

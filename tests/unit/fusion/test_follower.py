@@ -25,6 +25,7 @@ from trigpoint.fusion.follower import catching_up
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.orders import News, Order, Report, Reported, Solver
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
+from trigpoint.fusion.present import Present
 from trigpoint.fusion.results import Results
 from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.fusion.solving import Solving
@@ -191,6 +192,33 @@ def test_late_sighting_is_put_in_its_place_where_much_is_known(
     )
 
 
+def test_much_is_worked_out_in_turns_in_which_no_robot_waits(
+    charuco: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settled_after: list[bool] = []
+    settle = Present.settle
+
+    def noted(present: Present) -> None:
+        before = present.known
+        settle(present)
+        settled_after.append(present.known is not before)
+
+    monkeypatch.setattr(Present, "settle", noted)
+    # The robot and two of the three cameras are over half of what may be near, all of them less.
+    monkeypatch.setattr(gaussian, "_MOST_NEAR", 24)
+    solver = SlowSolver(charuco.inputs)
+    pipeline = Pipeline(charuco.inputs, solver=solver)
+    for node, message in charuco.messages:
+        came = len(settled_after)
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            is_corrected = bool(corrected(pipeline.advance(message.stamp_ns)))
+            assert not is_corrected or len(settled_after) == came
+        if len(settled_after) % 200 == 100:
+            solver.solve()
+    assert any(settled_after)
+
+
 @pytest.mark.parametrize("turns", [(1, 0, 0, 0), (2, 0), (5, 0), (1,), (3, 1), (1, 2, 0)])
 def test_new_filter_gains_on_what_comes_in_any_pattern(turns: tuple[int, ...]) -> None:
     """And leaves a turn with one sighting after a turn without to the robot that waits."""
@@ -318,7 +346,33 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
         checkpoint.write(topic.key("lab", name), cdr.encode(message))
     checkpoint.close()
     solver = SlowSolver(charuco.inputs)
-    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, _, feed):
+    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, node, feed):
         feed(charuco.messages[half:])
+        until(node, lambda: fusion.is_resumed)
     fusion.finish()
     assert_same_places(load_network(tmp_path), charuco_results.network)
+
+
+def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
+    charuco: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
+    for name, message in charuco.messages:
+        key = TOPIC_OF[type(message)].key("lab", name)
+        checkpoint.write(key, cdr.encode(message))
+    checkpoint.close()
+    (tmp_path / "network.json").write_text("of before")
+    before = (tmp_path / "checkpoint.bin").read_bytes()
+    take_again = FusionNode._take_again
+
+    def stopped(self: FusionNode, key: str, payload: bytes) -> int:
+        self._node.stop()
+        return take_again(self, key, payload)
+
+    monkeypatch.setattr(FusionNode, "_take_again", stopped)
+    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (fusion, node, _):
+        until(node, node.stopping.is_set)
+    fusion.finish()
+    assert not fusion.is_resumed
+    assert (tmp_path / "network.json").read_text() == "of before"
+    assert (tmp_path / "checkpoint.bin").read_bytes() == before

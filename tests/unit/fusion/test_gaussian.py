@@ -120,3 +120,17 @@ def test_settled_one_is_the_same_and_can_be_handed_to_another_process() -> None:
     settled = mine.settled()
     assert settled.settled() is settled
     assert_same(pickle.loads(pickle.dumps(settled)), whole)
+
+
+def test_it_is_worth_settling_before_a_step_has_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gaussian, "_MOST_NEAR", 2 * (ROBOT + CAMERA))
+    random = np.random.default_rng(6)
+    mine = Gaussian.of(*start(random))
+    base, worth = mine.before, []
+    for camera in range(2):
+        where = np.concatenate([LAST, columns_of(camera)])
+        mine, _ = mine.updated(where, random.normal(size=(5, 9)), random.normal(size=5))
+        worth.append(mine.is_worth_settling)
+        assert mine.before is base
+    assert worth == [False, True]
+    assert not mine.settled().is_worth_settling
