@@ -41,8 +41,8 @@ class FaceFinder(Protocol):
     def locate(
         self, grey: np.ndarray, is_over: "IsOver", within: "Region | None" = None
     ) -> "list[Located]":
-        """The faces in a picture, or in a part of it alone; those found so far where `is_over`
-        becomes true."""
+        """The faces in a picture, or those that show plainly in a part of it, at a third of the
+        time; those found so far where `is_over` becomes true."""
         ...
 
     def follow(

@@ -21,7 +21,7 @@ from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
 from .measurement import Located, Measured, measured, placed_again
 from .partly_seen import LEAST_SHARE as LEAST_PARTLY
-from .partly_seen import is_partly_seen
+from .partly_seen import is_ended, is_partly_seen
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 from .region import Region
@@ -68,15 +68,17 @@ class CheckerboardDetector(FaceFinder):
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
     ) -> list[Located]:
-        """The boards in a picture, or in a part of it; a second look at half the size is for
-        blurred ones."""
-        within = within or Region.whole(grey)
-        part = within.of(grey)
-        found = self._search(part, _Source(grey, within, 1), is_over)
-        if not found and min(part.shape) >= 64 and not is_over():
-            height, width = part.shape
+        """The boards in a picture, or those in a part of it whose corners are joined at once; a
+        second look at half the size is for blurred ones."""
+        if within:
+            return self._search(within.of(grey), _Source(grey, within, 1), _Allowance(is_over, 0))
+        whole = Region.whole(grey)
+        found = self._search(grey, _Source(grey, whole, 1), _Allowance(is_over))
+        if not found and min(grey.shape) >= 64 and not is_over():
+            height, width = grey.shape
             half = self._spaces[2].array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
-            found = self._search(cv2.pyrDown(part, dst=half), _Source(grey, within, 2), is_over)
+            small = cv2.pyrDown(grey, dst=half)
+            found = self._search(small, _Source(grey, whole, 2), _Allowance(is_over))
         return found
 
     def follow(
@@ -106,8 +108,11 @@ class CheckerboardDetector(FaceFinder):
         is_there = alternates(grey, face, found.fit) and is_bordered(grey, face, found.fit)
         return Located(last.look, found) if is_there else None
 
-    def _search(self, small: np.ndarray, source: "_Source", is_over: IsOver) -> list[Located]:
+    def _search(
+        self, small: np.ndarray, source: "_Source", allowance: "_Allowance"
+    ) -> list[Located]:
         """The boards found in what was made of a picture, measured in that itself."""
+        is_over = allowance.is_over
         curvature = Curvature.of(small, self._spaces[source.step])
         saddles = find_saddles(curvature)
         if len(saddles) < min(self._least, LEAST_SEED) or is_over():
@@ -115,7 +120,6 @@ class CheckerboardDetector(FaceFinder):
         found: list[Located] = []
         joined = find_grids(saddles)[:MOST_GRIDS]
         waiting = deque(grid for grid in joined if len(grid) <= self._most)
-        allowance = _Allowance(is_over)
         for _ in range(MOST_GRIDS):
             if not waiting or is_over():
                 break
@@ -184,11 +188,11 @@ class _Source:
 
 
 class _Allowance:
-    """What one search may still do, and until when."""
+    """What one search may still do, and until when; `share`: 0 where nothing that takes long."""
 
-    def __init__(self, is_over: IsOver) -> None:
+    def __init__(self, is_over: IsOver, share: int = 1) -> None:
         self.is_over = is_over
-        self._left = {"bend": MOST_BENT, "grow": MOST_GROWN, "part": MOST_PARTED}
+        self._left = {"bend": MOST_BENT, "grow": share * MOST_GROWN, "part": share * MOST_PARTED}
 
     def may_bend(self) -> bool:
         """Whether to hold one more grid against a lens."""
@@ -269,7 +273,7 @@ def _measured(grid: Grid, look: Appearance, source: "_Source", is_over: IsOver) 
 def _is_board(grey: np.ndarray, face: Face, found: Measured) -> bool:
     """Whether enough is seen of a board: nearly all of it, or a part that leaves no doubt."""
     is_whole = len(found.corners) >= LEAST_SHARE * face.corner_count
-    if is_whole and alternates(grey, face, found.fit):
+    if is_whole and alternates(grey, face, found.fit) and is_ended(grey, face, found.fit):
         return True
     is_told = is_partly_seen(grey, face, found.fit, found.corners)
     return is_told and is_bordered(grey, face, found.fit)

@@ -78,6 +78,8 @@ def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
             keep = fit.residuals(grid.places.astype(float), grid.pixels) < FLAT * spacing
             if keep.sum() > best.sum():
                 best = keep
+        if best.all():
+            break
     return best
 
 

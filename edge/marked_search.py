@@ -16,6 +16,8 @@ from .region import Region
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
 MOST_REFUSED = 3
+# So many markers make a group that shows plainly.
+LEAST_PLAIN = 2
 
 
 class MarkedSearch(FaceFinder):
@@ -30,8 +32,8 @@ class MarkedSearch(FaceFinder):
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
     ) -> list[Located]:
-        """The boards in a grey picture, or in a part of it; inverted ones are looked for in its
-        negative."""
+        """The boards in a grey picture, or those of some markers in a part of it; inverted ones
+        are looked for in its negative."""
         found: list[Located] = []
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
@@ -62,6 +64,7 @@ class MarkedSearch(FaceFinder):
         quads = self._finder.find(grey, is_over, within)
         if len(quads) == 0 or is_over():
             return []
+        least = LEAST_PLAIN if within else 1
         scores = {key: reader.scores(grey, quads) for key, reader in self._readers.items()}
         claims: list[tuple[MarkerGroup, MarkedBoard]] = []
         for board in boards:
@@ -69,7 +72,8 @@ class MarkedSearch(FaceFinder):
                 break
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
-            claims += [(group, board) for group in group_markers(markers, board.layout, is_over)]
+            groups = group_markers(markers, board.layout, is_over)
+            claims += [(group, board) for group in groups if len(group.numbers) >= least]
         return self._settled(grey, claims, is_over)
 
     def _settled(

@@ -41,13 +41,14 @@ class QuadFinder:
         self, grey: np.ndarray, is_over: IsOver = never, within: Region | None = None
     ) -> Array:
         """Corners (n, 4, 2) of the dark quadrilaterals, clockwise from any of the four, pixels;
-        only of those `within` a region where one is given.
+        `within` a region only those that show at the picture's own size.
 
         Nothing is looked for where the picture is too crowded.
         """
+        passes = _PASSES[:1] if within else _PASSES
         within = within or Region.whole(grey)
         part, found = within.of(grey), np.zeros((0, 4, 2))
-        for step, window_px in _PASSES:
+        for step, window_px in passes:
             size = (part.shape[1] // step, part.shape[0] // step)
             if min(size) < 2 * window_px or is_over():
                 break

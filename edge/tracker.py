@@ -23,10 +23,12 @@ from .picture import as_grey
 from .planar_fit import PlanarFit, fit_plane
 from .region import Region, regions_around
 
-# While faces are followed, the whole picture is searched so often, and what is about them, where
-# the next face of a robot that turns comes into view, if nothing was searched for so long.
+# While faces are followed, the whole picture is searched so often.
 SEARCH_EVERY_NS = 500_000_000
-SEARCH_BESIDE_EVERY_NS = 150_000_000
+# What is about them is searched, for the robot's next face that turns into view, where nothing was
+# for so long, and a face has moved since by this share of its size.
+SEARCH_BESIDE_EVERY_NS = 250_000_000
+MOVED_SHARE = 0.1
 # A face that was not seen for so long, or in so many pictures, is not looked for any more.
 FORGET_NS = 400_000_000
 MOST_MISSES = 2
@@ -105,6 +107,7 @@ class TargetTracker:
         self._tracks: list[Track] = []
         self._searched_ns: int | None = None
         self._looked_ns = 0
+        self._outlines: list[Array] = []
         self._shape: tuple[int, ...] = ()
         self.given_up = 0
 
@@ -115,12 +118,13 @@ class TargetTracker:
         self._forget(grey.shape, stamp_ns)
         found = self._followed(grey, stamp_ns, budget.is_over)
         if self._is_search_due(stamp_ns, found):
-            self._searched_ns = self._looked_ns = stamp_ns
+            self._searched_ns = stamp_ns
             found = self._searched(grey, found, None, budget.is_over)
-        elif stamp_ns - self._looked_ns >= SEARCH_BESIDE_EVERY_NS:
-            self._looked_ns = stamp_ns
+            self._looked_ns, self._outlines = stamp_ns, _outlines(found)
+        elif self._is_look_beside_due(stamp_ns, found):
             for region in regions_around(_outlines(found), grey.shape):
                 found = self._searched(grey, found, region, budget.is_over)
+            self._looked_ns, self._outlines = stamp_ns, _outlines(found)
         self._tracks = self._renewed(found, stamp_ns)
         self.given_up += budget.was_over
         return tuple(located.sighting for located in found)
@@ -138,6 +142,15 @@ class TargetTracker:
         if self._searched_ns is None or len(found) < max(fresh, 1):
             return True
         return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
+
+    def _is_look_beside_due(self, stamp_ns: int, found: Sequence[Located]) -> bool:
+        """Now and then while what is followed moves: what stands shows no other face."""
+        if stamp_ns - self._looked_ns < SEARCH_BESIDE_EVERY_NS:
+            return False
+        return any(
+            all(_has_moved(last, outline) for last in self._outlines)
+            for outline in _outlines(found)
+        )
 
     def _followed(self, grey: np.ndarray, stamp_ns: int, is_over: IsOver) -> list[Located]:
         """The faces that are where they can be by now."""
@@ -267,6 +280,11 @@ def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
     for outline in _outlines(found):
         cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
     return left
+
+
+def _has_moved(last: Array, outline: Array) -> bool:
+    """Whether one outline (4, 2) lies elsewhere than the other."""
+    return bool(np.abs(outline - last).max() > MOVED_SHARE * np.ptp(outline, axis=0).max())
 
 
 def _outlines(found: Sequence[Located]) -> list[Array]:

@@ -6,6 +6,7 @@ import pytest
 
 from trigpoint.edge import quads as quads_module
 from trigpoint.edge.quads import MOST_RUNS, QuadFinder, dark_runs
+from trigpoint.edge.region import Region
 
 
 def with_squares(*sides: int) -> np.ndarray:
@@ -28,6 +29,12 @@ def test_what_runs_out_of_the_picture_is_no_quadrilateral() -> None:
     picture = np.full((480, 640), 200, np.uint8)
     picture[:30, :30] = 30
     assert len(QuadFinder().find(picture)) == 0
+
+
+def test_only_a_region_is_searched_and_its_pixels_are_the_picture_s() -> None:
+    (quad,) = QuadFinder().find(with_squares(16, 20), within=Region(150, 80, 300, 150))
+    assert quad.min(axis=0) == pytest.approx([160, 100], abs=1.5)
+    assert np.ptp(quad, axis=0) == pytest.approx([19, 19], abs=1.5)
 
 
 def test_time_that_is_up_ends_the_search() -> None:

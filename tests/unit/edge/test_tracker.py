@@ -1,5 +1,7 @@
 """Faces are followed from picture to picture, and found again where they come from anew."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from boards import (
@@ -44,15 +46,60 @@ def test_moving_face_is_found_in_every_picture(face: Face) -> None:
 @pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
 def test_followed_face_costs_no_search(face: Face, monkeypatch: pytest.MonkeyPatch) -> None:
     tracker = TargetTracker([target_of(face)])
-    for index in range(3):
+    for index in range(2):
         tracker.detect(moving(face, index), index * STEP_NS)
+    refuse_searches(monkeypatch)
+    assert len(tracker.detect(moving(face, 2), 2 * STEP_NS)) == 1
 
+
+def refuse_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("the picture was searched")
 
-    for name in ("_searched",):
-        monkeypatch.setattr(tracker_module.TargetTracker, name, refuse)
-    assert len(tracker.detect(moving(face, 3), 3 * STEP_NS)) == 1
+    monkeypatch.setattr(tracker_module.TargetTracker, "_searched", refuse)
+
+
+def test_face_that_stands_costs_no_search_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = TargetTracker([target_of(charuco())])
+    for index in range(2):
+        tracker.detect(moving(charuco(), 0), index * STEP_NS)
+    refuse_searches(monkeypatch)
+    assert len(tracker.detect(moving(charuco(), 0), 4 * STEP_NS)) == 1
+
+
+@pytest.mark.parametrize(
+    "faces",
+    [
+        (checkerboard(8, 5), checkerboard(8, 5, number=1)),
+        (charuco(number=0), charuco(number=1, first=10)),
+        (aprilgrid(), aprilgrid(number=1, first=30)),
+    ],
+    ids=lambda faces: faces[0].pattern.value,
+)
+def test_face_that_turns_into_view_is_found_before_the_whole_picture_is_searched(
+    faces: tuple[Face, Face], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two faces of a robot that turns by 5 degrees a picture; the second shows its front from the
+    fourth one on."""
+    tracker = TargetTracker([target_of(*faces)])
+    for index in range(4):
+        turned = 5 * index
+        view = [placed(faces[0], distance=1.1, x=-0.1 - 0.03 * index, yaw_deg=turned)]
+        if index == 3:
+            refuse_full_searches(monkeypatch)
+            view.append(placed(faces[1], distance=1.1, x=0.06, yaw_deg=turned - 60))
+        found = tracker.detect(picture_of(view, noise=1.0, seed=index), index * STEP_NS)
+        assert len(found) == len(view)
+
+
+def refuse_full_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = TargetTracker._searched
+
+    def only_beside(*given: Any) -> list[Any]:
+        assert given[3] is not None, "the whole picture was searched"
+        return searched(*given)
+
+    monkeypatch.setattr(TargetTracker, "_searched", only_beside)
 
 
 def test_face_that_jumps_is_found_again() -> None:

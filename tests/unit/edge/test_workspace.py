@@ -16,6 +16,16 @@ def test_array_is_the_same_one_while_it_fits() -> None:
     assert space.array("smooth", (5, 4), np.uint8).dtype == np.uint8
 
 
+def test_array_of_a_part_lies_in_the_memory_of_the_whole() -> None:
+    space = Workspace()
+    whole = space.array("smooth", (40, 50))
+    part = space.array("smooth", (7, 9))
+    assert part.shape == (7, 9)
+    assert np.shares_memory(whole, part)
+    assert np.shares_memory(whole, space.array("smooth", (50, 40)))
+    assert space.array("smooth", (60, 50)).shape == (60, 50)
+
+
 def test_what_was_seen_before_changes_nothing() -> None:
     face = checkerboard()
     picture = picture_of([placed(face, turn_deg=10)], noise=2.0)
