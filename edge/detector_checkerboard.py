@@ -21,7 +21,7 @@ from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
 from .measurement import Located, Measured, measured, placed_again
 from .partly_seen import LEAST_SHARE as LEAST_PARTLY
-from .partly_seen import is_partly_seen
+from .partly_seen import is_ended, is_partly_seen
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, settled_fit
 from .region import Region
@@ -273,7 +273,7 @@ def _measured(grid: Grid, look: Appearance, source: "_Source", is_over: IsOver) 
 def _is_board(grey: np.ndarray, face: Face, found: Measured) -> bool:
     """Whether enough is seen of a board: nearly all of it, or a part that leaves no doubt."""
     is_whole = len(found.corners) >= LEAST_SHARE * face.corner_count
-    if is_whole and alternates(grey, face, found.fit):
+    if is_whole and alternates(grey, face, found.fit) and is_ended(grey, face, found.fit):
         return True
     is_told = is_partly_seen(grey, face, found.fit, found.corners)
     return is_told and is_bordered(grey, face, found.fit)

@@ -47,3 +47,16 @@ def test_board_without_one_of_its_outermost_lines_is_not_taken() -> None:
     assert fit is not None
     first_line_hidden = np.arange(FACE.columns - 1, FACE.corner_count)
     assert not is_partly_seen(picture_of([view]), FACE, fit, first_line_hidden)
+
+
+@pytest.mark.parametrize("strip", [0.15, 0.3, 0.6])
+def test_larger_board_that_leaves_the_picture_is_not_taken_for_ours(strip: float) -> None:
+    """Of the next line of its squares that much is in the picture, and no corner."""
+    other = checkerboard(9, 7, number=2)
+    view = placed(other, tilt_deg=0)
+    pixels = true_pixels(view)
+    side = (np.ptp(pixels[:, 0]) + 1) / (other.columns - 2)
+    end = round(pixels[:, 0].max() + strip * side)
+    cut = picture_of([view])[:, :end]
+    assert not detector_for([target_of(FACE)]).detect(np.ascontiguousarray(cut))
+    assert detector_for([target_of(other)]).detect(picture_of([view]))
