@@ -28,7 +28,8 @@ _WILD_SHARE = 0.25
 # A place from which all corners are this far off is none: what one flat face leaves open is less.
 _FAR_RMS_SIGMAS = 100.0
 _MOST_STEPS = 12
-_SMALLEST_STEP = 1e-6
+# After a step this small, m and rad, the next one would be its square: nothing.
+_SMALL_STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,13 +274,24 @@ class _Search:
         for _ in range(_MOST_STEPS):
             jacobian, residual, sound = self._linearised(poses, points)
             is_sound &= sound
-            costs = np.where(is_sound, np.sum(residual**2, axis=1), np.inf)
-            steps = np.zeros((len(readings), 6))
-            steps[:, self.tangent] = least_squares_steps(jacobian, residual, is_sound)
-            if np.abs(steps).max() < _SMALLEST_STEP:
+            steps = self._steps(jacobian, residual, is_sound)
+            left = residual + (jacobian @ steps[..., None])[..., 0]
+            costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)
+            whole = np.zeros((len(readings), 6))
+            whole[:, self.tangent] = steps
+            poses = poses.disturbed(whole)
+            if np.abs(steps).max() < _SMALL_STEP:
                 break
-            poses = poses.disturbed(steps)
         return poses, costs
+
+    def _steps(self, jacobian: Array, residual: Array, is_sound: np.ndarray) -> Array:
+        """`least_squares_steps`; what a prior is about is determined, which saves half the time."""
+        if self.prior is None:
+            return least_squares_steps(jacobian, residual, is_sound)
+        transposed = np.swapaxes(jacobian, 1, 2) * is_sound[:, None, None]
+        information = transposed @ jacobian + np.eye(len(self.tangent)) * ~is_sound[:, None, None]
+        wanted = np.where(is_sound[:, None], residual, 0.0)
+        return -np.linalg.solve(information, transposed @ wanted[..., None])[..., 0]
 
     def _linearised(self, poses: Pose, points: Array) -> tuple[Array, Array, np.ndarray]:
         """Jacobian (b, m, k) and residual (b, m) of poses (b) with the prior's; which are sound."""

@@ -12,6 +12,9 @@ UNKNOWN_VARIANCE = 100.0**2
 STILL = 1e-9
 # 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
 _FLOOR_VARIANCE = 1e-13
+# Where the covariance of a motion in the plane is not 0, in the upper half.
+_PLANE_ROWS = [0, 0, 1, 2, 0, 1, 2, 2, 3, 4, 5]
+_PLANE_COLUMNS = [0, 1, 1, 2, 5, 5, 3, 4, 3, 4, 5]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,22 +169,24 @@ def _covariance_in_plane(
     tilt = np.where(noise.is_unknown, UNKNOWN_VARIANCE, noise.tilt)
     heading = np.where(noise.is_unknown, UNKNOWN_VARIANCE, noise.heading)
     cosine, sine, x, y = middle.real, middle.imag, ahead.real, ahead.imag
-    blocks = {
-        (0, 0): along * cosine**2 + aside * sine**2 + slip + heading * y**2,
-        (0, 1): (along - aside) * cosine * sine - heading * x * y,
-        (1, 1): along * sine**2 + aside * cosine**2 + slip + heading * x**2,
-        (2, 2): above + unknown + tilt * (x**2 + y**2),
-        (0, 5): -heading * y,
-        (1, 5): heading * x,
-        (2, 3): tilt * y,
-        (2, 4): -tilt * x,
-        (3, 3): tilt,
-        (4, 4): tilt,
-        (5, 5): heading,
-    }
+    entries = np.array(
+        [
+            along * cosine**2 + aside * sine**2 + slip + heading * y**2,
+            (along - aside) * cosine * sine - heading * x * y,
+            along * sine**2 + aside * cosine**2 + slip + heading * x**2,
+            above + unknown + tilt * (x**2 + y**2),
+            -heading * y,
+            heading * x,
+            tilt * y,
+            -tilt * x,
+            tilt,
+            tilt,
+            heading,
+        ]
+    )
+    sums = np.add.reduceat(entries, starts, axis=1).T
     total = np.zeros((len(starts), 6, 6))
-    for (row, column), terms in blocks.items():
-        total[:, row, column] = total[:, column, row] = np.add.reduceat(terms, starts)
+    total[:, _PLANE_ROWS, _PLANE_COLUMNS] = total[:, _PLANE_COLUMNS, _PLANE_ROWS] = sums
     return total + _FLOOR_VARIANCE * np.eye(6)
 
 

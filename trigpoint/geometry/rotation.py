@@ -107,7 +107,12 @@ def _one_quaternion(matrix: Array) -> Array:
 def about_z(heading_rad: ArrayLike) -> Array:
     """Rotation about z; (…) -> (…, 3, 3)."""
     heading = np.asarray(heading_rad, dtype=float)
-    return exp(np.stack([np.zeros_like(heading), np.zeros_like(heading), heading], axis=-1))
+    matrix = np.zeros((*heading.shape, 3, 3))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = np.cos(heading)
+    matrix[..., 1, 0] = np.sin(heading)
+    matrix[..., 0, 1] = -matrix[..., 1, 0]
+    matrix[..., 2, 2] = 1.0
+    return matrix
 
 
 def wrap(angle_rad: ArrayLike) -> Array:
