@@ -121,7 +121,7 @@ class TargetTracker:
             self._searched_ns = stamp_ns
             found = self._searched(grey, found, None, budget.is_over)
             self._looked_ns, self._outlines = stamp_ns, _outlines(found)
-        elif self._is_look_beside_due(stamp_ns, found):
+        elif budget.is_left() and self._is_look_beside_due(stamp_ns, found):
             for region in regions_around(_outlines(found), grey.shape):
                 found = self._searched(grey, found, region, budget.is_over)
             self._looked_ns, self._outlines = stamp_ns, _outlines(found)
@@ -213,9 +213,13 @@ class _Budget:
         )
         self.was_over = False
 
+    def is_left(self) -> bool:
+        """Whether what can wait may be begun; nothing is given up where not."""
+        return self._end_ns is None or self._clock.elapsed_ns() <= self._end_ns
+
     def is_over(self) -> bool:
         """Whether it is nearly used up; asked before every step of a search."""
-        self.was_over = self._end_ns is not None and self._clock.elapsed_ns() > self._end_ns
+        self.was_over = not self.is_left()
         return self.was_over
 
 

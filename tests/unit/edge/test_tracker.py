@@ -67,6 +67,27 @@ def test_face_that_stands_costs_no_search_beside_it(monkeypatch: pytest.MonkeyPa
     assert len(tracker.detect(moving(charuco(), 0), 4 * STEP_NS)) == 1
 
 
+def test_what_is_beside_is_not_searched_where_following_took_the_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nor is the picture given up: it can wait."""
+    clock = ManualClock()
+    tracker = TargetTracker([target_of(charuco())], budget_s=0.1, clock=clock)
+    for index in range(2):
+        tracker.detect(moving(charuco(), index), index * STEP_NS)
+    followed = TargetTracker._followed
+
+    def slowly(*given: Any) -> list[Any]:
+        found = followed(*given)
+        clock.advance(0.08)
+        return found
+
+    monkeypatch.setattr(TargetTracker, "_followed", slowly)
+    refuse_searches(monkeypatch)
+    assert len(tracker.detect(moving(charuco(), 3), 3 * STEP_NS)) == 1
+    assert tracker.given_up == 0
+
+
 @pytest.mark.parametrize(
     "faces",
     [
