@@ -19,6 +19,7 @@ import typer
 
 from trigpoint import cdr
 from trigpoint.clock import to_ns, to_seconds
+from trigpoint.fusion.heap import give_back_large
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.messages import Odometry, Sightings
@@ -112,6 +113,7 @@ def measured(corridor: Corridor, *, resumed_s: float = 0.0, tells: bool = False)
 
 
 def _driven(corridor: Corridor, resumed_s: float, tells: bool) -> Live:
+    give_back_large()  # as the command does it
     solver = SolverProcess(corridor.inputs.data_set())
     try:
         drive = _Drive(corridor, solver, tells=tells)

@@ -12,6 +12,7 @@ from trigpoint.clock import SystemClock
 from trigpoint.config import load_site
 from trigpoint.node import Node, stopped_by_signals
 
+from .heap import give_back_large
 from .inputs import load_inputs
 from .node import KIND, NAME, FusionNode
 from .orders import Solver
@@ -42,6 +43,7 @@ def main(
     folder = out if out is not None else loaded.path("network")
     clock = SystemClock()
     cdr.warm_up()
+    give_back_large()
     with open_bus(loaded) as bus:
         fusion = None
         try:

@@ -25,6 +25,7 @@ from trigpoint.watchdog import Pulse
 from .dataset import DataSet
 from .guidance import suggestions
 from .guidance_world import GuidanceWorld
+from .heap import give_back_large
 from .orders import Finish, News, Order, Suggested, TakeObservation
 from .solving import Solving
 
@@ -150,6 +151,7 @@ def _held_back(*signals: signal.Signals) -> Iterator[None]:
 
 def _serve(orders: Connection, news: Connection) -> None:
     """Take the data set and carry out orders, until the pipe ends."""
+    give_back_large()
     try:
         data: DataSet = orders.recv()
     except (EOFError, OSError):

@@ -1,0 +1,19 @@
+"""Gives the memory of large arrays back to the system as soon as they are freed.
+
+glibc takes an array that is larger than a limit from the system and gives it back, but raises that
+limit to the size of whatever is given back. From then on the arrays of a long session's solutions
+lie among small things that stay, and what they took stays with them.
+"""
+
+import ctypes
+
+# Bytes; smaller than the covariance of a hundred cameras, larger than what a sighting needs.
+LARGE = 1 << 20
+_M_MMAP_THRESHOLD = -3  # of malloc.h
+
+
+def give_back_large() -> None:
+    """Fix glibc's limit for this process; where there is another C library, nothing happens."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_M_MMAP_THRESHOLD, LARGE)
