@@ -11,8 +11,8 @@ from typing import ClassVar
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.clock import Clock, to_ns
 from trigpoint.config import CameraConfig, Site, parse_site
-from trigpoint.edge.frames import SOURCES, Frame
 from trigpoint.edge.node import EdgeNode
+from trigpoint.edge.sources.frames import SOURCES, Frame
 from trigpoint.geometry import CameraModel
 from trigpoint.node import Node
 

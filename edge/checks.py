@@ -7,7 +7,7 @@ from pathlib import Path
 
 from trigpoint.checks import Check
 
-from .v4l2_formats import Offer, offers_of
+from .sources.v4l2_formats import Offer, offers_of
 
 
 def checks() -> list[Check]:

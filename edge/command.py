@@ -13,7 +13,7 @@ from trigpoint.node import Node, stop_on_signals
 from trigpoint.watchdog import Watchdog
 
 from .node import KIND, EdgeNode, load_targets
-from .quiet import quieten_opencv
+from .sources.opencv_log import quieten_opencv
 
 _LOOK_S = 0.1
 

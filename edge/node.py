@@ -14,10 +14,10 @@ from trigpoint.node import Node
 from trigpoint.target import Target, load_target
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
-from .calibration_service import CalibrationService
-from .frames import Frame, FrameSource, open_source
-from .intrinsics import calibrated_lens, check_size, known_lens
+from .lens.calibration_service import CalibrationService
+from .lens.intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
+from .sources.frames import Frame, FrameSource, open_source
 from .tracker import TargetTracker
 
 KIND = "edge"

@@ -12,7 +12,7 @@ from trigpoint.config import CameraConfig
 from trigpoint.errors import OperationError
 from trigpoint.messages import Picture
 
-from .frames import Frame
+from .sources.frames import Frame
 
 
 class PictureSender:

@@ -16,12 +16,14 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Target
 
-from .detector import FaceFinder, IsOver, finders_for
-from .measurement import LEAST_CORNERS, Located
-from .middle import median
-from .picture import as_grey
-from .planar_fit import PlanarFit, fit_plane
-from .region import Region, regions_around
+from .detector import finders_for
+from .image.median import median
+from .image.picture import as_grey
+from .image.region import Region, regions_around
+from .image.time_limit import IsOver
+from .registration.finder import FaceFinder
+from .registration.measurement import LEAST_CORNERS, Located
+from .registration.planar_fit import PlanarFit, fit_plane
 
 # While faces are followed, the whole picture is searched so often.
 SEARCH_EVERY_NS = 500_000_000

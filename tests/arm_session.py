@@ -17,7 +17,7 @@ from builders import REAL_DATA
 from trigpoint import cdr, topics
 from trigpoint.clock import to_ns
 from trigpoint.edge.detector import TargetDetector, detector_for
-from trigpoint.edge.picture_files import read_picture
+from trigpoint.edge.sources.picture_files import read_picture
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.messages import CameraInfo, Odometry, Sightings

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trigpoint.edge.calibration_views import View
+from trigpoint.edge.lens.calibration_views import View
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import exp

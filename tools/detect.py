@@ -12,9 +12,9 @@ import numpy as np
 import typer
 
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.frames_video import Video
-from trigpoint.edge.picture_files import is_picture, pictures_in, read_picture
-from trigpoint.edge.quiet import quieten_opencv
+from trigpoint.edge.sources.frames_video import Video
+from trigpoint.edge.sources.opencv_log import quieten_opencv
+from trigpoint.edge.sources.picture_files import is_picture, pictures_in, read_picture
 from trigpoint.errors import InputError
 from trigpoint.messages import FaceSighting
 from trigpoint.target import load_target

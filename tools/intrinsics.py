@@ -9,11 +9,11 @@ import typer
 
 from trigpoint.camera_info import write_camera_info
 from trigpoint.config import load_site
-from trigpoint.edge.calibration import Calibration, calibrate
-from trigpoint.edge.calibration_text import calibration_record, calibration_text
-from trigpoint.edge.calibration_views import View, views_of
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.quiet import quieten_opencv
+from trigpoint.edge.lens.calibration import Calibration, calibrate
+from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
+from trigpoint.edge.lens.calibration_views import View, views_of
+from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.errors import InputError, OperationError
 from trigpoint.target import Target, load_target
 

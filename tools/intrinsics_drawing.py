@@ -4,7 +4,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from trigpoint.edge.calibration import Calibration
+from trigpoint.edge.lens.calibration import Calibration
 from trigpoint.geometry.rotation import Array
 
 _SIDE = 400.0

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from xml.etree.ElementTree import Element, tostring
 
 from trigpoint import __version__
-from trigpoint.edge.calibration import Calibration
-from trigpoint.edge.calibration_text import advice, covered_share, parameter_names, rounded
+from trigpoint.edge.lens.calibration import Calibration
+from trigpoint.edge.lens.calibration_text import advice, covered_share, parameter_names, rounded
 
 from .intrinsics_drawing import coverage_drawing, element, field_drawing, scatter_drawing
 

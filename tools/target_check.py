@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from trigpoint.edge.markers import predefined_dictionary
+from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.errors import TargetError
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern, Target

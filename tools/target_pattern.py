@@ -7,8 +7,8 @@ lies over another.
 import cv2
 import numpy as np
 
-from trigpoint.edge.markers import predefined_dictionary
-from trigpoint.edge.sheet import charuco_layout
+from trigpoint.edge.registration.dictionaries import predefined_dictionary
+from trigpoint.edge.registration.printed_pattern import charuco_layout
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 

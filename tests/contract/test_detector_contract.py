@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from boards import (
     aprilgrid,
     charuco,
@@ -11,7 +12,6 @@ from boards import (
     plain_picture,
     target_of,
 )
-
 from trigpoint.cdr import decode, encode, type_name
 from trigpoint.edge.detector import DETECTORS, TargetDetector, detector_for
 from trigpoint.messages import Sightings

@@ -5,12 +5,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import NOWHERE, target_of
 from builders import REAL_DATA
 
+from boards import NOWHERE, target_of
 from trigpoint.edge.detector import TargetDetector, detector_for
-from trigpoint.edge.frames_video import Video
-from trigpoint.edge.picture_files import pictures_in, read_picture
+from trigpoint.edge.sources.frames_video import Video
+from trigpoint.edge.sources.picture_files import pictures_in, read_picture
 from trigpoint.target import Face, Pattern
 
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"

@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.config import CameraConfig
-from trigpoint.edge.frames import Frame
+from trigpoint.edge.sources.frames import Frame
 from trigpoint.errors import FrameError, InputError
 from trigpoint.geometry import CameraModel
 

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from lens_views import BOARD, FISHEYE, PINHOLE, SIZE, board_views
 
-from trigpoint.edge.calibration import calibrate
-from trigpoint.edge.calibration_choice import Candidate, choose
-from trigpoint.edge.calibration_fit import fit, place
-from trigpoint.edge.calibration_information import knowledge, most_informative, view_information
-from trigpoint.edge.calibration_text import advice, calibration_record, calibration_text
-from trigpoint.edge.calibration_views import View
+from trigpoint.edge.lens.calibration import calibrate
+from trigpoint.edge.lens.calibration_choice import Candidate, choose
+from trigpoint.edge.lens.calibration_fit import fit, place
+from trigpoint.edge.lens.calibration_information import (
+    knowledge,
+    most_informative,
+    view_information,
+)
+from trigpoint.edge.lens.calibration_text import advice, calibration_record, calibration_text
+from trigpoint.edge.lens.calibration_views import View
 from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel

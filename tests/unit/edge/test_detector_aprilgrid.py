@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from boards import (
     aprilgrid,
     cluttered_picture,
@@ -13,7 +14,6 @@ from boards import (
     true_pixels,
     worst_error,
 )
-
 from trigpoint.edge.detector import detector_for
 
 

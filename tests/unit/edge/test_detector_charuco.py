@@ -4,6 +4,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+
 from boards import (
     charuco,
     checkerboard,
@@ -16,7 +17,6 @@ from boards import (
     true_pixels,
     worst_error,
 )
-
 from trigpoint.edge.detector import detector_for
 from trigpoint.errors import TargetError
 from trigpoint.target import Face

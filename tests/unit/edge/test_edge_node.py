@@ -8,17 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
 from builders import eventually
 
+from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
 from trigpoint.bus import Subscription
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.camera_info import write_camera_info
 from trigpoint.cdr import decode
 from trigpoint.config import CameraConfig, parse_site
-from trigpoint.edge import frames as frames_module
-from trigpoint.edge.frames import Frame, Stamp
 from trigpoint.edge.node import EdgeNode
+from trigpoint.edge.sources import frames as frames_module
+from trigpoint.edge.sources.frames import Frame, Stamp
 from trigpoint.errors import ConfigError, FrameError, InputError
 from trigpoint.geometry import CameraModel
 from trigpoint.health import Health

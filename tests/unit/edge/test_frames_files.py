@@ -9,8 +9,8 @@ import pytest
 
 from trigpoint.clock import ManualClock, to_ns
 from trigpoint.config import CameraConfig
-from trigpoint.edge.frames import SOURCES, Frame, open_source, source_class
-from trigpoint.edge.frames_video import Video
+from trigpoint.edge.sources.frames import SOURCES, Frame, open_source, source_class
+from trigpoint.edge.sources.frames_video import Video
 from trigpoint.errors import InputError
 
 START_NS = 1_700_000_000_000_000_000

@@ -11,9 +11,9 @@ from builders import eventually
 
 from trigpoint.clock import Clock, ManualClock, SystemClock, to_ns
 from trigpoint.config import CameraConfig
-from trigpoint.edge.frames import Frame, open_source
-from trigpoint.edge.frames_live import Capture, LiveFrames, _Pace, arrival_stamp
-from trigpoint.edge.frames_rtsp import without_password
+from trigpoint.edge.sources.frames import Frame, open_source
+from trigpoint.edge.sources.frames_live import Capture, LiveFrames, _Pace, arrival_stamp
+from trigpoint.edge.sources.frames_rtsp import without_password
 from trigpoint.errors import FrameError, InputError
 
 

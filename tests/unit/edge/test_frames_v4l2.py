@@ -8,9 +8,9 @@ import pytest
 
 from trigpoint.clock import Clock, ManualClock, to_ns
 from trigpoint.config import CameraConfig
-from trigpoint.edge import frames_v4l2
-from trigpoint.edge.frames import Stamp
-from trigpoint.edge.frames_v4l2 import Options, fourcc, kernel_stamp, parse_url
+from trigpoint.edge.sources import frames_v4l2
+from trigpoint.edge.sources.frames import Stamp
+from trigpoint.edge.sources.frames_v4l2 import Options, fourcc, kernel_stamp, parse_url
 from trigpoint.errors import FrameError, InputError
 
 NOW = to_ns(1e9)

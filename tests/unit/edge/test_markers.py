@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from boards import charuco
 
-from trigpoint.edge.marker_groups import group_markers
-from trigpoint.edge.markers import MarkerReader, Markers
-from trigpoint.edge.quads import mapped, square_to_quads
-from trigpoint.edge.sheet import charuco_layout
+from boards import charuco
+from trigpoint.edge.markers.marker_groups import group_markers
+from trigpoint.edge.markers.markers import MarkerReader, Markers
+from trigpoint.edge.markers.quads import mapped, square_to_quads
+from trigpoint.edge.registration.printed_pattern import charuco_layout
 
 FACE = charuco(first=20)
 QUAD = np.array([[49.5, 49.5], [109.5, 49.5], [109.5, 109.5], [49.5, 109.5]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from boards import (
     Placed,
     aprilgrid,
@@ -12,9 +13,8 @@ from boards import (
     target_of,
     true_pixels,
 )
-
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.measurement import LEAST_SIGMA_PX, sigma_of
+from trigpoint.edge.registration.measurement import LEAST_SIGMA_PX, sigma_of
 from trigpoint.target import Face
 
 VIEWS = 8

@@ -5,23 +5,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from boards import aprilgrid, charuco, checkerboard, target_of
 
 from benchmarks.empty_pictures import empty_picture
 from benchmarks.nasty_pictures import nasty_pictures
+from boards import aprilgrid, charuco, checkerboard, target_of
 from trigpoint.clock import ManualClock
-from trigpoint.edge import (
-    detector_checkerboard,
-    grid,
-    marked_board,
-    marked_search,
-    marker_groups,
-    planar_fit,
-    quads,
-    saddles,
-)
-from trigpoint.edge.detector import appearances, detector_for
-from trigpoint.edge.detector_charuco import CharucoDetector
+from trigpoint.edge.boards import detector_checkerboard, grid, saddles
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.markers import marked_board, marked_search, marker_groups, quads
+from trigpoint.edge.markers.detector_charuco import CharucoDetector
+from trigpoint.edge.registration import planar_fit
+from trigpoint.edge.registration.appearance import appearances
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.errors import InputError
 

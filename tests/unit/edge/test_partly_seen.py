@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from boards import checkerboard, picture_of, placed, target_of, true_pixels
 
+from boards import checkerboard, picture_of, placed, target_of, true_pixels
+from trigpoint.edge.boards.partly_seen import is_partly_seen
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.partly_seen import is_partly_seen
-from trigpoint.edge.planar_fit import fit_plane
+from trigpoint.edge.registration.planar_fit import fit_plane
 
 FACE = checkerboard(8, 7, number=1)
 TRULY_RMS_PX = 0.06

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from trigpoint.edge.quad_edges import straightened
-from trigpoint.edge.quads import QuadFinder
+from trigpoint.edge.markers.quad_edges import straightened
+from trigpoint.edge.markers.quads import QuadFinder
 
 POINTED = np.array([[60.3, 40.0], [67.1, 61.2], [61.0, 82.4], [54.2, 61.2]])
 _FINER = 8

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from trigpoint.edge import quads as quads_module
-from trigpoint.edge.quads import MOST_RUNS, QuadFinder, dark_runs
-from trigpoint.edge.region import Region
+from trigpoint.edge.image.region import Region
+from trigpoint.edge.markers import quads as quads_module
+from trigpoint.edge.markers.quads import MOST_RUNS, QuadFinder, dark_runs
 
 
 def with_squares(*sides: int) -> np.ndarray:

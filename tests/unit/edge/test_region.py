@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trigpoint.edge.region import Region, regions_around
+from trigpoint.edge.image.region import Region, regions_around
 
 SHAPE = (480, 640)
 

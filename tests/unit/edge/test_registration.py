@@ -3,13 +3,13 @@
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
 
-from trigpoint.edge import registration
-from trigpoint.edge.measurement import Measured, measured
-from trigpoint.edge.patches import CornerPattern
-from trigpoint.edge.planar_fit import PlanarFit, fit_plane
-from trigpoint.edge.registration import registered
+from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
+from trigpoint.edge.registration import registration
+from trigpoint.edge.registration.measurement import Measured, measured
+from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.planar_fit import PlanarFit, fit_plane
+from trigpoint.edge.registration.registration import registered
 
 BOARD = charuco(5, 4)
 SIZE = (CAMERA.width, CAMERA.height)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from boards import (
     aprilgrid,
     charuco,
@@ -14,11 +15,10 @@ from boards import (
     target_of,
     true_pixels,
 )
-
 from trigpoint.clock import ManualClock
-from trigpoint.edge import detector_checkerboard
 from trigpoint.edge import tracker as tracker_module
-from trigpoint.edge.detector import never
+from trigpoint.edge.boards import detector_checkerboard
+from trigpoint.edge.image.time_limit import never
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.target import Face
 

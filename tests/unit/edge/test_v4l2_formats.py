@@ -5,7 +5,7 @@ import struct
 from pathlib import Path
 
 from trigpoint.edge.checks import described
-from trigpoint.edge.v4l2_formats import Offer, offers_of
+from trigpoint.edge.sources.v4l2_formats import Offer, offers_of
 
 ENUM_FMT, ENUM_FRAMESIZES, ENUM_FRAMEINTERVALS = 0xC0405602, 0xC02C564A, 0xC034564B
 """As linux/videodev2.h has them on every machine where an int has 32 bits."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.markers import predefined_dictionary
+from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern, Target
 from trigpoint.tools.target_pattern import black_rectangles

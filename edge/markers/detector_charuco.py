@@ -6,10 +6,11 @@ markers, says where every corner must be; each is registered with what is printe
 
 from collections.abc import Sequence
 
-from .detector import Appearance
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.printed_pattern import charuco_layout
+
 from .marked_board import MarkedBoard
 from .marked_search import MarkedSearch
-from .sheet import charuco_layout
 
 
 class CharucoDetector(MarkedSearch):

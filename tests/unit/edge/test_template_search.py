@@ -1,12 +1,12 @@
-"""A face is glimpsed where it went, and not where it is not."""
+"""A face is found_by_template where it went, and not where it is not."""
 
 import numpy as np
 import pytest
-from boards import aprilgrid, charuco, checkerboard, picture_of, placed, plain_picture, true_pixels
 
-from trigpoint.edge.glimpse import glimpsed
-from trigpoint.edge.patches import CornerPattern
-from trigpoint.edge.planar_fit import PlanarFit, fit_plane
+from boards import aprilgrid, charuco, checkerboard, picture_of, placed, plain_picture, true_pixels
+from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.planar_fit import PlanarFit, fit_plane
+from trigpoint.edge.registration.template_search import found_by_template
 from trigpoint.target import Face
 
 FACES = [checkerboard(8, 5), charuco(), aprilgrid()]
@@ -22,30 +22,34 @@ def fit_before(face: Face, pixels: np.ndarray, picture: np.ndarray) -> PlanarFit
 
 
 @pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
-def test_face_is_glimpsed_to_a_pixel_where_it_moved(face: Face) -> None:
+def test_face_is_found_by_template_to_a_pixel_where_it_moved(face: Face) -> None:
     view = placed(face, distance=0.9, yaw_deg=20, tilt_deg=10)
     picture = picture_of([view], noise=2.0)
     pixels = true_pixels(view)
-    there = glimpsed(picture, CornerPattern.of(face), fit_before(face, pixels, picture), 24.0)
+    there = found_by_template(
+        picture, CornerPattern.of(face), fit_before(face, pixels, picture), 24.0
+    )
     assert there is not None
     off = there.project(face.corners[:, :2]) - pixels
     assert np.abs(off).max() < 1.5
 
 
 @pytest.mark.parametrize("face", FACES, ids=lambda face: face.pattern.value)
-def test_nothing_is_glimpsed_where_the_face_is_gone(face: Face) -> None:
+def test_nothing_is_found_by_template_where_the_face_is_gone(face: Face) -> None:
     picture = plain_picture(noise=2.0)
     pixels = true_pixels(placed(face, distance=0.9))
     fit = fit_before(face, pixels, picture)
-    assert glimpsed(picture, CornerPattern.of(face), fit, 24.0) is None
+    assert found_by_template(picture, CornerPattern.of(face), fit, 24.0) is None
 
 
-def test_face_at_the_edge_of_the_picture_is_glimpsed_in_part() -> None:
+def test_face_at_the_edge_of_the_picture_is_found_by_template_in_part() -> None:
     face = charuco()
     view = placed(face, distance=0.9, x=-0.56)
     picture = picture_of([view], noise=2.0)
     pixels = true_pixels(view)
     assert pixels.min() < 0
-    there = glimpsed(picture, CornerPattern.of(face), fit_before(face, pixels, picture), 24.0)
+    there = found_by_template(
+        picture, CornerPattern.of(face), fit_before(face, pixels, picture), 24.0
+    )
     assert there is not None
     assert np.abs(there.project(face.corners[:, :2]) - pixels).max() < 2.0

@@ -9,7 +9,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
-from .markers import predefined_dictionary
+from .dictionaries import predefined_dictionary
 
 # Texels a square; the edges of squares lie between texels at every level.
 LEVELS = (12, 24, 48)
@@ -19,7 +19,7 @@ _LIGHT = 255
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
+class PrintedPattern:
     """A face as it is printed. `texels`: (h, w) uint8, 0 dark and 255 light; the face point (x, y)
     lies at texel (x, y) · `scale` + `offset`, where whole numbers are texels' centres."""
 
@@ -33,9 +33,9 @@ class Sheet:
         return np.array([[self.scale, 0, self.offset], [0, self.scale, self.offset], [0, 0, 1.0]])
 
 
-def sheet_of(face: Face, square_px: float) -> Sheet:
-    """The sheet whose texels are about a pixel where a square takes `square_px` pixels."""
-    return _sheets(face)[min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)]
+def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
+    """The pattern whose texels are about a pixel where a square takes `square_px` pixels."""
+    return _patterns(face)[min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)]
 
 
 def charuco_layout(face: Face) -> Array:
@@ -53,15 +53,15 @@ def charuco_layout(face: Face) -> Array:
 
 
 @cache
-def _sheets(face: Face) -> tuple[Sheet, ...]:
-    """The sheet at every level; inverted boards as they are in the picture's negative."""
+def _patterns(face: Face) -> tuple[PrintedPattern, ...]:
+    """The pattern at every level; inverted boards as they are in the picture's negative."""
     finest = 2 * LEVELS[-1]
     columns, rows = (count + 2 * _MARGIN_SQUARES for count in (face.columns, face.rows))
     while columns * rows * finest**2 > _MOST_TEXELS and finest > LEVELS[-1]:
         finest //= 2
     printed = _printed(face, finest)
     return tuple(
-        Sheet(
+        PrintedPattern(
             cv2.resize(printed, (columns * level, rows * level), interpolation=cv2.INTER_AREA),
             level / face.square,
             (_MARGIN_SQUARES + _before(face)) * level - 0.5,
@@ -82,29 +82,29 @@ def _printed(face: Face, level: int) -> np.ndarray:
         (np.arange((count + 2 * _MARGIN_SQUARES) * level) + 0.5) / level + low
         for count in (face.columns, face.rows)
     )
-    sheet = np.full((len(y), len(x)), _LIGHT, np.uint8)
+    texels = np.full((len(y), len(x)), _LIGHT, np.uint8)
     if face.pattern is Pattern.APRILGRID:
         layout = face.corners[:, :2].reshape(-1, 4, 2)
     else:
         layout = charuco_layout(face) if face.pattern is Pattern.CHARUCO else np.zeros((0, 4, 2))
-        _draw_squares(sheet, face, layout.mean(axis=1) / face.square, x, y)
+        _draw_squares(texels, face, layout.mean(axis=1) / face.square, x, y)
     for number, quad in enumerate(layout / face.square):
-        _draw_marker(sheet, face, number, quad, x, y)
-    return sheet
+        _draw_marker(texels, face, number, quad, x, y)
+    return texels
 
 
-def _draw_squares(sheet: np.ndarray, face: Face, markers: Array, x: Array, y: Array) -> None:
+def _draw_squares(texels: np.ndarray, face: Face, markers: Array, x: Array, y: Array) -> None:
     """Every other square dark, and none that holds a marker; lengths in squares."""
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
     light = np.floor(markers[0]).astype(int).sum() % 2 if len(markers) else 1
     dark = (row[:, None] + column[None]) % 2 != light
     dark &= ((row >= -1) & (row < face.rows - 1))[:, None]
     dark &= ((column >= -1) & (column < face.columns - 1))[None]
-    sheet[dark] = 0
+    texels[dark] = 0
 
 
 def _draw_marker(
-    sheet: np.ndarray, face: Face, number: int, quad: Array, x: Array, y: Array
+    texels: np.ndarray, face: Face, number: int, quad: Array, x: Array, y: Array
 ) -> None:
     """The cells of one marker; lengths in squares."""
     dictionary = predefined_dictionary(face.dictionary or "")
@@ -119,8 +119,8 @@ def _draw_marker(
     across, down = across[on_x], down[on_y]
     place = np.ix_(on_y, on_x)
     around = 1 - down.sum(axis=1)[:, None] * across.sum(axis=1)
-    shade = around * sheet[place] + down @ cells.astype(float) @ across.T
-    sheet[place] = np.rint(shade).astype(np.uint8)
+    shade = around * texels[place] + down @ cells.astype(float) @ across.T
+    texels[place] = np.rint(shade).astype(np.uint8)
 
 
 def _overlap(values: Array, low: float, cell: float, count: int) -> Array:

@@ -4,11 +4,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trigpoint.edge.image.median import median
+from trigpoint.edge.registration.planar_fit import (
+    LEAST_WILD_PX,
+    WILD_SIGMAS,
+    PlanarFit,
+    fit_plane,
+    settled_fit,
+    sound_corners,
+)
 from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
-from .middle import median
-from .planar_fit import LEAST_WILD_PX, WILD_SIGMAS, PlanarFit, fit_plane, settled_fit, sound_corners
 from .saddles import Curvature, Saddles, examine
 
 LEAST_SEED = 9

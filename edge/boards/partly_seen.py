@@ -7,11 +7,10 @@ of each outermost line of corners is seen, and where the squares end on all four
 
 import numpy as np
 
+from trigpoint.edge.image.sampling import sampled
+from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
-
-from .planar_fit import PlanarFit
-from .saddles import sampled
 
 # Of a board's corners, how many must be seen; the same of each outermost line of them.
 LEAST_SHARE = 0.6

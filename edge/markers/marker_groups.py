@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.geometry.rotation import Array
 
-from .detector import IsOver, never
 from .markers import Markers
 from .quads import mapped, square_to_quads
 

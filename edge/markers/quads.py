@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.region import Region
+from trigpoint.edge.image.time_limit import IsOver, never
+from trigpoint.edge.image.workspace import Workspace
 from trigpoint.geometry.rotation import Array
 
-from .detector import IsOver, never
 from .quad_edges import straightened
-from .region import Region
-from .workspace import Workspace
 
 # Small markers are looked for in the picture, large ones and blurred ones at half its size: how
 # many times smaller, and the threshold's window there, pixels. On rendered moving targets the two

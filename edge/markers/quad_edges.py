@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from trigpoint.edge.image.sampling import sampled
 from trigpoint.geometry.rotation import Array
-
-from .saddles import sampled
 
 # Where along a side its edge is looked for, and how far across it, pixels.
 _ALONG = np.linspace(0.2, 0.8, 7)

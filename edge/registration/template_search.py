@@ -10,7 +10,7 @@ from trigpoint.geometry.rotation import Array
 
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, fit_plane
-from .sheet import sheet_of
+from .printed_pattern import printed_pattern_of
 
 # The drawing's longer side at most, and of a square at least, in its own pixels.
 MOST_SIDE = 40
@@ -21,7 +21,7 @@ LEAST_MATCH = 0.35
 _MOST_SIZES = 1.5
 
 
-def glimpsed(
+def found_by_template(
     grey: np.ndarray, pattern: CornerPattern, fit: PlanarFit, reach_px: float
 ) -> PlanarFit | None:
     """Where a face lies that should lie where `fit` has it, or up to `reach_px` beside that: to a
@@ -63,9 +63,9 @@ def _drawn(
         np.float32(start - 0.5) + (np.arange(2 * count, dtype=np.float32) + 0.5) * step / 2
         for start, count in zip(low, cells, strict=True)
     ]
-    sheet = sheet_of(pattern.face, 2 * square)
-    texels = fit.points(places[0][None, :], places[1][:, None], sheet.texel_from_face)
-    shown = cv2.remap(sheet.texels, *texels, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    printed = printed_pattern_of(pattern.face, 2 * square)
+    texels = fit.points(places[0][None, :], places[1][:, None], printed.texel_from_face)
+    shown = cv2.remap(printed.texels, *texels, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     drawn = cv2.resize(shown, tuple(cells.tolist()), interpolation=cv2.INTER_AREA)
     inside = np.zeros(drawn.shape, np.uint8)
     corners = np.rint((outline - low + 0.5) / step - 0.5).astype(np.int32)

@@ -9,12 +9,12 @@ from functools import cache
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
-from .middle import median
 from .planar_fit import PlanarFit
-from .sheet import Sheet, sheet_of
+from .printed_pattern import PrintedPattern, printed_pattern_of
 
 LEAST_HALF_PX = 3
 MOST_HALF_PX = 6
@@ -60,7 +60,7 @@ class CornerPattern:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """`seen`, `weight`: (n, k²) grey values, and 1 where they count; `drawn`: (n, l, l) the sheet's
+    """`seen`, `weight`: (n, k²) grey values, and 1 where they count; `drawn`: (n, l, l) the print's
     grey values on the lattice, MARGIN_PX wider, sharp."""
 
     seen: np.ndarray
@@ -87,27 +87,27 @@ def patches_around(
     longest = float(np.max(np.abs(across) + np.abs(down), initial=0.0))
     half = int(np.clip(np.ceil(longest), LEAST_HALF_PX, MOST_HALF_PX))
     reach_px = median(np.hypot(*across.T) + np.hypot(*down.T)) / 2
-    sheet = sheet_of(pattern.face, reach_px / reach * pattern.face.square)
-    texel_x, texel_y = _texels(fit, sheet, nearest - (pixels - expected), half + MARGIN_PX)
+    printed = printed_pattern_of(pattern.face, reach_px / reach * pattern.face.square)
+    texel_x, texel_y = _texels(fit, printed, nearest - (pixels - expected), half + MARGIN_PX)
     seen, inside = _gathered(grey, nearest.astype(int), half)
-    weight = inside & _near(pattern, ids, sheet, texel_x, texel_y)
+    weight = inside & _near(pattern, ids, printed, texel_x, texel_y)
     return Patches(
         seen.reshape(n, -1),
         weight.reshape(n, -1).astype(np.float32),
-        _drawn(sheet, texel_x, texel_y),
+        _drawn(printed, texel_x, texel_y),
     )
 
 
 def _texels(
-    fit: PlanarFit, sheet: Sheet, middles: Array, half: int
+    fit: PlanarFit, printed: PrintedPattern, middles: Array, half: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the sheet's texels on the half pixels about pixels `middles` (n, 2); (n, l, l).
+    """x and y of the print's texels on the half pixels about pixels `middles` (n, 2); (n, l, l).
 
     So near a corner they are quadratic in the pixels, to a thousandth: through nine places.
     """
     to_numbers, basis = _quadratic(half)
     places = middles.astype(np.float32)[..., None] + np.float32(_STENCIL * half) * _THREE
-    known = fit.points(places[:, 0, None, :], places[:, 1, :, None], sheet.texel_from_face)
+    known = fit.points(places[:, 0, None, :], places[:, 1, :, None], printed.texel_from_face)
     side = 2 * STEP * half + 1
     x, y = ((v.reshape(-1, 9) @ to_numbers @ basis).reshape(-1, side, side) for v in known)
     return x, y
@@ -129,15 +129,15 @@ def _quadratic(half: int) -> tuple[np.ndarray, np.ndarray]:
 def _near(
     pattern: CornerPattern,
     ids: np.ndarray,
-    sheet: Sheet,
+    printed: PrintedPattern,
     texel_x: np.ndarray,
     texel_y: np.ndarray,
 ) -> np.ndarray:
     """Whether whole pixels of the lattice (n, l, l) show what is known about the corner;
     (n, k, k)."""
     whole = slice(STEP * MARGIN_PX, -STEP * MARGIN_PX, STEP)
-    corner = (pattern.points[ids] * sheet.scale + sheet.offset).astype(np.float32)
-    reach = np.float32(pattern.reach * sheet.scale)
+    corner = (pattern.points[ids] * printed.scale + printed.offset).astype(np.float32)
+    reach = np.float32(pattern.reach * printed.scale)
     off_x = texel_x[:, whole, whole] - corner[:, 0, None, None]
     off_y = texel_y[:, whole, whole] - corner[:, 1, None, None]
     near = np.maximum(np.abs(off_x), np.abs(off_y)) < reach
@@ -159,11 +159,11 @@ def _gathered(grey: np.ndarray, nearest: np.ndarray, half: int) -> tuple[np.ndar
     return seen.astype(np.float32), in_rows[:, :, None] & in_columns[:, None, :]
 
 
-def _drawn(sheet: Sheet, texel_x: np.ndarray, texel_y: np.ndarray) -> np.ndarray:
-    """The sheet at texels (n, l, l), as many float32."""
+def _drawn(printed: PrintedPattern, texel_x: np.ndarray, texel_y: np.ndarray) -> np.ndarray:
+    """The print at texels (n, l, l), as many float32."""
     n, side, _ = texel_x.shape
     drawn = cv2.remap(
-        sheet.texels,
+        printed.texels,
         texel_x.reshape(-1, side),
         texel_y.reshape(-1, side),
         cv2.INTER_LINEAR,

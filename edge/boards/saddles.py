@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.sampling import sampled
+from trigpoint.edge.image.workspace import Workspace
 from trigpoint.geometry.rotation import Array
-
-from .workspace import Workspace
 
 SMOOTHING_PX = 1.0
 RING_RADIUS_PX = 2.5
@@ -108,16 +108,6 @@ def examine(curvature: Curvature, pixels: Array, *, tolerance: float = 1.0) -> S
     kept = np.flatnonzero(has_four_edges)
     kept = kept[np.argsort(-amplitude[kept], kind="stable")[:MOST_SADDLES]]
     return Saddles(pixels[kept], directions[kept], amplitude[kept])
-
-
-def sampled(image: np.ndarray, pixels: Array) -> Array:
-    """Values (…) of an image at pixels (…, 2), interpolated."""
-    if pixels.size == 0:
-        return np.zeros(pixels.shape[:-1])
-    # Remap takes fewer than 2¹⁵ rows and columns, so the first dimension stays rows.
-    x, y = np.moveaxis(pixels.astype(np.float32).reshape(len(pixels), -1, 2), -1, 0)
-    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return values.reshape(pixels.shape[:-1]).astype(float)
 
 
 def ring_brightness(smooth: np.ndarray, pixels: Array) -> Array:

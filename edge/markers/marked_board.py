@@ -4,15 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.edge.image.time_limit import IsOver, never
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.measurement import LEAST_CORNERS, Measured, measured, placed_again
+from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.planar_fit import PlanarFit, settled_fit
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
-from .detector import Appearance, IsOver, never
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader
-from .measurement import LEAST_CORNERS, Measured, measured, placed_again
-from .patches import CornerPattern
-from .planar_fit import PlanarFit, settled_fit
 
 # A board's markers, looked at where its corners put them, must match so well on the mean; one, two
 # or three alone must do better, since foreign markers match by chance.

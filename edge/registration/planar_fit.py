@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
-
-from .middle import median
 
 LEAST_WILD_PX = 0.7
 # Of a face's grid spacing: real boards are not flat to better than this.

@@ -13,20 +13,23 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.region import Region
+from trigpoint.edge.image.sampling import sampled
+from trigpoint.edge.image.time_limit import IsOver, never
+from trigpoint.edge.image.workspace import Workspace
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.finder import FaceFinder
+from trigpoint.edge.registration.measurement import Located, Measured, measured, placed_again
+from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.planar_fit import PlanarFit, settled_fit
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
-from .detector import Appearance, FaceFinder, IsOver, never
 from .grid import Grid, find_grids
 from .grid_growth import ENOUGH_PX, LEAST_SEED, cleaned, grown, largest_flat
-from .measurement import Located, Measured, measured, placed_again
 from .partly_seen import LEAST_SHARE as LEAST_PARTLY
 from .partly_seen import is_ended, is_partly_seen
-from .patches import CornerPattern
-from .planar_fit import PlanarFit, settled_fit
-from .region import Region
-from .saddles import Curvature, find_saddles, sampled
-from .workspace import Workspace
+from .saddles import Curvature, find_saddles
 
 # Of a board's corners, how many must be seen where no more is asked of its borders.
 LEAST_SHARE = 0.75

@@ -5,14 +5,16 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .detector import FaceFinder, IsOver, never
+from trigpoint.edge.image.region import Region
+from trigpoint.edge.image.time_limit import IsOver, never
+from trigpoint.edge.registration.finder import FaceFinder
+from trigpoint.edge.registration.measurement import Located
+from trigpoint.edge.registration.planar_fit import PlanarFit
+
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import reader_key, readers_for
-from .measurement import Located
-from .planar_fit import PlanarFit
 from .quads import QuadFinder
-from .region import Region
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
 MOST_REFUSED = 3

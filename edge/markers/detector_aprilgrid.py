@@ -5,7 +5,8 @@ Corner ids are 4 · tag + corner, corners clockwise from the tag's top left, by 
 
 from collections.abc import Sequence
 
-from .detector import Appearance
+from trigpoint.edge.registration.appearance import Appearance
+
 from .marked_board import MarkedBoard
 from .marked_search import MarkedSearch
 

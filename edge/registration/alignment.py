@@ -12,10 +12,10 @@ from functools import cache
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
 
 from .blur import LEAST_SOFT_VARIANCE, LEAST_VARIANCE, Blur
-from .middle import median
 from .patches import LEAST_HALF_PX, MARGIN_PX, STEP, Patches
 
 # A pixel this far off the drawing, of the face's contrast, shows something else.

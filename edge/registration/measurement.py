@@ -5,16 +5,17 @@ from math import sqrt
 
 import numpy as np
 
+from trigpoint.edge.image.median import median
+from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 
+from .appearance import Appearance
 from .blur import Blur
-from .detector import Appearance, IsOver, never
-from .glimpse import glimpsed
-from .middle import median
 from .patches import CornerPattern
 from .planar_fit import PlanarFit, scatter_about, sound_corners
 from .registration import registered
+from .template_search import found_by_template
 
 LEAST_CORNERS = 4
 # What a drawing on half pixels and grey values in whole numbers leave: of rendered faces without
@@ -33,7 +34,7 @@ ENOUGH_PX = 0.03
 NOISE_WORTH = 4.0
 MOST_EXCESS = 4.0
 _MARGIN_PX = 2.0
-# A face that lies so near where it was expected also looks as expected, and is glimpsed to a third
+# A face that lies so near where it was expected also looks as expected, and is found to a third
 # of a pixel; else its size and slant are off too.
 SURE_PX = 2.0
 # Of a corner of a face that shows too few of them for a plane.
@@ -112,7 +113,7 @@ def placed_again(
     whether that is rough, as of `measured`; None where it is not to be seen."""
     if reach_px <= 0.0:
         return fit, False
-    there = glimpsed(grey, pattern, fit, reach_px)
+    there = found_by_template(grey, pattern, fit, reach_px)
     if there is None:
         return None
     outline = pattern.face.outline[:, :2]

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.median import median
+from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.geometry.rotation import Array
 
 from .alignment import Alignment, Usual, aligned
 from .blur import SHARP, Blur
-from .detector import IsOver, never
-from .middle import median
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
 from .planar_fit import PlanarFit, sound_corners
 

@@ -19,10 +19,10 @@ from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel
 
 SOURCES: dict[str, str] = {
-    "dir": "trigpoint.edge.frames_directory:DirectoryFrames",
-    "file": "trigpoint.edge.frames_video:VideoFrames",
-    "v4l2": "trigpoint.edge.frames_v4l2:V4l2Frames",
-    "rtsp": "trigpoint.edge.frames_rtsp:RtspFrames",
+    "dir": "trigpoint.edge.sources.frames_directory:DirectoryFrames",
+    "file": "trigpoint.edge.sources.frames_video:VideoFrames",
+    "v4l2": "trigpoint.edge.sources.frames_v4l2:V4l2Frames",
+    "rtsp": "trigpoint.edge.sources.frames_rtsp:RtspFrames",
 }
 PLUG_INS = "trigpoint.frames"
 _LOCAL_SCHEMES = ("dir", "file")

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.edge.image.sampling import sampled
+from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.errors import TargetError
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
 from .quads import mapped, square_to_quads
-from .saddles import sampled
 
 # The cells of a quadrilateral must differ by this many grey levels (standard deviation).
 LEAST_CONTRAST = 5.0
@@ -103,14 +104,6 @@ def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
 def reader_key(face: Face) -> tuple[str, int]:
     """The key of a face's reader in `readers_for`."""
     return face.dictionary or "", face.border_bits
-
-
-def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """One of OpenCV's marker dictionaries; raise TargetError that lists them."""
-    known = [known for known in dir(cv2.aruco) if known.startswith("DICT_")]
-    if name not in known:
-        raise TargetError(f"the dictionary «{name}» is not known; use one of {', '.join(known)}")
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
 def _check_size(face: Face) -> None:

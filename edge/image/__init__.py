@@ -1,0 +1,1 @@
+"""What every finder takes from a picture: grey values, parts, samples, memory."""

@@ -1,0 +1,1 @@
+"""A camera's intrinsics: worked out from views, chosen, announced."""

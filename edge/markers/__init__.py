@@ -1,0 +1,1 @@
+"""The search for boards with markers: ChArUco and AprilGrid."""

@@ -1,0 +1,1 @@
+"""Corners measured by laying the printed pattern over the picture."""
