@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from boards import (
     aprilgrid,
     charuco,
@@ -12,6 +11,7 @@ from boards import (
     plain_picture,
     target_of,
 )
+
 from trigpoint.cdr import decode, encode, type_name
 from trigpoint.edge.detector import DETECTORS, TargetDetector, detector_for
 from trigpoint.messages import Sightings

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from boards import NOWHERE, target_of
 from builders import REAL_DATA
 
-from boards import NOWHERE, target_of
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import cv2
 import pytest
+from boards import charuco, picture_of, placed, plain_picture, worst_error
 from builders import REAL_DATA, eventually
 
-from boards import charuco, picture_of, placed, plain_picture, worst_error
 from trigpoint.bus import Subscription
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.camera_info import format_camera_info

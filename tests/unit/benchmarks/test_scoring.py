@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from boards import checkerboard
 
 from benchmarks.scoring import Found, Score, score_of
 from benchmarks.views import TrueFace, View
-from boards import checkerboard
 from trigpoint.geometry.rotation import Array
 
 BOARD = checkerboard()

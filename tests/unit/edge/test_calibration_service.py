@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from boards import NOWHERE, target_of
 from lens_views import BOARD, PINHOLE, SIZE, board_views
 
-from boards import NOWHERE, target_of
 from trigpoint.camera_info import parse_camera_info
 from trigpoint.edge.lens.calibration_service import CalibrationService
 from trigpoint.edge.lens.calibration_views import View, views_of

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-
 from boards import (
     aprilgrid,
     cluttered_picture,
@@ -14,6 +13,7 @@ from boards import (
     true_pixels,
     worst_error,
 )
+
 from trigpoint.edge.detector import detector_for
 
 

@@ -4,7 +4,6 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-
 from boards import (
     charuco,
     checkerboard,
@@ -17,6 +16,7 @@ from boards import (
     true_pixels,
     worst_error,
 )
+
 from trigpoint.edge.detector import detector_for
 from trigpoint.errors import TargetError
 from trigpoint.target import Face

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-
 from boards import (
     checkerboard,
     cluttered_picture,
@@ -15,6 +14,7 @@ from boards import (
     true_pixels,
     worst_error,
 )
+
 from trigpoint.edge.detector import detector_for
 from trigpoint.geometry import CameraModel
 

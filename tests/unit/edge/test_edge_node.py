@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
 from builders import eventually
 
-from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
 from trigpoint.bus import Subscription
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.camera_info import write_camera_info

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-
 from boards import charuco
+
 from trigpoint.edge.markers.marker_groups import group_markers
 from trigpoint.edge.markers.markers import MarkerReader, Markers
 from trigpoint.edge.markers.quads import mapped, square_to_quads

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from boards import (
     Placed,
     aprilgrid,
@@ -13,6 +12,7 @@ from boards import (
     target_of,
     true_pixels,
 )
+
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.registration.measurement import LEAST_SIGMA_PX, sigma_of
 from trigpoint.target import Face

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from boards import aprilgrid, charuco, checkerboard, target_of
 
 from benchmarks.empty_pictures import empty_picture
 from benchmarks.nasty_pictures import nasty_pictures
-from boards import aprilgrid, charuco, checkerboard, target_of
 from trigpoint.clock import ManualClock
 from trigpoint.edge.boards import detector_checkerboard, grid, saddles
 from trigpoint.edge.detector import detector_for

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-
 from boards import checkerboard, picture_of, placed, target_of, true_pixels
+
 from trigpoint.edge.boards.partly_seen import is_partly_seen
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.registration.planar_fit import fit_plane

@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
 from boards import checkerboard, picture_of, placed, target_of
+
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.sources.picture_files import is_picture, pictures_in, read_picture
 from trigpoint.errors import InputError

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from boards import CAMERA, checkerboard, placed, true_pixels
+
 from trigpoint.edge.registration.planar_fit import fit_plane, scatter_about, sound_corners
 from trigpoint.geometry import CameraModel
 

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-
 from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
+
 from trigpoint.edge.registration import registration
 from trigpoint.edge.registration.measurement import Measured, measured
 from trigpoint.edge.registration.patches import CornerPattern

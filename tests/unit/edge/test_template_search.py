@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from boards import aprilgrid, charuco, checkerboard, picture_of, placed, plain_picture, true_pixels
+
 from trigpoint.edge.registration.patches import CornerPattern
 from trigpoint.edge.registration.planar_fit import PlanarFit, fit_plane
 from trigpoint.edge.registration.template_search import found_by_template

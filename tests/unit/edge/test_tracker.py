@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from boards import (
     aprilgrid,
     charuco,
@@ -15,6 +14,7 @@ from boards import (
     target_of,
     true_pixels,
 )
+
 from trigpoint.clock import ManualClock
 from trigpoint.edge import tracker as tracker_module
 from trigpoint.edge.boards import detector_checkerboard

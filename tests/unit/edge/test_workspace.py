@@ -1,8 +1,8 @@
 """Memory is used again only where it fits, and no picture shows in the next one's results."""
 
 import numpy as np
-
 from boards import checkerboard, picture_of, placed, plain_picture, target_of
+
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.image.workspace import Workspace
 

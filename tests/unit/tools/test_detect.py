@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
 from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed, plain_picture, worst_error
+
 from trigpoint.cli import run
 
 BOARD = charuco()

@@ -6,9 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
 from builders import site_text
 
-from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed
 from trigpoint.camera_info import read_camera_info
 from trigpoint.cli import run
 
