@@ -134,12 +134,12 @@ def _drawn_lens(told: CameraModel, spread: LensSpread, random: np.random.Generat
     for _ in range(_MOST_DRAWS):
         draw = random.standard_normal(len(told.parameters)) * spread.sigmas(told)
         lens = told.with_parameters(told.parameters + draw)
-        if _maps_one_to_one(lens):
+        if maps_one_to_one(lens):
             return lens
     raise ValueError("hardly any lens of this spread maps its picture one to one; lower it")
 
 
-def _maps_one_to_one(lens: CameraModel) -> bool:
+def maps_one_to_one(lens: CameraModel) -> bool:
     """Whether every pixel at the picture's edge has a direction that the lens brings there."""
     u, v = np.linspace(0, lens.width - 1, 9), np.linspace(0, lens.height - 1, 9)
     sides = [np.column_stack([u, np.full(9, y)]) for y in (v[0], v[-1])]

@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Target
+from trigpoint.target import Face, Pattern, Target
 
 from .targets import panel
 
@@ -140,7 +140,10 @@ def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
 
 
 def _smallest_square(face: Face, pixels: Array) -> float:
-    """The shortest side of a square in the picture, pixels."""
+    """The shortest side of a square, or of a tag, in the picture, pixels."""
+    if face.pattern is Pattern.APRILGRID:
+        tags = pixels.reshape(-1, 4, 2)
+        return float(np.linalg.norm(tags - np.roll(tags, 1, axis=1), axis=-1).min())
     grid = pixels.reshape(face.rows - 1, face.columns - 1, 2)
     sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1) for axis in (0, 1)]
     return min(float(side.min()) for side in sides if side.size)

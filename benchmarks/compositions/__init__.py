@@ -1,0 +1,4 @@
+"""Drawn sessions by the contract in which everything happens at once, written with their truth.
+
+They share nothing with fusion: the truth is drawn forwards, with numpy and `trigpoint.geometry`.
+"""
