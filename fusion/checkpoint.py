@@ -1,16 +1,20 @@
 """The checkpoint: everything that came in, written as it comes, so that a killed fusion goes on.
 
 A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack array of key and
-payload. Reading it again through the pipeline gives the same map under the same UUID. The end of a
-file that was cut off in a record is left out.
+payload. Reading it again through the pipeline gives the same map under the same UUID. What is
+damaged, or was cut off as it was written, is passed over to the next sound record. The file is only
+ever appended to: what is not one of these is kept under another name, and so is a map that is given
+up.
 """
 
 import logging
+import mmap
 import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -22,46 +26,60 @@ _MAGIC = b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
 _MOST_RECORD = 16 * 1024 * 1024
+_MOST_WAITING = 64 * 1024
+# A record's body begins with these: a msgpack array of two, then a text of up to 255 bytes.
+_ARRAY_OF_TWO = b"\x92"
+_TEXTS = frozenset((*range(0xA0, 0xC0), 0xD9))
 
 _log = logging.getLogger(__name__)
+
+_DECODER = msgspec.msgpack.Decoder(tuple[str, bytes])
 
 
 class Checkpoint:
     """An open checkpoint file; used by one thread.
 
-    `trouble`: why nothing is written any more since the disk failed, "" while all is well. What was
-    written before stays good.
+    `trouble`: why what comes now is not kept, "" while all is well; what was written before stays
+    good, and once there is room again it goes on. `written_ns`: when the file was written to last,
+    Unix time; 0 where it is new.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path, self._clock = path, clock
-        sound = self._sound = _sound_length(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("r+b" if path.exists() else "w+b")
+            if path.exists() and not _is_ours(path):
+                _log.error("%s is no checkpoint; it is kept as %s", path, set_aside(path))
+            self._open()
         except OSError as reason:
             raise OperationError(
                 f"{path}: the checkpoint cannot be written ({reason.strerror}); give another --out"
             ) from None
-        self._file.truncate(sound)
-        self._file.seek(sound)
-        if sound == 0:
-            self._file.write(_MAGIC)
         self._flushed_ns = clock.elapsed_ns()
+        self._unkept = 0
         self.trouble = ""
+
+    def _open(self) -> None:
+        self._file = self._path.open("ab", buffering=0)
+        self._length = self._file.tell()
+        self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns if self._length else 0
+        self._waiting = bytearray() if self._length else bytearray(_MAGIC)
+        self._count = 0
 
     def records(self) -> Iterator[tuple[str, bytes]]:
         """(key, payload) of what was in the file when it was opened; it may be written meanwhile,
         but not restarted."""
-        if self._sound:
-            for _, key, payload in _records(self._path, self._sound):
-                yield key, payload
+        for record in _records(self._path, self._length):
+            yield record.key, record.payload
 
     def write(self, key: str, payload: bytes) -> bool:
         """Append a message; it is on the disk within half a second and a call of `flush`. False
-        where it is not kept."""
+        where the disk takes nothing now."""
         body = msgspec.msgpack.encode((key, payload))
-        self._try(lambda: self._file.write(_HEAD.pack(len(body), zlib.crc32(body)) + body))
+        self._waiting += _HEAD.pack(len(body), zlib.crc32(body)) + body
+        self._count += 1
+        if len(self._waiting) > _MOST_WAITING:
+            self._try(self._synchronise)
         return not self.trouble
 
     def flush(self) -> None:
@@ -71,15 +89,16 @@ class Checkpoint:
             self._try(self._synchronise)
 
     def restart(self) -> None:
-        """Forget everything."""
-        with suppress(OSError):  # what waits to be written is not wanted any more
+        """Begin anew; what was there is kept under another name."""
+        self._try(self._synchronise)
+        with suppress(OSError):  # told already
             self._file.close()
-        self.trouble = ""
         self._try(self._begin_anew)
 
     def _begin_anew(self) -> None:
-        self._file = self._path.open("w+b")
-        self._file.write(_MAGIC)
+        if self._path.exists():
+            _log.info("the map before is kept as %s", set_aside(self._path))
+        self._open()
         self._synchronise()
 
     def close(self) -> None:
@@ -88,63 +107,128 @@ class Checkpoint:
             self._file.close()
 
     def _synchronise(self) -> None:
-        self._file.flush()
-        os.fdatasync(self._file.fileno())
+        waiting, count = self._waiting, self._count
+        # Half of it may be written where the disk is full; that is passed over when it is read.
+        self._waiting, self._count = bytearray(), 0
+        try:
+            while waiting:
+                del waiting[: self._file.write(waiting)]
+            os.fdatasync(self._file.fileno())
+        except (OSError, ValueError):
+            self._unkept += count
+            raise
+        if self.trouble:
+            _log.warning("%s is written again; %d messages are missing", self._path, self._unkept)
+            self.trouble, self._unkept = "", 0
 
     def _try(self, work: Callable[[], object]) -> None:
-        """Do what needs the disk; not after that failed: nothing behind half a record is read."""
-        if self.trouble:
-            return
+        """Do what needs the disk."""
         try:
             work()
-        except OSError as reason:
+        except (OSError, ValueError) as reason:  # ValueError: closed
+            why = reason.strerror if isinstance(reason, OSError) else str(reason)
             self.trouble = (
-                f"{self._path}: the checkpoint cannot be written any more ({reason.strerror}); "
-                "fusion goes on, but started again it will know only what came before; make room"
+                f"{self._path}: the checkpoint cannot be written now ({why}); fusion goes on, "
+                "but started again it will know only what came before; make room"
             )
 
 
 def read_checkpoint(path: Path) -> Iterator[tuple[str, bytes]]:
     """(key, payload) of every sound record; nothing where there is no file."""
-    for _, key, payload in _records(path):
-        yield key, payload
+    for record in _records(path):
+        yield record.key, record.payload
 
 
-def _sound_length(path: Path) -> int:
-    """How many bytes of the file are whole records, with the file's head."""
-    length = 0
-    for end, _, _ in _records(path):
-        length = end
-    return length
+def set_aside(path: Path) -> Path:
+    """Rename a file to the next free name; that name."""
+    number = 1
+    while (aside := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
+        number += 1
+    path.rename(aside)
+    return aside
 
 
-def _records(path: Path, until: int | None = None) -> Iterator[tuple[int, str, bytes]]:
-    """(end of the record, key, payload), up to the one that ends at `until`.
+def _is_ours(path: Path) -> bool:
+    """Whether a file is a checkpoint or empty; one whose head is damaged has records all the
+    same."""
+    with path.open("rb") as file:
+        head = file.read(len(_MAGIC))
+    return not head or head == _MAGIC or next(_records(path), None) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    start: int
+    end: int
+    key: str
+    payload: bytes
+
+
+def _records(path: Path, until: int | None = None) -> Iterator[_Record]:
+    """The sound records of a file, of its first `until` bytes; what is not sound is logged.
 
     Raises OperationError where the file cannot be read.
     """
     try:
-        file = path.open("rb")
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size if until is None else until
+            if not size:
+                return
+            with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as data:
+                yield from _sound(path, data)
     except FileNotFoundError:
         return
     except OSError as reason:
         raise OperationError(
             f"{path}: the checkpoint cannot be read ({reason.strerror}); give another --out"
         ) from None
-    with file:
-        magic = file.read(len(_MAGIC))
-        if magic != _MAGIC:
-            if magic:
-                _log.error("%s is no checkpoint; it is replaced", path)
+
+
+def _sound(path: Path, data: mmap.mmap) -> Iterator[_Record]:
+    start = len(_MAGIC) if data[: len(_MAGIC)] == _MAGIC else 0
+    while start < len(data):
+        record = _record_at(data, start)
+        if record is None:
+            record = _next_record(data, start)
+            end = len(data) if record is None else record.start
+            _log.warning(
+                "%s: %d bytes at %d are damaged or were cut off; they are passed over",
+                path,
+                end - start,
+                start,
+            )
+        if record is None:
             return
-        decoder = msgspec.msgpack.Decoder(tuple[str, bytes])
-        end = len(_MAGIC)
-        while end != until and len(head := file.read(_HEAD.size)) == _HEAD.size:
-            length, checksum = _HEAD.unpack(head)
-            body = file.read(length) if length <= _MOST_RECORD else b""
-            if len(body) != length or zlib.crc32(body) != checksum:
-                _log.warning("%s ends in a record that was cut off; that one is left out", path)
-                return
-            key, payload = decoder.decode(body)
-            end += _HEAD.size + length
-            yield end, key, payload
+        yield record
+        start = record.end
+
+
+def _record_at(data: mmap.mmap, start: int) -> _Record | None:
+    """The record that begins there; None where none does that is sound."""
+    body_at = start + _HEAD.size
+    if body_at > len(data):
+        return None
+    length, checksum = _HEAD.unpack_from(data, start)
+    end = body_at + length
+    if length > _MOST_RECORD or end > len(data):
+        return None
+    body = data[body_at:end]
+    if zlib.crc32(body) != checksum:
+        return None
+    try:
+        key, payload = _DECODER.decode(body)
+    except msgspec.DecodeError:
+        return None
+    return _Record(start, end, key, payload)
+
+
+def _next_record(data: mmap.mmap, start: int) -> _Record | None:
+    """The first sound record after a damaged place."""
+    at = start + _HEAD.size
+    while (at := data.find(_ARRAY_OF_TWO, at)) >= 0:
+        if data[at + 1 : at + 2] and data[at + 1] in _TEXTS:
+            record = _record_at(data, at - _HEAD.size)
+            if record is not None:
+                return record
+        at += 1
+    return None

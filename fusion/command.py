@@ -1,6 +1,8 @@
 """The command `fusion`."""
 
+import logging
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -8,8 +10,9 @@ import typer
 
 from trigpoint import cdr
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.clock import SystemClock
+from trigpoint.clock import SteadyClock
 from trigpoint.config import load_site
+from trigpoint.errors import OperationError
 from trigpoint.node import Node, stopped_by_signals
 
 from .heap import give_back_large
@@ -18,6 +21,8 @@ from .node import KIND, NAME, FusionNode
 from .orders import Solver
 from .pipeline import Inputs
 from .solver_process import START_S, SolverProcess
+
+_log = logging.getLogger(__name__)
 
 
 def main(
@@ -41,22 +46,30 @@ def main(
     loaded = load_site(site)
     inputs = load_inputs(loaded, network=network)
     folder = out if out is not None else loaded.path("network")
-    clock = SystemClock()
+    clock = SteadyClock()
     cdr.warm_up()
     give_back_large()
-    with open_bus(loaded) as bus:
-        fusion = None
+    with open_bus(loaded) as bus, ExitStack() as stack:
+        node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
+        with stopped_by_signals(node):
+            fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs, node))
+            stack.push(_finishing(fusion))
+            fusion.start()
+            node.wait()
+
+
+def _finishing(fusion: FusionNode) -> Callable[[object, BaseException | None, object], None]:
+    """What ends fusion after its node: an error of before is the one that is told."""
+
+    def finish(_kind: object, error: BaseException | None, _trace: object) -> None:
         try:
-            node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
-            with stopped_by_signals(node):
-                fusion = FusionNode(
-                    bus, node, inputs, folder, clock, solver=solver_for(inputs, node)
-                )
-                fusion.start()
-                node.wait()
-        finally:
-            if fusion is not None:
-                fusion.finish()
+            fusion.finish()
+        except OperationError as reason:
+            if error is None:
+                raise
+            _log.error("%s", reason)
+
+    return finish
 
 
 def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:

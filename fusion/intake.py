@@ -37,7 +37,8 @@ class _Waiting:
 class Intake:
     """Sightings on their way to the estimator. Not thread-safe.
 
-    `counts`: what was left out, by reason; every message that is not used is counted here.
+    `counts`: what was left out, by reason; every message that is not used is counted here;
+    `problems`: reason -> what was wrong the last time, in words.
     `shared`: tells robots apart that carry the same target; None: what they show is left out.
     """
 
@@ -47,9 +48,12 @@ class Intake:
         self._site, self._targets, self._shared = site, targets, shared
         self.counts: Counter[str] = Counter()
         self.last_problem = ""
+        self.problems: dict[str, str] = {}
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
         self._order = 0
+        # A picture shows each face of each robot once at most.
+        self._most_faces = sum(len(target.faces) for target in targets.values())
         # By how much true time may be ahead of a camera's stamp.
         self._ahead_ns = {
             name: to_ns(_SIGMAS * camera.time_offset_sigma) for name, camera in site.cameras.items()
@@ -74,6 +78,13 @@ class Intake:
             )
             return
         if not message.faces or self._is_repeated(camera, message.stamp_ns):
+            return
+        if len(message.faces) > self._most_faces:
+            self._leave_out(
+                "too_many_faces",
+                f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
+                f"of the site have {self._most_faces}; it is left out, see who sends that",
+            )
             return
         for robot, views in self._views(camera, message).items():
             self._queue(robot, observation_of(camera, robot, message.stamp_ns, tuple(views)))
@@ -142,7 +153,7 @@ class Intake:
 
     def _count_untold(self, shared: SharedLooks) -> None:
         if shared.untold > self.counts["untold_robot"]:
-            self.last_problem = shared.problem
+            self.last_problem = self.problems["untold_robot"] = shared.problem
         elif not shared.untold and self.last_problem == shared.problem:
             self.last_problem = ""
         self.counts["untold_robot"] = shared.untold
@@ -163,16 +174,19 @@ class Intake:
 
     def _leave_out(self, reason: str, text: str) -> None:
         self.counts[reason] += 1
-        self.last_problem = text
+        self.last_problem = self.problems[reason] = text
 
-    def ready(self, robot: str, first_ns: int, last_ns: int) -> list[Observation]:
-        """The observations of a robot whose moments odometry covers now, in order of time.
+    def ready(
+        self, robot: str, first_ns: int, last_ns: int, most: int | None = None
+    ) -> list[Observation]:
+        """The observations of a robot whose moments odometry covers now, in order of time; `most`
+        of them, where it says so.
 
         Those from before its odometry began are left out.
         """
         self._tell_apart()
         queue, found = self._waiting[robot], []
-        while queue and queue[0].latest_ns <= last_ns:
+        while queue and queue[0].latest_ns <= last_ns and (most is None or len(found) < most):
             waiting = heapq.heappop(queue)
             if waiting.latest_ns < first_ns:
                 self.counts["before_odometry"] += 1
@@ -180,6 +194,15 @@ class Intake:
                 found.append(waiting.observation)
         self._drop_far_ahead(robot, last_ns)
         return found
+
+    def has_ready(self, robot: str, last_ns: int) -> bool:
+        """Whether observations of a robot wait that odometry covers."""
+        queue = self._waiting[robot]
+        return bool(queue) and queue[0].latest_ns <= last_ns
+
+    def waits_for(self, robot: str) -> bool:
+        """Whether anything waits for a robot's odometry."""
+        return bool(self._waiting[robot])
 
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
         """At the end of the odometry: those of its last moments, which may be within it."""
@@ -199,7 +222,7 @@ class Intake:
         if len(ahead) > 64:
             camera = ahead[0].observation.camera
             self.counts["far_ahead"] += len(ahead)
-            self.last_problem = (
+            self.last_problem = self.problems["far_ahead"] = (
                 f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
                 f"odometry of {robot}; synchronise its clock, or check that odometry comes"
             )

@@ -10,18 +10,22 @@ from pathlib import Path
 from trigpoint import cdr, topics
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.ending import ENDING
 from trigpoint.errors import MessageError, OperationError
-from trigpoint.messages import Message
+from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.network import encode_network
 from trigpoint.node import Node
 from trigpoint.topics import Topic, command_key
 from trigpoint.watchdog import Pulse
 
+from .admission import AHEAD_NS, Admission
 from .checkpoint import Checkpoint
 from .guidance_world import GuidanceWorld
 from .guide import Guide
 from .orders import Solver
 from .pipeline import Inputs, Output, Pipeline
+from .troubles import Troubles
+from .turns import Turns
 
 KIND = "fusion"
 NAME = "fusion"
@@ -29,10 +33,15 @@ NAME = "fusion"
 # The robot's next odometry message ends the wait; without one the others are looked at this often.
 _TURN_S = 0.02
 _MOST_AT_ONCE = 512
+# A turn takes samples in for so long, and uses so many observations of a robot; so commands, which
+# wait for its end, and a stop are answered whatever comes.
+_TAKING_NS = to_ns(0.05)
+_MOST_USED = 16
 # While a checkpoint is read, what comes is taken in every so many records.
 _RECORDS_AT_ONCE = 256
-# A stop may take two seconds in all (contract of nodes, `trigpoint.node.STOP_S`).
+# A stop may take two seconds in all (`trigpoint.ending`), of which files and the bus need some.
 _LAST_SOLUTION_S = 1.2
+_WRITING_S = 0.5
 # Where the estimator solves at its turn: the last solution takes several times the longest turn.
 _LONG_TURN_S = 0.25
 _ANSWER_S = 2.0
@@ -62,10 +71,10 @@ class FusionNode:
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
         self._make_solver, self._solver = solver, solver() if solver is not None else None
-        self._lock = threading.Lock()
+        self._lock = Turns()
+        self._admission = Admission(inputs.site)
         self._pipeline = Pipeline(inputs, is_live=False, solver=self._solver)
         self._announced: dict[str, bytes] = {}
-        self._reported: dict[str, int] = {}
         self._located_count = 0
         self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
@@ -74,6 +83,7 @@ class FusionNode:
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
         self._problem = ""
+        self._troubles = Troubles(inputs.site, self._admission)
 
     def start(self) -> None:
         """Subscribe, serve the commands, and start the working thread."""
@@ -99,15 +109,26 @@ class FusionNode:
     def finish(self) -> None:
         """Write what is known, worked out to the end where that is quick enough for a stop.
 
-        Called after the working thread ended.
+        Called after the working thread ended. Raises OperationError where what should be written
+        is not.
         """
-        with self._lock:
+        if not self._lock.acquire(ENDING.left_s(_WRITING_S) if ENDING.is_asked else -1.0):
+            raise OperationError(
+                f"no network is written: the estimator is still at work; all that came in is in "
+                f"{self._path}, and `trigpoint fusion` started again goes on from there"
+            )
+        try:
             if self._checkpoint is not None:
-                self._checkpoint.close()
+                with ENDING.writing():
+                    self._checkpoint.close()
             if self.is_resumed:
                 self._save_last()
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
+            if self._checkpoint is not None and self._checkpoint.trouble:
+                raise OperationError(self._checkpoint.trouble)
+        finally:
+            self._lock.release()
             if self._solver is not None:
                 self._solver.close()
 
@@ -116,7 +137,8 @@ class FusionNode:
             is_final = self._is_solved_in_time()
         else:
             # What is known now is kept first: whoever stops us may not wait for the last solution.
-            self._pipeline.results().save(self._out)
+            with ENDING.writing():
+                self._pipeline.results().save(self._out)
             if is_final := self._longest_s < _LONG_TURN_S:
                 self._pipeline.finish()
         if not is_final:
@@ -124,16 +146,17 @@ class FusionNode:
                 "the last solution would take longer than a stop may, so what is kept is the one "
                 "before; `trigpoint calibrate` over the recording works the last one out"
             )
-        try:
+        if not self._pipeline.has_results:
+            _log.warning("no network is written: nothing is worked out yet")
+            return
+        with ENDING.writing():
             self._pipeline.results().save(self._out)
-        except OperationError as reason:
-            _log.warning("no network is written: %s", reason)
-        else:
-            _log.info("the network is in %s", self._out / "network.json")
+        _log.info("the network is in %s", self._out / "network.json")
 
     def _is_solved_in_time(self) -> bool:
         """Have the solver solve to the end; whether it did within what a stop may take."""
-        until_ns = self._clock.elapsed_ns() + to_ns(_LAST_SOLUTION_S)
+        within_s = min(_LAST_SOLUTION_S, ENDING.left_s(_WRITING_S))
+        until_ns = self._clock.elapsed_ns() + to_ns(within_s)
         try:
             self._pipeline.finish()
             while not self._pipeline.is_answered and self._clock.elapsed_ns() < until_ns:
@@ -151,31 +174,39 @@ class FusionNode:
         self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
-            first = self._subscriptions[0][1].take(_TURN_S)
+            first = self._subscriptions[0][1].take(0.0 if self._pipeline.is_behind else _TURN_S)
             with self._lock:
-                if first is not None:
-                    self._take(topics.ODOMETRY, first)
-                for topic, sample in self._waiting():
-                    self._take(topic, sample)
-                began_ns = self._clock.elapsed_ns()
-                outputs = self._pipeline.advance(self._clock.now_ns())
-                took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
-                self._longest_s = max(self._longest_s, took_s)
-                self._open_checkpoint.flush()
-                self._located_count = self._pipeline.located_count
+                outputs = self._turn(first)
             # A robot waits for its correction, nobody for the rest.
             for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
                 self._publish(output)
             self._report()
 
+    def _turn(self, first: Sample | None) -> list[Output]:
+        """Take in what has come, and use it; what is to be sent."""
+        if first is not None:
+            self._take(topics.ODOMETRY, first)
+        for topic, sample in self._waiting():
+            self._take(topic, sample)
+        began_ns = self._clock.elapsed_ns()
+        self._pipeline.doubt(self._doubted())
+        outputs = self._pipeline.advance(self._clock.now_ns(), most=_MOST_USED)
+        took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
+        self._longest_s = max(self._longest_s, took_s)
+        self._open_checkpoint.flush()
+        self._located_count = self._pipeline.located_count
+        return outputs
+
     def _waiting(self) -> Iterator[tuple[Topic, Sample]]:
-        """What has come, up to a number a topic."""
-        for topic, subscription in self._subscriptions:
-            for _ in range(_MOST_AT_ONCE):
-                sample = subscription.take(0.0)
-                if sample is None:
-                    break
-                yield topic, sample
+        """What has come, the topics in turn, up to a number each and for a time."""
+        until_ns = self._clock.elapsed_ns() + _TAKING_NS
+        waiting = self._subscriptions
+        for _ in range(_MOST_AT_ONCE):
+            found = [(pair, sample) for pair in waiting if (sample := pair[1].take(0.0))]
+            yield from ((topic, sample) for (topic, _), sample in found)
+            waiting = [pair for pair, _ in found]
+            if not waiting or self._clock.elapsed_ns() > until_ns:
+                return
 
     def _take(self, topic: Topic, sample: Sample) -> None:
         message = self._kept(topic, sample)
@@ -183,14 +214,22 @@ class FusionNode:
             self._pipeline.push(topics.node_of(sample.key), message)
 
     def _kept(self, topic: Topic, sample: Sample) -> Message | None:
-        """The message, written to the checkpoint; None where it is none."""
+        """The message, written to the checkpoint; None where it is not to be used."""
+        at_ns = self._clock.elapsed_ns()
+        if not self._admission.admits(sample, at_ns):
+            return None
         try:
-            if sample.encoding != topic.encoding:
+            if not topic.may_be(sample.encoding):
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
             message = cdr.decode(topic.type_name, sample.payload)
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return None
+        assert isinstance(message, CameraInfo | Odometry | Sightings)
+        set_by_ns = self._node.clock_set_by_ns
+        if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
+            return None
+        self._troubles.heard(sample.key, at_ns)
         self._node.health.count(f"received {sample.key}")
         if topic is topics.CAMERA_INFO:
             self._announced[sample.key] = sample.payload
@@ -210,17 +249,26 @@ class FusionNode:
             return self._pipeline.guidance_world()
 
     def _report(self) -> None:
-        """Bring what the pipeline left out, and what went wrong, into the diagnostics."""
-        for reason, count in self._pipeline.left_out.items():
-            more = count - self._reported.get(reason, 0)
-            if more > 0:  # what is cleared up later was left out all the same
-                self._node.health.count(f"left_out.{reason}", more)
-                self._reported[reason] = count
-        problem = self._open_checkpoint.trouble or self._pipeline.last_problem
+        """Bring what was left out, and what is or went wrong, into the diagnostics."""
+        now_ns, health = self._clock.elapsed_ns(), self._node.health
+        for reason, more in self._troubles.left_out(self._pipeline, now_ns):
+            health.count(f"left_out.{reason}", more)
+        troubles = self._troubles.now(self._pipeline, now_ns)
+        if trouble := self._open_checkpoint.trouble:
+            troubles["checkpoint"] = trouble
+        health.hold_only("input", troubles)
+        problem = self._pipeline.last_problem
         if problem != self._problem:
             self._problem = problem
-            if problem:
-                self._node.health.fail(problem)
+            if problem and problem not in troubles.values():
+                health.fail(problem)
+
+    def _doubted(self) -> frozenset[str]:
+        """The cameras and robots whose clocks were set and are not followed yet; all where that is
+        this machine's."""
+        if self._node.clock_set_by_ns:
+            return frozenset(self._site.cameras)
+        return self._node.doubted_names
 
     # -- the checkpoint ---------------------------------------------------------------------------
 
@@ -268,10 +316,19 @@ class FusionNode:
             raise OperationError(
                 f"{self._path}: a checkpoint of another site ({key}); give another --out"
             )
+        if not self._admission.knows(key):
+            return 0  # somebody that the site file does not have any more
         try:
             message = cdr.decode(topic.type_name, payload)
         except MessageError as reason:
             _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
+            return 0
+        assert isinstance(message, CameraInfo | Odometry | Sightings)
+        if message.stamp_ns > self._open_checkpoint.written_ns + AHEAD_NS:
+            # All of the file came before it was written last.
+            _log.error(
+                "%s: a message on %s is stamped ahead of its time; left out", self._path, key
+            )
             return 0
         self._pipeline.push(topics.node_of(key), message)
         if topic is topics.CAMERA_INFO:
@@ -340,7 +397,7 @@ class FusionNode:
             if self._make_solver is not None:
                 self._solver = self._make_solver()
             self._pipeline = Pipeline(self._inputs, solver=self._solver)
-            self._reported.clear()
+            self._troubles.restart()
             for key, payload in self._announced.items():  # a camera says it once
                 self._open_checkpoint.write(key, payload)
                 message = cdr.decode(topics.CAMERA_INFO.type_name, payload)

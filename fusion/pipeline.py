@@ -88,6 +88,9 @@ class Pipeline:
         self._announcements = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._early: list[tuple[str, Sightings]] = []
         self._problem = ""
+        self._problems: dict[str, str] = {}
+        self._stale_ns: dict[str, int] = {}
+        self._doubted: frozenset[str] = frozenset()
 
     @property
     def map_id(self) -> UUID | None:
@@ -98,6 +101,32 @@ class Pipeline:
     def last_problem(self) -> str:
         """The last message that could not be used, in words; "" where there was none."""
         return self._problem or self._intake.last_problem
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """Reason of `left_out` -> what was wrong the last time, in words, where that is known."""
+        return self._intake.problems | self._problems
+
+    @property
+    def stale_ns(self) -> dict[str, int]:
+        """Robot -> by how much its last odometry message is older than the one before it, for
+        those that send old ones now."""
+        return dict(self._stale_ns)
+
+    def waits_for(self, robot: str) -> bool:
+        """Whether sightings wait for a robot's odometry."""
+        return self._intake.waits_for(robot)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether more is ready than the last `advance` was allowed to use."""
+        tracks = self._data.tracks.items()
+        return any(len(track) and self._intake.has_ready(n, track.last_ns) for n, track in tracks)
+
+    def doubt(self, nodes: frozenset[str]) -> None:
+        """Make no corrections of these cameras and robots until told otherwise: their clocks were
+        set and are not followed yet."""
+        self._doubted = nodes
 
     @property
     def waiting(self) -> int:
@@ -132,7 +161,9 @@ class Pipeline:
         added = self._estimator.add_odometry(robot, message.stamp_ns, message.pose)
         if added is Added.STALE:
             self.counts["stale_odometry"] += 1
+            self._stale_ns[robot] = self._data.tracks[robot].last_ns - message.stamp_ns
             return
+        self._stale_ns.pop(robot, None)
         if added is Added.JUMP:
             self.counts["odometry_jumps"] += 1
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
@@ -167,7 +198,7 @@ class Pipeline:
         if camera in self._data.lenses:
             if self._data.lenses[camera] != message.camera:
                 self.counts["changed_intrinsics"] += 1
-                self._problem = (
+                self._problem = self._problems["changed_intrinsics"] = (
                     f"camera {camera} announces other intrinsics than this map began with, which "
                     "are not taken over; start a new map with fusion/reset"
                 )
@@ -207,16 +238,18 @@ class Pipeline:
 
     # -- work -------------------------------------------------------------------------------------
 
-    def advance(self, now_ns: int | None = None) -> list[Output]:
+    def advance(self, now_ns: int | None = None, *, most: int | None = None) -> list[Output]:
         """Use what is ready; return what is to be sent.
 
         `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
+        `most`: how many observations of a robot are used at most, so that a turn ends soon whatever
+        came; `is_behind` says whether more are ready.
         """
         is_quiet = True
         for robot, track in self._data.tracks.items():
             if not len(track):
                 continue
-            for observation in self._intake.ready(robot, track.first_ns, track.last_ns):
+            for observation in self._intake.ready(robot, track.first_ns, track.last_ns, most):
                 self._use(observation, now_ns)
                 is_quiet = False
         if self._is_live and is_quiet:
@@ -249,7 +282,7 @@ class Pipeline:
         is_late = now_ns is not None and now_ns - observation.stamp_ns > late_ns
         if is_late:
             self.counts["late"] += 1
-            self._problem = (
+            self._problem = self._problems["late"] = (
                 f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
                 "make no corrections; synchronise the clocks, or see what is slow"
             )
@@ -262,10 +295,13 @@ class Pipeline:
         update = self._estimator.add_observation(observation)
         if update.problem:
             self.counts["unusable"] += 1
-            self._problem = update.problem
+            self._problem = self._problems["unusable"] = update.problem
         self._note_events()
         if update.correction is not None and not is_late:
-            self._correct(observation.robot, update.correction)
+            if self._doubted & {observation.robot, observation.camera}:
+                self.counts["clock_in_doubt"] += 1
+            else:
+                self._correct(observation.robot, update.correction)
         if update.located:
             self._take_cameras(observation.stamp_ns, is_urgent=True)
 
@@ -370,6 +406,11 @@ class Pipeline:
         if self._follower.reported is None:
             raise OperationError("nothing is worked out yet; ask again in a moment")
         return self._follower.reported.results
+
+    @property
+    def has_results(self) -> bool:
+        """Whether there are any."""
+        return self._follower is None or self._follower.reported is not None
 
     def network(self) -> Network:
         """The network as it is known now."""

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
 from trigpoint.errors import OperationError
@@ -61,8 +61,11 @@ class SolverProcess:
         self._process = context.Process(
             target=_serve, args=(theirs, theirs_too), name="fusion solver", daemon=True
         )
-        # A stop is told to the node, which may want a last solution. A Ctrl-C comes here too, also
-        # before the process could say that it does not listen; the pipe's end ends it.
+        # A stop is told to the node, which may want a last solution. A Ctrl-C, or a service
+        # manager's SIGTERM to all, comes here too, also before the process could say that it does
+        # not listen; the pipe's end ends it. The tracker that `start` would start unblocks both
+        # signals (Python 3.11), so it is started before.
+        resource_tracker.ensure_running()
         with _held_back(signal.SIGINT, signal.SIGTERM):
             self._process.start()
         theirs.close()
@@ -151,6 +154,8 @@ def _held_back(*signals: signal.Signals) -> Iterator[None]:
 
 def _serve(orders: Connection, news: Connection) -> None:
     """Take the data set and carry out orders, until the pipe ends."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     give_back_large()
     try:
         data: DataSet = orders.recv()

@@ -65,7 +65,7 @@ def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
     """The message in a sample; raise MessageError where it is not what the contract says."""
     if topic_of(sample.key) is not topic:
         raise MessageError(f"{sample.key} is not a key of the contract")
-    if sample.encoding != topic.encoding:
+    if not topic.may_be(sample.encoding):
         raise MessageError(f"the encoding is «{sample.encoding}», not «{topic.encoding}»")
     _check_known(topic, sample.key, site)
     return cdr.decode(topic.type_name, sample.payload)

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from trigpoint.ending import ENDING
+
 # As the program does it, and before numpy is loaded: BLAS threads only get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -40,11 +42,12 @@ def no_thread_is_left() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def process_is_put_back() -> Iterator[None]:
-    """Undo what a command sets for its whole process: signal handlers and the log."""
+    """Undo what a command sets for its whole process: signals, that it was told to end, the log."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     root, ours = logging.getLogger(), logging.getLogger("trigpoint")
     log = (list(root.handlers), root.level, ours.level)
     yield
+    ENDING.forget()
     for number, handler in handlers.items():
         signal.signal(number, handler)
     root.handlers[:] = log[0]

@@ -4,6 +4,7 @@ import importlib
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import FrameType
@@ -12,6 +13,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from . import __version__, log
+from .ending import ENDING
 from .errors import MissingExtraError, TrigpointError
 
 PROGRAM = "trigpoint"
@@ -99,7 +101,15 @@ EXTRAS: dict[str, str] = {
 
 def main() -> NoReturn:
     """Entry point of the program `trigpoint`."""
-    sys.exit(run(sys.argv[1:]))
+    ENDING.guard()
+    try:
+        status = run(sys.argv[1:])
+    except SystemExit as reason:
+        status = reason.code if isinstance(reason.code, int) else int(reason.code is not None)
+    except BaseException:  # noqa: BLE001 - told as Python would, then left as any other end
+        traceback.print_exc()
+        status = 1
+    ENDING.leave(status)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -194,6 +204,8 @@ def _exit_on_termination(chosen: str) -> None:
     is_service = bool(chosen) and COMMANDS[chosen].service
 
     def stop(number: int, _frame: FrameType | None) -> None:
+        if is_service:
+            ENDING.ask()
         raise SystemExit(0 if is_service else 128 + number)
 
     signal.signal(signal.SIGTERM, stop)

@@ -2,9 +2,15 @@
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 NANOSECONDS = 1_000_000_000
+STEP_NS = 10_000_000
+"""A clock that differs from what it was by this much was set: the kernel slews what is smaller, and
+that moves the monotonic clock as well."""
+SETTLED_NS = 10 * NANOSECONDS
+"""A clock that was set and stays so for this long is believed."""
 
 
 class Clock(Protocol):
@@ -34,6 +40,67 @@ class SystemClock:
 
     def wait(self, event: threading.Event, timeout_s: float) -> bool:
         return event.wait(timeout_s)
+
+
+class SteadyClock:
+    """The machine's clock for stamps that must not jump when somebody, or NTP, sets it.
+
+    It carries on by monotonic time. What the machine's clock was set by is told (`set_by_ns`);
+    where it stays there for ten seconds it is believed and followed, which `followed` counts: the
+    first time of a small computer without a clock of its own is what it last knew. Any thread.
+    """
+
+    def __init__(
+        self,
+        unix_ns: Callable[[], int] = time.time_ns,
+        elapsed_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._unix_ns, self._elapsed_ns = unix_ns, elapsed_ns
+        self._offset_ns = self._measured_ns()
+        self._lock = threading.Lock()
+        self._set_by_ns = 0
+        self._since_ns = 0
+        self.followed = 0
+
+    def now_ns(self) -> int:
+        return self._elapsed_ns() + self._offset_ns
+
+    def elapsed_ns(self) -> int:
+        return self._elapsed_ns()
+
+    def wait(self, event: threading.Event, timeout_s: float) -> bool:
+        return event.wait(timeout_s)
+
+    def look(self) -> int:
+        """Look whether the machine's clock was set; call it about once a second. What it was set by
+        since, ns, 0 where it goes on or is followed by now."""
+        with self._lock:
+            moved_ns = self._measured_ns() - self._offset_ns
+            now_ns = self._elapsed_ns()
+            if abs(moved_ns) < STEP_NS:
+                self._set_by_ns = 0
+            elif abs(moved_ns - self._set_by_ns) >= STEP_NS:  # set, perhaps once more
+                self._set_by_ns, self._since_ns = moved_ns, now_ns
+            elif now_ns - self._since_ns >= SETTLED_NS:
+                self._offset_ns += moved_ns
+                self._set_by_ns = 0
+                self.followed += 1
+            return self._set_by_ns
+
+    @property
+    def set_by_ns(self) -> int:
+        """What `look` last said."""
+        return self._set_by_ns
+
+    def _measured_ns(self) -> int:
+        """Unix time minus the monotonic clock, from the tightest of a few pairs of readings."""
+        best_ns, offset_ns = None, 0
+        for _ in range(5):
+            before_ns, now_ns, after_ns = self._elapsed_ns(), self._unix_ns(), self._elapsed_ns()
+            if best_ns is None or after_ns - before_ns < best_ns:
+                best_ns = after_ns - before_ns
+                offset_ns = now_ns - (before_ns + after_ns) // 2
+        return offset_ns
 
 
 class ManualClock:

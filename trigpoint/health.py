@@ -2,7 +2,7 @@
 
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -11,6 +11,7 @@ from .clock import Clock, SystemClock, to_ns, to_seconds
 from .errors import MessageError
 
 _MEMORY_NS = to_ns(10.0)
+_MOST_SAID = 3
 
 
 class Level(IntEnum):
@@ -41,7 +42,7 @@ class Health:
     `count` adds to a counter that diagnostics show as total and rate; `lose` does the same for lost
     data, which makes the status a warning; `gauge` names a value that is read once a second (a
     queue's depth), `describe` a state in words; `fail` keeps the last error's text, which makes the
-    status an error for a while.
+    status an error for a while; `hold` an error that lasts until it is released.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -52,6 +53,7 @@ class Health:
         self._gauges: dict[str, Callable[[], float]] = {}
         self._watched: dict[str, Subscription] = {}
         self._descriptions: dict[str, str] = {}
+        self._held: dict[str, str] = {}
         self._last_error = ""
         self._failed_ns: int | None = None
         self._lost_ns: int | None = None
@@ -88,6 +90,34 @@ class Health:
         """Keep the last error's text."""
         with self._lock:
             self._last_error, self._failed_ns = text, self._clock.elapsed_ns()
+
+    def hold(self, name: str, text: str) -> None:
+        """What is wrong, by a name of its own, until it is released; the text may change."""
+        with self._lock:
+            if name not in self._held:
+                self._last_error = text
+            self._held[name] = text
+
+    def release(self, name: str) -> None:
+        """What was held under this name is over; nothing where nothing was."""
+        with self._lock:
+            self._held.pop(name, None)
+
+    def hold_only(self, group: str, troubles: Mapping[str, str]) -> None:
+        """Hold these and release all others of the group."""
+        with self._lock:
+            kept = {n: t for n, t in self._held.items() if not n.startswith(f"{group}: ")}
+            held = {f"{group}: {name}": text for name, text in troubles.items()}
+            self._last_error = next(
+                (text for name, text in held.items() if name not in self._held), self._last_error
+            )
+            self._held = kept | held
+
+    @property
+    def held(self) -> dict[str, str]:
+        """What is wrong and lasts: name -> text."""
+        with self._lock:
+            return dict(self._held)
 
     def reject(self, sample: Sample, reason: MessageError) -> None:
         """Count a sample that does not decode as `rejected`, and name its sender."""
@@ -136,12 +166,18 @@ class Health:
     def _judge(self, losses: dict[str, int], now_ns: int) -> tuple[Level, str]:
         if losses != self._read_losses and any(losses.values()):
             self._lost_ns = now_ns
+        if held := list(self.held.values()):
+            return Level.ERROR, "; ".join(held[:_MOST_SAID]) + _and_more(len(held) - _MOST_SAID)
         if self._failed_ns is not None and now_ns - self._failed_ns < _MEMORY_NS:
             return Level.ERROR, self._last_error
         if self._lost_ns is not None and now_ns - self._lost_ns < _MEMORY_NS:
             lost = ", ".join(f"{count} {name}" for name, count in losses.items() if count)
             return Level.WARN, f"lost so far: {lost}"
         return Level.OK, "running"
+
+
+def _and_more(count: int) -> str:
+    return f"; and {count} more" if count > 0 else ""
 
 
 def _number(value: float) -> str:

@@ -8,6 +8,7 @@ A command reads:
         node.wait()   # until SIGINT, SIGTERM, node.stop() or an error in one of the threads
 """
 
+import _thread
 import logging
 import os
 import signal
@@ -22,11 +23,12 @@ from typing import Protocol, Self
 from . import CONTRACT, __version__
 from .bus import Bus, Closable, Publisher, Subscription
 from .cdr import decode, encode
-from .clock import NANOSECONDS, Clock, SystemClock
+from .clock import NANOSECONDS, SETTLED_NS, Clock, SteadyClock, to_seconds
+from .ending import ENDING
 from .errors import BusError, MessageError, OperationError
 from .health import Health, Level
 from .messages import Diagnostics, DiagnosticStatus
-from .peers import Peers
+from .peers import CLOCK_SET_BY, Peers
 from .topics import DIAGNOSTICS, alive_key
 from .watchdog import Pulse, Watchdog
 
@@ -35,6 +37,9 @@ __all__ = ["Health", "Node", "stop_on_signals", "stopped_by_signals"]
 _log = logging.getLogger(__name__)
 
 STOP_S = 2.0
+# Of the time that a stop may take, what is kept for what follows the threads: last words, files.
+_REST_S = 1.3
+_LEAST_JOIN_S = 0.1
 _TAKEOVER_S = 2.0
 _NEWCOMER_S = 5.0
 _PULSE_S = 10.0
@@ -65,7 +70,7 @@ class Node:
         watchdog: Watchdog | None = None,
         period_s: float = 1.0,
     ) -> None:
-        self._clock = clock or SystemClock()
+        self.clock = self._clock = clock or SteadyClock()
         self.health = Health(self._clock)
         self.stopping = stopping or threading.Event()
         self.watchdog = watchdog or Watchdog(clock=self._clock)
@@ -81,6 +86,7 @@ class Node:
         self._threads: list[threading.Thread] = []
         self._error: BaseException | None = None
         self._logged_error = ""
+        self._logged_held: dict[str, str] = {}
         self._connection = ""
 
     def __enter__(self) -> Self:
@@ -172,11 +178,12 @@ class Node:
             raise error
 
     def _join(self) -> None:
-        deadline = time.monotonic() + STOP_S
+        within_s = max(_LEAST_JOIN_S, min(STOP_S, ENDING.left_s(_REST_S)))
+        deadline = time.monotonic() + within_s
         for thread in self._threads:
             thread.join(max(0.0, deadline - time.monotonic()))
             if thread.is_alive():
-                _log.error("thread «%s» did not stop in %.0f s", thread.name, STOP_S)
+                _log.error("thread «%s» did not stop in %.1f s", thread.name, within_s)
 
     def _refuse_second(self) -> None:
         """Raise OperationError where this identity is taken; a killed one's token goes in time."""
@@ -198,24 +205,67 @@ class Node:
         while not self.stopping.is_set():
             pulse.beat(self._period_s + _PULSE_S)
             self.watchdog.tick()
+            self._look_at_clock()
             self._listen(others)
             publisher.put(encode(self.diagnostics()))
             due = max(due + self._period_s, time.monotonic())
             self.stopping.wait(due - time.monotonic())
         self.watchdog.forget(pulse)
 
+    def _look_at_clock(self) -> None:
+        """See whether this machine's clock was set: stamps carry on until it is believed."""
+        if not isinstance(self._clock, SteadyClock):
+            return
+        followed, set_by_ns = self._clock.followed, self._clock.look()
+        if self._clock.followed != followed:
+            _log.warning("%s: this machine's clock is followed now; stamps jump", self.label)
+        if not set_by_ns:
+            self.health.release("clock")
+            return
+        self.health.hold(
+            "clock",
+            f"this machine's clock was set by {to_seconds(set_by_ns):+.3f} s; stamps go on as "
+            f"before, and follow it once it has stood for {to_seconds(SETTLED_NS):.0f} s",
+        )
+
+    @property
+    def clock_set_by_ns(self) -> int:
+        """What this machine's clock was set by without being followed yet; 0 where all is well."""
+        return self._clock.set_by_ns if isinstance(self._clock, SteadyClock) else 0
+
+    @property
+    def doubted_names(self) -> frozenset[str]:
+        """The names of the nodes whose clocks were set and are not followed yet."""
+        return self._peers.doubted_names
+
     def diagnostics(self) -> Diagnostics:
         """What the node says of itself now. Called on the diagnostics thread."""
         report = self.health.report()
+        held = self.health.held
         if self.health.last_error not in ("", self._logged_error):
             self._logged_error = self.health.last_error
-            _log.error("%s: %s", self.label, self._logged_error)
+            if self._logged_error not in held.values():
+                _log.error("%s: %s", self.label, self._logged_error)
+        self._log_held(held)
         level, message = report.level, report.message
         if complaint := self._complaint():
             level, message = Level.ERROR, complaint
-        values = self._identity() | {"peers": str(len(self._bus.peers))} | report.values
+        values = (
+            self._identity()
+            | self._clock_values()
+            | {"peers": str(len(self._bus.peers))}
+            | report.values
+        )
         status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)
         return Diagnostics(self._clock.now_ns(), (status,))
+
+    def _log_held(self, held: dict[str, str]) -> None:
+        """Say what began to be wrong, and what is over."""
+        for name in held.keys() - self._logged_held.keys():
+            _log.error("%s: %s", self.label, held[name])
+        for name in self._logged_held.keys() - held.keys():
+            _log.info("%s: over: %s", self.label, self._logged_held[name])
+        self._logged_held = held
 
     def _complaint(self) -> str:
         """What is wrong beyond what the node knows of its own work, "" where nothing is."""
@@ -231,6 +281,10 @@ class Node:
             self._connection = complaint
             _log.warning("%s: %s", self.label, complaint or "connected again")
         return complaint
+
+    def _clock_values(self) -> dict[str, str]:
+        set_by_ns = self.clock_set_by_ns
+        return {CLOCK_SET_BY: f"{to_seconds(set_by_ns):+.3f}"} if set_by_ns else {}
 
     def _identity(self) -> dict[str, str]:
         return {
@@ -279,12 +333,17 @@ class Stoppable(Protocol):
 
 
 def stop_on_signals(nodes: Sequence[Stoppable]) -> None:
-    """SIGINT and SIGTERM stop these nodes; call it on the main thread. A second one interrupts."""
+    """SIGINT and SIGTERM stop these nodes; call it on the main thread.
 
-    def stop(number: int, _frame: FrameType | None) -> None:
-        signal.signal(number, signal.default_int_handler)
-        # Event.set takes a lock that the interrupted main thread may hold; so on another thread.
-        threading.Thread(target=stop_all, name="stop", daemon=True).start()
+    One that came before stops them now. Further ones change nothing: a stop ends by itself
+    (`ending`), and Ctrl-C often comes with a SIGTERM of whoever started us.
+    """
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        if ENDING.ask():
+            # Event.set takes a lock that the interrupted main thread may hold, and so does starting
+            # a threading.Thread.
+            _thread.start_new_thread(stop_all, ())
 
     def stop_all() -> None:
         for node in nodes:
@@ -292,3 +351,5 @@ def stop_on_signals(nodes: Sequence[Stoppable]) -> None:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
+    if ENDING.is_asked:
+        stop_all()

@@ -9,6 +9,10 @@ from .messages import DiagnosticStatus
 _log = logging.getLogger(__name__)
 
 _MEMORY_S = 5.0
+_MOST_DOUBTED = 1000
+_MOST_COMPLAINTS = 20
+CLOCK_SET_BY = "clock_set_by"
+"""The value in the diagnostics of a node whose machine's clock was set: by how many seconds."""
 
 
 class Peers:
@@ -17,6 +21,7 @@ class Peers:
     def __init__(self, label: str, unique: str, born_ns: int) -> None:
         self._label, self._unique, self._born_ns = label, unique, born_ns
         self._complaints: dict[str, float] = {}
+        self._doubted: dict[str, float] = {}
 
     def meet(self, status: DiagnosticStatus) -> bool:
         """Take note of another node; return whether it has this node's name and is the elder.
@@ -26,6 +31,10 @@ class Peers:
         unique = status.values.get("node", "")
         if not unique or unique == self._unique:
             return False
+        if CLOCK_SET_BY in status.values and len(self._doubted) < _MOST_DOUBTED:
+            self._doubted[status.name] = time.monotonic()
+        else:
+            self._doubted.pop(status.name, None)
         where = f"{status.name} (host {status.hardware_id}, process {status.values.get('process')})"
         if status.values.get("contract") != str(CONTRACT):
             theirs = status.values.get("contract")
@@ -34,6 +43,13 @@ class Peers:
             return False
         self._complain(f"a second {where} is on the site; stop one of the two")
         return (_number(status.values.get("started", "")), unique) < (self._born_ns, self._unique)
+
+    @property
+    def doubted_names(self) -> frozenset[str]:
+        """The names of nodes that say of late that their machine's clock was set. Any thread."""
+        since_s = time.monotonic() - _MEMORY_S
+        doubted = dict(self._doubted)
+        return frozenset(name.partition("/")[2] for name, s in doubted.items() if s > since_s)
 
     def complaint(self) -> str:
         """What is wrong with the others now, "" where nothing is."""
@@ -45,6 +61,8 @@ class Peers:
 
     def _complain(self, text: str) -> None:
         if text not in self._complaints:
+            if len(self._complaints) >= _MOST_COMPLAINTS:
+                return
             _log.error("%s: %s", self._label, text)
         self._complaints[text] = time.monotonic()
 

@@ -6,6 +6,9 @@ from functools import lru_cache
 
 from . import messages
 
+UNTYPED = ("", "zenoh/bytes", "application/cdr", "application/octet-stream")
+"""Encodings that name no type."""
+
 
 class Delivery(Enum):
     """How a key's samples travel; `bus_zenoh` turns each into Zenoh's settings."""
@@ -43,6 +46,11 @@ class Topic:
     def encoding(self) -> str:
         """The sample's encoding, with the type's name as its schema."""
         return f"application/cdr;{self.type_name}"
+
+    def may_be(self, encoding: str) -> bool:
+        """Whether a sample of this encoding may be of the type: it is, or it does not say. The key
+        fixes the type (a ROS 2 bridge sets no encoding), and decoding checks it."""
+        return encoding in (self.encoding, *UNTYPED)
 
     def key(self, site: str, node: str = "") -> str:
         """The key of one camera or robot."""

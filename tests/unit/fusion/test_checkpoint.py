@@ -39,38 +39,57 @@ def test_no_file_holds_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 3, 50])
-def test_record_that_was_cut_off_is_left_out_and_overwritten(
+def test_record_that_was_cut_off_is_passed_over_and_kept(
     tmp_path: Path, cut: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "checkpoint.bin"
     write(path, RECORDS)
-    path.write_bytes(path.read_bytes()[:-cut])
+    before = path.read_bytes()[:-cut]
+    path.write_bytes(before)
     assert list(read_checkpoint(path)) == RECORDS[:-1]
     assert "cut off" in caplog.text
     write(path, [("after", b"1")])
     assert list(read_checkpoint(path)) == [*RECORDS[:-1], ("after", b"1")]
+    assert path.read_bytes().startswith(before)
 
 
-def test_file_is_read_as_far_as_it_is_sound(tmp_path: Path) -> None:
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+def test_flipped_bit_costs_one_record_and_nothing_is_written_over(
+    tmp_path_factory: pytest.TempPathFactory, place: float, bit: int
+) -> None:
+    path = tmp_path_factory.mktemp("checkpoint") / "checkpoint.bin"
+    write(path, RECORDS)
+    data = bytearray(path.read_bytes())
+    data[int(place * len(data))] ^= 1 << bit
+    path.write_bytes(bytes(data))
+    found = list(read_checkpoint(path))
+    assert len(found) >= len(RECORDS) - 1
+    assert [record for record in RECORDS if record in found] == found
+    write(path, [("after", b"1")])
+    assert list(read_checkpoint(path)) == [*found, ("after", b"1")]
+    assert path.read_bytes().startswith(bytes(data))
+
+
+def test_damaged_stretch_in_the_middle_is_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.bin"
     write(path, RECORDS)
     data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
+    middle = len(data) // 2
+    data[middle - 20 : middle + 20] = bytes(40)
     path.write_bytes(bytes(data))
     found = list(read_checkpoint(path))
-    assert found == RECORDS[: len(found)]
-    assert 0 < len(found) < len(RECORDS)
+    assert found[0] == RECORDS[0]
+    assert found[-1] == RECORDS[-1]
+    assert len(RECORDS) - 3 <= len(found) < len(RECORDS)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 something else entirely"])
-def test_foreign_file_is_named_and_replaced(
-    tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = tmp_path / "checkpoint.bin"
+def test_foreign_file_is_named_and_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path, content = tmp_path / "checkpoint.bin", b"PK\x03\x04 something else entirely"
     path.write_bytes(content)
     assert list(read_checkpoint(path)) == []
-    assert ("is no checkpoint" in caplog.text) == bool(content)
     write(path, RECORDS)
+    assert "is no checkpoint; it is kept as" in caplog.text
+    assert (tmp_path / "checkpoint.1.bin").read_bytes() == content
     assert list(read_checkpoint(path)) == RECORDS
 
 
@@ -86,7 +105,7 @@ def test_record_is_on_the_disk_half_a_second_later(tmp_path: Path) -> None:
     checkpoint.close()
 
 
-def test_restart_forgets_everything(tmp_path: Path) -> None:
+def test_restart_begins_anew_and_keeps_what_was(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.bin"
     checkpoint = Checkpoint(path, ManualClock())
     checkpoint.write("old", b"1")
@@ -94,6 +113,7 @@ def test_restart_forgets_everything(tmp_path: Path) -> None:
     checkpoint.write("new", b"2")
     checkpoint.close()
     assert list(read_checkpoint(path)) == [("new", b"2")]
+    assert list(read_checkpoint(tmp_path / "checkpoint.1.bin")) == [("old", b"1")]
 
 
 def test_disk_that_is_full_keeps_what_was_written_and_is_told(tmp_path: Path) -> None:
@@ -105,12 +125,15 @@ def test_disk_that_is_full_keeps_what_was_written_and_is_told(tmp_path: Path) ->
             kept += 1
             clock.advance(1.0)
             checkpoint.flush()
-    assert "cannot be written any more (File too large)" in checkpoint.trouble
-    assert not checkpoint.write("after", b"1")  # there is room again, but half a record lies there
-    checkpoint.close()
-    found = list(read_checkpoint(path))
+        assert "cannot be written now (File too large)" in checkpoint.trouble
+        found = list(read_checkpoint(path))
     assert [key for key, _ in found] == [f"lab/robot/r1/odom{i}" for i in range(len(found))]
     assert 3 <= len(found) < kept + 1
+    checkpoint.write("after", b"1")  # there is room again, behind half a record
+    checkpoint.close()
+    assert checkpoint.trouble == ""
+    waited = (f"lab/robot/r1/odom{kept}", bytes(200))
+    assert list(read_checkpoint(path)) == [*found, waited, ("after", b"1")]
 
 
 def test_restart_after_the_disk_was_full_writes_again(tmp_path: Path) -> None:

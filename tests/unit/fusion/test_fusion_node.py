@@ -257,7 +257,7 @@ def test_fusion_goes_on_where_the_disk_is_full_and_says_so(
         with largest_file(20_000):
             fusion.feed(charuco.messages[:300])
             assert eventually(lambda: fusion.node.health.lost("checkpoint") > 0)
-        assert eventually(lambda: "cannot be written any more" in fusion.node.health.last_error)
+        assert eventually(lambda: "cannot be written now" in fusion.node.health.last_error)
         assert fusion.ask("fusion/map")["map_id"]
 
 

@@ -9,9 +9,10 @@ from builders import eventually
 
 from trigpoint.bus_memory import MemoryBroker, MemoryBus
 from trigpoint.cdr import decode, encode
+from trigpoint.ending import ENDING
 from trigpoint.errors import OperationError, PortError
 from trigpoint.messages import Diagnostics, DiagnosticStatus
-from trigpoint.node import Node, stop_on_signals
+from trigpoint.node import Node, stop_on_signals, stopped_by_signals
 from trigpoint.topics import DIAGNOSTICS, alive_key
 
 KEY = DIAGNOSTICS.key("lab")
@@ -187,12 +188,19 @@ def test_signal_stops_the_node(bus: MemoryBus, number: signal.Signals) -> None:
         assert node.stopping.is_set()
 
 
-def test_second_signal_interrupts(bus: MemoryBus) -> None:
+def test_further_signals_change_nothing(bus: MemoryBus) -> None:
     with make_node(bus) as node:
         stop_on_signals([node])
         signal.raise_signal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        node.wait()
+
+
+def test_signal_that_came_before_stops_the_node(bus: MemoryBus) -> None:
+    assert ENDING.ask()
+    with stopped_by_signals(make_node(bus)) as node:
+        node.wait()
 
 
 def test_stop_is_logged(bus: MemoryBus, caplog: pytest.LogCaptureFixture) -> None:

@@ -1,0 +1,169 @@
+"""Who is heard: nobody unknown, nobody twice, nobody from the future, nobody without measure.
+
+Pure: no bus, no clock. What is refused here is never stored, so nothing that one sender does can
+make another's messages useless, now or after a restart.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from trigpoint import topics
+from trigpoint.bus import Sample
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import Site
+from trigpoint.topics import Topic
+
+AHEAD_NS = to_ns(5.0)
+"""Nothing is stamped further ahead of its arrival: odometry that was would make all that follows
+come too late. A clock that is mended costs no more than this."""
+# A camera sends `rate` pictures a second on average; what comes at twice that is no camera. No
+# wheels need more odometry than this, and leaving some out loses nothing, since each is absolute.
+_TIMES_ITS_RATE = 2.0
+_ODOMETRY_HZ = 250.0
+_ANNOUNCEMENTS_HZ = 2.0
+_TAKEOVER_NS = to_ns(1.0)
+"""A sender is gone when nothing of it came for so long; no program starts again faster."""
+_REMEMBERED_NS = to_ns(5.0)
+"""For how long two senders under one name are two."""
+_MOST_SENDERS = 8
+
+
+class Budget:
+    """How much of one key is taken: `rate_hz` on average, and `burst` at once, which is what comes
+    when a connection is back.
+
+    By the clock or by the stamps, whichever goes on faster: a session that is replayed at ten times
+    its pace is no flood.
+    """
+
+    def __init__(self, rate_hz: float, burst: int) -> None:
+        self._period_ns, self._burst_ns = to_ns(1 / rate_hz), to_ns(burst / rate_hz)
+        self._left_ns = self._burst_ns
+        self._at_ns: int | None = None
+        self._stamp_ns = 0
+
+    def takes(self, stamp_ns: int, at_ns: int) -> bool:
+        """Whether one more is within the budget; `at_ns`: monotonic time."""
+        if self._at_ns is not None:
+            gone_ns = max(at_ns - self._at_ns, stamp_ns - self._stamp_ns, 0)
+            self._left_ns = min(self._left_ns + gone_ns, self._burst_ns)
+            stamp_ns = max(stamp_ns, self._stamp_ns)
+        self._at_ns, self._stamp_ns = at_ns, stamp_ns
+        if self._left_ns < self._period_ns:
+            return False
+        self._left_ns -= self._period_ns
+        return True
+
+
+@dataclass(slots=True)
+class _Speaker:
+    """Who is heard on a key: `current`, and when each sender was last heard, ns."""
+
+    current: str = ""
+    heard_ns: dict[str, int] = field(default_factory=dict)
+    twice_ns: int | None = None
+
+
+class Admission:
+    """One site's senders. Not thread-safe.
+
+    `counts`: what was refused, by reason; `troubles`: name -> what is wrong now, in words.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self.counts: Counter[str] = Counter()
+        self._ahead: dict[str, tuple[int, str]] = {}
+        self._shed: dict[str, int] = {}
+        self._speakers: dict[str, _Speaker] = {}
+        self._budgets: dict[str, Budget] = {}
+        for name, camera in site.cameras.items():
+            self._allow(site, topics.SIGHTINGS, name, _TIMES_ITS_RATE * camera.rate)
+            self._allow(site, topics.CAMERA_INFO, name, _ANNOUNCEMENTS_HZ)
+        for name in site.robots:
+            self._allow(site, topics.ODOMETRY, name, _ODOMETRY_HZ)
+
+    def _allow(self, site: Site, topic: Topic, name: str, rate_hz: float) -> None:
+        key = topic.key(site.name, name)
+        self._budgets[key] = Budget(rate_hz, max(topic.cache, 16))
+        self._speakers[key] = _Speaker()
+
+    def knows(self, key: str) -> bool:
+        """Whether the site file has the camera or robot of a key."""
+        return key in self._budgets
+
+    def admits(self, sample: Sample, at_ns: int) -> bool:
+        """Whether a sample is to be decoded at all, by who sends it. `at_ns`: monotonic time."""
+        speaker = self._speakers.get(sample.key)
+        if speaker is None:
+            self.counts["unknown_sender"] += 1
+            return False
+        if not self._is_alone(speaker, sample.sender, at_ns):
+            self.counts["two_senders"] += 1
+            return False
+        return True
+
+    def takes(self, sample: Sample, stamp_ns: int, at_ns: int, *, set_by_ns: int = 0) -> bool:
+        """Whether what an admitted sample holds is to be used, by its stamp. `set_by_ns`: what this
+        machine's clock was set by without being believed."""
+        if not self._is_of_now(sample, stamp_ns, at_ns, set_by_ns):
+            return False
+        if not self._budgets[sample.key].takes(stamp_ns, at_ns):
+            self.counts["shed"] += 1
+            self._shed[sample.key] = at_ns
+            return False
+        return True
+
+    def _is_of_now(self, sample: Sample, stamp_ns: int, at_ns: int, set_by_ns: int) -> bool:
+        ahead_ns = stamp_ns - (sample.received_ns - set_by_ns)
+        if ahead_ns <= AHEAD_NS:
+            self._ahead.pop(sample.key, None)
+            return True
+        self.counts["far_ahead"] += 1
+        self._ahead[sample.key] = (
+            at_ns,
+            f"what comes on {sample.key} is stamped {to_seconds(ahead_ns):.0f} s ahead of this "
+            "machine's clock and is not used; set the clock of its sender, or this one",
+        )
+        return False
+
+    def _is_alone(self, speaker: _Speaker, sender: str, at_ns: int) -> bool:
+        """Whether a key has one sender; another one takes over once the first is silent."""
+        current_ns = speaker.heard_ns.get(speaker.current)
+        is_taken = current_ns is not None and at_ns - current_ns < _TAKEOVER_NS
+        if sender != speaker.current and not is_taken:
+            speaker.current = sender
+        if len(speaker.heard_ns) < _MOST_SENDERS or sender in speaker.heard_ns:
+            before_ns = speaker.heard_ns.get(sender)
+            speaker.heard_ns[sender] = at_ns
+            # The one that was heard first is heard again after the other: both live.
+            others = [ns for name, ns in speaker.heard_ns.items() if name != sender]
+            if before_ns is not None and any(ns > before_ns for ns in others):
+                speaker.twice_ns = at_ns
+        if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:
+            return False
+        for name, ns in list(speaker.heard_ns.items()):
+            if at_ns - ns >= _REMEMBERED_NS:
+                del speaker.heard_ns[name]
+        speaker.twice_ns = None
+        return sender == speaker.current
+
+    def troubles(self, at_ns: int) -> Mapping[str, str]:
+        """Name -> what is wrong now, in words."""
+        found = {}
+        for key, speaker in self._speakers.items():
+            if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:
+                names = " and ".join(name or "one that says no name" for name in speaker.heard_ns)
+                found[f"two on {key}"] = (
+                    f"two send on {key}: the sessions {names}; neither is used, stop one of them"
+                )
+        for key, (ahead_at_ns, text) in self._ahead.items():
+            if at_ns - ahead_at_ns < _REMEMBERED_NS:
+                found[f"ahead {key}"] = text
+        for key, shed_at_ns in self._shed.items():
+            if at_ns - shed_at_ns < _REMEMBERED_NS:
+                found[f"shed {key}"] = (
+                    f"more comes on {key} than its `rate` allows twice over, and what is too much "
+                    "is left out; see who sends it"
+                )
+        return found
