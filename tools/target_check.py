@@ -8,7 +8,7 @@ import numpy as np
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.errors import TargetError
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.target import Face, Numbering, Pattern, Target
 
 _TOUCH_M = 1e-4
 _PARALLEL = 1e-6
@@ -40,15 +40,18 @@ def check_target(target: Target) -> Findings:
 
 def _key_problems(face: Face) -> list[str]:
     """Keys that this pattern does not have; nobody would look for what they ask."""
+    of_grids = ("corner_squares", "tags_turned")
     foreign = {
-        Pattern.CHECKERBOARD: ("legacy", "inverted", "marker", "dictionary"),
+        Pattern.CHECKERBOARD: ("legacy", "marker", "dictionary", *of_grids),
         Pattern.APRILGRID: ("legacy", "inverted"),
-        Pattern.CHARUCO: (),
+        Pattern.CHARUCO: of_grids,
     }[face.pattern]
+    if face.pattern is not Pattern.APRILGRID and face.numbering is not Numbering.TOP_LEFT:
+        foreign += ("numbering",)
     return [
         f"face {face.id}: {key} means nothing for {face.pattern.value}; remove it"
         for key in foreign
-        if getattr(face, key)
+        if getattr(face, key) not in (None, False)
     ]
 
 

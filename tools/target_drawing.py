@@ -5,7 +5,7 @@ from pathlib import Path
 
 from reportlab.pdfgen.canvas import Canvas
 
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.target import Face, Numbering, Pattern, Target
 
 from .target_pattern import black_rectangles
 
@@ -114,10 +114,13 @@ def described(face: Face) -> str:
     """A face's pattern in words."""
     square_mm = face.square * 1000
     if face.pattern is Pattern.CHECKERBOARD:
-        return f"checkerboard, {face.columns} x {face.rows} squares of {square_mm:.2f} mm"
+        colours = ", inverted" if face.inverted else ""
+        size = f"{face.columns} x {face.rows} squares of {square_mm:.2f} mm"
+        return f"checkerboard, {size}{colours}"
     last = face.first_marker + face.marker_count - 1
     marks = f"{face.dictionary} {face.first_marker} to {last}, {(face.marker or 0) * 1000:.2f} mm"
     unit = "squares of" if face.pattern is Pattern.CHARUCO else "tags, pitch"
     kinds = [name for name in ("legacy", "inverted") if getattr(face, name)]
+    kinds += ["tags counted from the bottom left"] if face.numbering is Numbering.KALIBR else []
     size = f"{face.columns} x {face.rows} {unit} {square_mm:.2f} mm"
     return ", ".join([f"{face.pattern.value}, {size}", marks, *kinds])

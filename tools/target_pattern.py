@@ -21,8 +21,23 @@ def black_rectangles(face: Face) -> Array:
         case Pattern.CHARUCO:
             return _charuco(face)
         case Pattern.APRILGRID:
-            tags = face.corners[:, :2].reshape(-1, 4, 2)
-            return np.concatenate([_cells(face, number, tag) for number, tag in enumerate(tags)])
+            return _aprilgrid(face)
+
+
+def _aprilgrid(face: Face) -> Array:
+    tags = face.corners[:, :2].reshape(-1, 4, 2)
+    cells = [_cells(face, number, tag) for number, tag in enumerate(tags)]
+    return np.concatenate([*cells, _sized(*corner_squares(face))])
+
+
+def corner_squares(face: Face) -> tuple[Array, float]:
+    """The lower corners (n, 2) of the squares that touch an AprilGrid's tags, and their side."""
+    gap = face.square - (face.marker or 0.0)
+    if not face.has_corner_squares:
+        return np.zeros((0, 2)), gap
+    column, row = np.meshgrid(np.arange(face.columns + 1), np.arange(face.rows + 1))
+    places = np.stack([column, row], axis=-1).reshape(-1, 2) * face.square
+    return places + face.outline[0, :2], gap
 
 
 def _charuco(face: Face) -> Array:
@@ -44,8 +59,8 @@ def _squares(face: Face) -> Array:
 
 def _checkerboard(face: Face) -> Array:
     squares = _squares(face)
-    is_black = np.rint(squares.sum(axis=1) / face.square).astype(int) % 2 == 0
-    return _sized(squares[is_black], face.square)
+    is_even = np.rint(squares.sum(axis=1) / face.square).astype(int) % 2 == 0
+    return _sized(squares[is_even != face.inverted], face.square)
 
 
 def _holding(face: Face, centres: Array) -> np.ndarray:
@@ -74,6 +89,8 @@ def _cells(face: Face, number: int, quad: Array) -> Array:
     side = dictionary.markerSize + 2 * face.border_bits
     marker = face.first_marker + number
     bits = cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=face.border_bits)
+    if face.has_turned_tags:
+        bits = np.rot90(bits, 2)
     cell = (face.marker or 0.0) / side
     found = []
     for row, line in enumerate((bits == 0) != face.inverted):

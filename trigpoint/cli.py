@@ -79,12 +79,15 @@ COMMANDS: dict[str, Command] = {
     "target check": Command(
         "trigpoint.tools.target_files:check", "What is wrong with a target file.", "edge"
     ),
+    "target import": Command(
+        "trigpoint.tools.target_files:import_kalibr", "A target file from Kalibr's.", "edge"
+    ),
     "simulate": Command(
         "trigpoint.tools.simulate:main", "A session of a simulated lab, with its truth.", "all"
     ),
 }
 
-GROUPS = {"target": "Draw and check targets."}
+GROUPS = {"target": "Draw, check and import targets."}
 
 EXTRAS: dict[str, str] = {
     "cv2": "edge",

@@ -27,8 +27,20 @@ class Pattern(StrEnum):
     APRILGRID = "aprilgrid"
 
 
+class Numbering(StrEnum):
+    """From where an AprilGrid's tags are counted, row by row and from left to right."""
+
+    TOP_LEFT = "top-left"
+    KALIBR = "kalibr"  # from the bottom left, rows upwards
+
+
 class Face(Struct, frozen=True, forbid_unknown_fields=True):
-    """One planar pattern; `translation` and `quaternion` are base_from_face."""
+    """One planar pattern; `translation` and `quaternion` are base_from_face.
+
+    `corner_squares`: whether black squares lie between an AprilGrid's tags; `tags_turned`: whether
+    its tags stand on their heads by OpenCV's dictionaries. Kalibr's grids have both, so that is
+    what is drawn unless said otherwise; a detector goes by what the picture shows.
+    """
 
     id: Annotated[int, Meta(ge=0)]
     pattern: Pattern
@@ -43,6 +55,9 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
     legacy: bool = False
     inverted: bool = False
     border_bits: Count = 1
+    numbering: Numbering = Numbering.TOP_LEFT
+    corner_squares: bool | None = None
+    tags_turned: bool | None = None
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.quaternion))
@@ -100,8 +115,26 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             return self._tag_corners()
         return _grid(self.columns - 1, self.rows - 1, self.square)
 
+    @property
+    def has_corner_squares(self) -> bool:
+        """Whether black squares are drawn between the tags of an AprilGrid."""
+        return self._as_kalibr(self.corner_squares)
+
+    @property
+    def has_turned_tags(self) -> bool:
+        """Whether tags are drawn with their dictionary's top at the bottom."""
+        return self._as_kalibr(self.tags_turned)
+
+    def _as_kalibr(self, said: bool | None) -> bool:
+        if self.pattern is not Pattern.APRILGRID:
+            return False
+        return self.numbering is Numbering.KALIBR if said is None else said
+
     def _tag_corners(self) -> Array:
+        """Kalibr's rows go up: the face's frame, with y down, begins at the lowest of them."""
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        if self.numbering is Numbering.KALIBR:
+            y = -y
         tags = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 1, 3) * self.square
         around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
         return (tags + around * (self.marker or 0.0)).reshape(-1, 3)
@@ -109,16 +142,12 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def outline(self) -> Array:
         """The printed pattern's four outer corners in the face frame, (4, 3), metres."""
+        beside = self.square
         if self.pattern is Pattern.APRILGRID:
-            low_x = low_y = 0.0
-            high_x = (self.columns - 1) * self.square + (self.marker or 0.0)
-            high_y = (self.rows - 1) * self.square + (self.marker or 0.0)
-        else:
-            low_x = low_y = -self.square
-            high_x, high_y = (
-                (self.columns - 1) * self.square,
-                (self.rows - 1) * self.square,
-            )
+            gap = self.square - (self.marker or 0.0)
+            beside = gap if self.has_corner_squares else 0.0
+        low_x, low_y, _ = self.corners.min(axis=0) - beside
+        high_x, high_y, _ = self.corners.max(axis=0) + beside
         return np.array(
             [
                 [low_x, low_y, 0],
@@ -138,13 +167,14 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
         """What a picture can tell of the face; faces with equal appearance look alike."""
         geometry = (self.pattern, self.columns, self.rows)
         if self.pattern is Pattern.CHECKERBOARD:
-            return geometry
+            return (*geometry, self.inverted)
         marks = (
             self.dictionary,
             self.first_marker,
             self.legacy,
             self.inverted,
             self.border_bits,
+            self.numbering,
         )
         return (*geometry, *marks)
 

@@ -30,11 +30,16 @@ _LEAST_OF_FEW = {1: 0.8, 2: 0.7, 3: 0.6}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkedBoard:
-    """`layout`: (m, 4, 2) corners of the markers in the face frame by number, metres."""
+    """`layout`: (m, 4, 2) corners of the markers in the face frame by number, metres, clockwise
+    from the marker's own top left; `variant`: which of the ways to print the look this is;
+    `least_markers`: how many must agree on it; `finer`: the same where the picture shows more."""
 
     look: Appearance
     layout: Array
     pattern: CornerPattern
+    variant: int = 0
+    least_markers: int = 1
+    finer: "MarkedBoard | None" = None
 
     @classmethod
     def of(cls, look: Appearance, layout: Array) -> "MarkedBoard":

@@ -11,6 +11,7 @@ from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located
 from trigpoint.edge.registration.planar_fit import PlanarFit
 
+from .corner_squares import refined
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import reader_key, readers_for
@@ -25,11 +26,12 @@ LEAST_PLAIN = 2
 class MarkedSearch(FaceFinder):
     """Finds boards with markers; one pass over the picture serves them all."""
 
-    def __init__(self, boards: Sequence[MarkedBoard]) -> None:
-        """Raises TargetError for an unknown or too small dictionary."""
+    def __init__(self, boards: Sequence[MarkedBoard], *, parts_touching: bool = False) -> None:
+        """`parts_touching`: markers may touch other black things with their corners. Raises
+        TargetError for an unknown or too small dictionary."""
         self._boards = tuple(boards)
         self._readers = readers_for([board.look.face for board in boards])
-        self._finder = QuadFinder()
+        self._finder = QuadFinder(parts_touching=parts_touching)
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
@@ -54,11 +56,18 @@ class MarkedSearch(FaceFinder):
         is_over: IsOver = never,
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it."""
-        board = next(board for board in self._boards if board.look is last.look)
+        board = self._board_of(last)
         shown = cv2.bitwise_not(grey) if board.face.inverted else grey
         reader = self._readers[reader_key(board.face)]
         found = board.follow(shown, last.found, fit, reader, reach_px=reach_px, is_over=is_over)
-        return Located(board.look, found) if found else None
+        return Located(board.look, found, last.variant) if found else None
+
+    def _board_of(self, last: Located) -> MarkedBoard:
+        """What a face was taken for."""
+        boards = [known for board in self._boards for known in (board, board.finer) if known]
+        return next(
+            board for board in boards if board.look is last.look and board.variant == last.variant
+        )
 
     def _search(
         self, grey: np.ndarray, boards: list[MarkedBoard], is_over: IsOver, within: Region | None
@@ -75,7 +84,8 @@ class MarkedSearch(FaceFinder):
             key = reader_key(board.look.face)
             markers = self._readers[key].best(board.look.face, scores[key], quads, LEAST_MEMBER)
             groups = group_markers(markers, board.layout, is_over)
-            claims += [(group, board) for group in groups if len(group.numbers) >= least]
+            enough = max(least, board.least_markers)
+            claims += [(group, board) for group in groups if len(group.numbers) >= enough]
         return self._settled(grey, claims, is_over)
 
     def _settled(
@@ -90,14 +100,15 @@ class MarkedSearch(FaceFinder):
         for group, board in sorted(claims, key=lambda claim: -claim[0].weight):
             if is_over() or refused == MOST_REFUSED:
                 break
-            if id(board) in seen or not taken.isdisjoint(group.quads.tolist()):
+            if id(board.look) in seen or not taken.isdisjoint(group.quads.tolist()):
                 continue
             reader = self._readers[reader_key(board.look.face)]
             measured = board.locate(grey, group, reader, is_over)
             if measured is None:
                 refused += 1
             else:
-                found.append(Located(board.look, measured))
+                board, measured = refined(grey, board, measured, is_over)
+                found.append(Located(board.look, measured, board.variant))
                 taken.update(group.quads.tolist())
-                seen.update([id(board)] if board.look.is_unique else [])
+                seen.update([id(board.look)] if board.look.is_unique else [])
         return found

@@ -14,6 +14,9 @@ from .quad_edges import straightened
 # many times smaller, and the threshold's window there, pixels. On rendered moving targets the two
 # find as many markers as windows of 5 and 21 in the whole picture, at half the time.
 _PASSES = ((1, 5), (2, 11))
+# A picture whose longer side is of more pixels is looked at so many times smaller that it is not:
+# twelve megapixels hold no detail of one pixel, and markers that are read have ten.
+_MOST_SIDE_PX = 2560
 # How much darker than its surroundings a pixel must be, grey levels.
 _DARKER = 7
 # Of the picture's longer side; OpenCV's 0.03 loses markers of 4 pixels that still can be read.
@@ -24,6 +27,8 @@ _LEAST_SIDE = 0.05
 _MARGIN_PX = 2
 # Quadrilaterals whose places and sizes differ by less of their size are one.
 _SAME_SHARE = 0.2
+# What a pixel of light spreads to, where dark pieces are to be parted.
+_AROUND = np.ones((3, 3), np.uint8)
 # How many dark pieces a threshold may leave, by the beginnings of dark runs in rows, and how many
 # of them are looked at, in each pass. Pictures of rooms have up to 12 000 and 150; noise and
 # chequered walls have 100 000 and 6000, over which OpenCV would take 50 ms.
@@ -32,10 +37,14 @@ MOST_PIECES = 800
 
 
 class QuadFinder:
-    """Thresholds a picture and looks at the outlines of dark pieces; for one thread."""
+    """Thresholds a picture and looks at the outlines of dark pieces; for one thread.
 
-    def __init__(self) -> None:
+    `parts_touching`: pieces that touch with their corners are parted, by a pixel of light.
+    """
+
+    def __init__(self, *, parts_touching: bool = False) -> None:
         self._space = Workspace()
+        self._parts_touching = parts_touching
 
     def find(
         self, grey: np.ndarray, is_over: IsOver = never, within: Region | None = None
@@ -48,24 +57,31 @@ class QuadFinder:
         passes = _PASSES[:1] if within else _PASSES
         within = within or Region.whole(grey)
         part, found = within.of(grey), np.zeros((0, 4, 2))
-        for step, window_px in passes:
+        base = -(-max(grey.shape) // _MOST_SIDE_PX)
+        for times, window_px in passes:
+            step = base * times
             size = (part.shape[1] // step, part.shape[0] // step)
             if min(size) < 2 * window_px or is_over():
                 break
             small = part
             if step > 1:
-                small = self._space.array("small", size[::-1], np.uint8)
-                cv2.resize(part, size, dst=small, interpolation=cv2.INTER_AREA)
+                small = self._space.array(f"small {step}", size[::-1], np.uint8)
+                whole = part[: step * size[1], : step * size[0]]
+                cv2.resize(whole, size, dst=small, interpolation=cv2.INTER_AREA)
             least = _LEAST_PERIMETER * (max(grey.shape) // step)
-            more = step * self._outlines(small, step, window_px, least) + (step - 1) / 2
+            more = step * self._outlines(small, times, window_px, least) + (step - 1) / 2
             found = np.concatenate([found, more[~_are_among(more, found)]])
         return straightened(grey, found + within.corner)
 
     def _outlines(self, grey: np.ndarray, step: int, window_px: int, least: float) -> Array:
         """The quadrilaterals (n, 4, 2) of one pass, its pixels, of at least such a perimeter."""
         dark = self._space.array(f"dark {step}", grey.shape, np.uint8)
+        shown = grey
+        if self._parts_touching:
+            shown = self._space.array(f"parted {step}", grey.shape, np.uint8)
+            cv2.dilate(grey, _AROUND, dst=shown)
         cv2.adaptiveThreshold(
-            grey,
+            shown,
             255,
             cv2.ADAPTIVE_THRESH_MEAN_C,
             cv2.THRESH_BINARY_INV,
@@ -77,7 +93,8 @@ class QuadFinder:
             return np.zeros((0, 4, 2))
         pieces = _outer_contours(dark, least)
         quads = [quad for piece in pieces if (quad := _quad_of(piece)) is not None]
-        return _whole(_clockwise(np.array(quads, dtype=float).reshape(-1, 4, 2)), grey.shape)
+        whole = _whole(_clockwise(np.array(quads, dtype=float).reshape(-1, 4, 2)), grey.shape)
+        return straightened(grey, whole) if self._parts_touching else whole
 
 
 def dark_runs(dark: np.ndarray, scratch: np.ndarray) -> int:

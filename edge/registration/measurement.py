@@ -55,10 +55,12 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """A face that was found: its look, and where its corners are."""
+    """A face that was found: its look, and where its corners are; `variant`: which of the ways to
+    print that look the finder took it for."""
 
     look: Appearance
     found: Measured
+    variant: int = 0
 
     @property
     def sighting(self) -> FaceSighting:

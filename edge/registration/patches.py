@@ -51,9 +51,10 @@ class CornerPattern:
         outward = np.zeros_like(points)
         reach = 0.5 * face.square
         if face.pattern is Pattern.APRILGRID:
-            outward = np.tile(
-                [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], (len(points) // 4, 1)
-            )
+            if not face.corner_squares:
+                outward = np.tile(
+                    [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], (len(points) // 4, 1)
+                )
             reach = min(0.5 * (face.marker or 0.0), face.square - (face.marker or 0.0))
         return cls(face, points, reach, outward)
 

@@ -11,7 +11,7 @@ from builders import REAL_DATA
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture
-from trigpoint.target import Face, Pattern
+from trigpoint.target import Face, Numbering, Pattern
 
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
 ARM_BOARD = Face(
@@ -35,6 +35,20 @@ VIDEO_BOARD = Face(
     marker=0.0405,
     dictionary="DICT_4X4_1000",
     inverted=True,
+)
+
+SCREEN = REAL_DATA / "boards" / "aprilgrid"
+KALIBRS_GRID = Face(
+    0,
+    Pattern.APRILGRID,
+    6,
+    6,
+    0.1144,
+    **NOWHERE,
+    marker=0.088,
+    dictionary="DICT_APRILTAG_36h11",
+    border_bits=2,
+    numbering=Numbering.KALIBR,
 )
 
 
@@ -102,3 +116,25 @@ def every_third(file: Path) -> list[np.ndarray]:
         number += 1
     video.close()
     return pictures
+
+
+@pytest.mark.skipif(not SCREEN.exists(), reason="the shared pictures are not there")
+@pytest.mark.parametrize("name", ["000.jpg", "001.jpg", "002.jpg"])
+def test_kalibrs_grid_on_a_screen_is_found_whole_and_each_corner_where_opencv_has_its_tags(
+    name: str,
+) -> None:
+    picture = read_picture(SCREEN / name)
+    found = ours(detector_for([target_of(KALIBRS_GRID)]), picture)
+    assert len(found) == KALIBRS_GRID.corner_count
+    # At a quarter of the size, as at the whole one OpenCV takes twelve seconds.
+    small = cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = 2
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    tags, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(small)
+    assert ids is not None
+    for tag, corners in zip(ids.reshape(-1).tolist(), tags, strict=True):
+        for corner, pixel in enumerate(np.asarray(corners).reshape(4, 2) * 4 + 1.5):
+            # Kalibr's tags stand on their heads by OpenCV's dictionary.
+            own = found[4 * int(tag) + (corner + 2) % 4]
+            assert np.linalg.norm(own - pixel) < 20.0  # a seventh of a tag

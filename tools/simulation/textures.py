@@ -62,7 +62,7 @@ def _printed(face: Face) -> np.ndarray:
     """The pattern at the finest level; its squares' edges lie exactly between texels."""
     if face.pattern is Pattern.CHECKERBOARD:
         row, column = np.indices((face.rows, face.columns))
-        squares = ((row + column) % 2 * 255).astype(np.uint8)
+        squares = ((row + column + face.inverted) % 2 * 255).astype(np.uint8)
         pattern = np.kron(squares, np.ones((LEVELS[0], LEVELS[0]), np.uint8))
     elif face.pattern is Pattern.CHARUCO:
         pattern = _charuco(face)

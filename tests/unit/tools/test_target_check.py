@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trigpoint.geometry import Pose
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.target import Face, Numbering, Pattern, Target
 from trigpoint.tools.simulation.targets import target_of
 from trigpoint.tools.target_check import check_target, intersects
 
@@ -46,10 +46,15 @@ def test_unknown_dictionary_is_a_problem() -> None:
     assert "face 0: the dictionary «DICT_9X9_3»" in problems(charuco(0, dictionary="DICT_9X9_3"))
 
 
-@pytest.mark.parametrize("key", ["legacy", "inverted"])
-def test_keys_of_another_pattern_are_a_problem(key: str) -> None:
-    assert f"{key} means nothing for checkerboard" in problems(face(0, None, **{key: True}))
-    assert problems(charuco(0, **{key: True})) == ""
+def test_keys_of_another_pattern_are_a_problem() -> None:
+    assert "legacy means nothing for checkerboard" in problems(face(0, None, legacy=True))
+    assert problems(charuco(0, legacy=True)) == ""
+    for key, value in (("corner_squares", True), ("numbering", Numbering.KALIBR)):
+        assert f"{key} means nothing for charuco" in problems(charuco(0, **{key: value}))
+
+
+def test_inverted_is_a_key_of_checkerboards_and_charuco_boards() -> None:
+    assert problems(face(0, None, inverted=True)) == problems(charuco(0, inverted=True)) == ""
 
 
 def test_faces_that_look_alike_are_noted() -> None:

@@ -6,9 +6,11 @@ import re
 import zlib
 from pathlib import Path
 
+import cv2
 import pytest
 
 from trigpoint.cli import run
+from trigpoint.target import load_target
 from trigpoint.tools.simulation.targets import target_of, target_text
 from trigpoint.tools.target_drawing import sheet_for
 
@@ -88,3 +90,113 @@ def test_folder_that_does_not_exist_is_one_clear_line(
     assert run(["target", "draw", str(file), "--out", str(tmp_path / "no" / "x.pdf")]) == 1
     [line] = capsys.readouterr().err.splitlines()
     assert "cannot be written" in line
+
+
+def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What `target check` prints of a face with these lines, on something that is no terminal."""
+    here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]"
+    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{text}\n{here}\n')
+    assert run(["target", "check", str(path)]) == 0
+    return capsys.readouterr().out
+
+
+def test_check_draws_a_checkerboard_in_its_colours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
+    drawn = checked(tmp_path / "t.toml", board, capsys)
+    assert "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n" in drawn
+    inverted = checked(tmp_path / "t.toml", board + "inverted = true", capsys)
+    assert "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n" in inverted
+
+
+def test_check_draws_a_charuco_boards_markers_where_opencv_has_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = (
+        'pattern = "charuco"\ncolumns = 3\nrows = 3\nsquare = 0.03\nmarker = 0.02\n'
+        'dictionary = "DICT_4X4_50"\nfirst_marker = 7\n'
+    )
+    assert "  ## 7##\n   8## 9\n  ##10##\n" in checked(tmp_path / "t.toml", board, capsys)
+
+
+def test_check_draws_kalibrs_grid_from_the_bottom_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = (
+        'pattern = "aprilgrid"\ncolumns = 2\nrows = 2\nsquare = 0.03\nmarker = 0.02\n'
+        'dictionary = "DICT_APRILTAG_36h11"\nnumbering = "kalibr"\n'
+    )
+    drawn = checked(tmp_path / "t.toml", grid, capsys)
+    assert "##    ##    ##\n    [ 2]  [ 3]  \n" in drawn
+    assert drawn.index("[ 2]") < drawn.index("[ 0]")
+
+
+def test_check_draws_a_picture_of_each_face(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["target", "check", str(file), "--picture", str(tmp_path / "board.png")]) == 0
+    assert "##" not in capsys.readouterr().out
+    faces = target_of("checkerboard").faces
+    for face in faces:
+        drawn = cv2.imread(str(tmp_path / f"board_{face.id}.png"))
+        assert drawn is not None
+        assert drawn.shape[0] > 900 or drawn.shape[1] > 900
+
+
+APRIL = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.088  # m\ntagSpacing: 0.3\n"
+CHECKER = (
+    "target_type: checkerboard\ntargetCols: 8\ntargetRows: 6\nrowSpacingMeters: 0.06\n"
+    "colSpacingMeters: 0.06\n"
+)
+
+
+def test_kalibrs_aprilgrid_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "april_6x5.yaml").write_text(APRIL + "codeOffset: 4\n")
+    assert run(["target", "import", str(tmp_path / "april_6x5.yaml")]) == 0
+    [face] = load_target(tmp_path / "target.toml").faces
+    assert (face.columns, face.rows, face.marker, face.first_marker) == (6, 5, 0.088, 4)
+    assert face.square == pytest.approx(0.1144)
+    assert (face.border_bits, face.numbering, face.has_corner_squares) == (2, "kalibr", True)
+    assert run(["target", "check", str(tmp_path / "target.toml")]) == 0
+    assert "is sound" in capsys.readouterr().out
+
+
+def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None:
+    (tmp_path / "board.yaml").write_text(CHECKER)
+    out = tmp_path / "mine.toml"
+    assert run(["target", "import", str(tmp_path / "board.yaml"), "--out", str(out)]) == 0
+    [face] = load_target(out).faces
+    assert (face.pattern, face.columns, face.rows, face.square) == ("checkerboard", 9, 7, 0.06)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "tagSize is «-1»"),
+        (APRIL.replace("tagRows: 5\n", ""), "the key «tagRows» is missing"),
+        (APRIL + "tagBits: 2\n", "«tagBits» is not a key"),
+        (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "square squares"),
+        (CHECKER.replace("targetCols: 8", "targetCols: 6"), "make columns and rows differ"),
+        ("target_type: circlegrid\n", "target_type is «circlegrid»"),
+        ("- 1\n", "a mapping is needed"),
+    ],
+)
+def test_what_cannot_be_imported_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, why: str
+) -> None:
+    (tmp_path / "board.yaml").write_text(text)
+    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "target.toml").exists()
+
+
+def test_import_replaces_a_file_only_when_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "board.yaml").write_text(APRIL)
+    (tmp_path / "target.toml").write_text("mine")
+    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
+    assert "add --force" in capsys.readouterr().err
+    assert (tmp_path / "target.toml").read_text() == "mine"
+    assert run(["target", "import", str(tmp_path / "board.yaml"), "--force"]) == 0

@@ -3,11 +3,12 @@
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.target import Face, Numbering, Pattern, Target
 from trigpoint.tools.target_pattern import black_rectangles
 
 PIXELS_PER_METRE = 1600.0
@@ -42,6 +43,28 @@ FACES = {
         marker=0.055,
         dictionary="DICT_APRILTAG_36h11",
         border_bits=2,
+        numbering=Numbering.KALIBR,
+    ),
+    "corner squares": face(
+        Pattern.APRILGRID,
+        3,
+        4,
+        0.07,
+        marker=0.055,
+        dictionary="DICT_APRILTAG_36h11",
+        corner_squares=True,
+    ),
+    "kalibr with upright tags and nothing between": face(
+        Pattern.APRILGRID,
+        4,
+        3,
+        0.07,
+        marker=0.055,
+        dictionary="DICT_APRILTAG_36h11",
+        border_bits=2,
+        numbering=Numbering.KALIBR,
+        corner_squares=False,
+        tags_turned=False,
     ),
 }
 
@@ -72,6 +95,18 @@ def test_every_corner_of_a_drawn_face_is_found_where_the_target_has_it(name: str
     assert len(sighting.corners) == face.corner_count
     found, places = sighting.pixels, expected(face)[sighting.corners]
     np.testing.assert_allclose(found, places, atol=0.25)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("squares", [False, True])
+def test_what_a_kalibr_grid_has_between_its_tags_and_their_way_up_are_seen(
+    turned: bool, squares: bool
+) -> None:
+    known = FACES["kalibr"]
+    printed = replace(known, corner_squares=squares, tags_turned=turned)
+    [sighting] = detector_for([Target("t", (known,))]).detect(rasterised(printed))
+    assert len(sighting.corners) == known.corner_count
+    np.testing.assert_allclose(sighting.pixels, expected(printed)[sighting.corners], atol=0.02)
 
 
 def test_charuco_is_the_board_that_opencv_prints() -> None:

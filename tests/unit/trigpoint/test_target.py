@@ -7,7 +7,7 @@ import pytest
 from builders import TARGET_TEXT, make_target
 
 from trigpoint.errors import TargetError
-from trigpoint.target import Face, Pattern, load_target, parse_target
+from trigpoint.target import Face, Numbering, Pattern, load_target, parse_target
 
 
 def make_face(**changes: object) -> Face:
@@ -51,6 +51,19 @@ def test_aprilgrid_corners_go_clockwise_round_each_tag() -> None:
     last_but_one = np.array([0.03, 0.03, 0])
     np.testing.assert_allclose(face.corners[:4], around)
     np.testing.assert_allclose(face.corners[4 * 4 : 4 * 5], around + last_but_one)
+
+
+def test_kalibrs_tags_are_counted_from_the_bottom_left() -> None:
+    face = make_face(
+        pattern=Pattern.APRILGRID, columns=3, rows=2, numbering=Numbering.KALIBR, **MARKED
+    )
+    around = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.02, 0], [0, 0.02, 0]])
+    np.testing.assert_allclose(face.corners[:4], around)
+    np.testing.assert_allclose(face.corners[4:8], around + np.array([0.03, 0, 0]))
+    np.testing.assert_allclose(face.corners[12:16], around - np.array([0, 0.03, 0]), atol=1e-12)
+    # Their corners are touched by squares as large as what lies between tags.
+    np.testing.assert_allclose(face.outline[0], [-0.01, -0.04, 0], atol=1e-12)
+    np.testing.assert_allclose(face.outline[2], [0.09, 0.03, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize("pattern", list(Pattern))
