@@ -6,8 +6,9 @@ INSTALLED := $(VENV)/.installed
 WITH_BENCH := $(VENV)/.installed-bench
 SEEDS ?= 100
 SITUATIONS ?=
+KINDS ?=
 
-.PHONY: demo test check lint types imports bench study clean
+.PHONY: demo test check lint types imports bench study compositions clean
 
 demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -35,6 +36,11 @@ study: $(WITH_BENCH)  ## accuracy over simulated sessions, to docs/accuracy.md; 
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study report
+	$(MAKE) compositions
+
+compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it, to docs/compositions.md
+	-$(BIN)/python -m benchmarks.compositions run --seeds 1:$(SEEDS) $(KINDS)
+	$(BIN)/python -m benchmarks.compositions report
 
 $(WITH_BENCH): $(INSTALLED)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'

@@ -32,7 +32,8 @@ class Recipe:
 
     `route`, `robots`, `is_one_target` (all robots carry the same one), `cameras`, `room`,
     `rate_hz` (None: one picture a stop); `is_alike`: no picture tells the faces apart;
-    `pattern`, `shape`: of the target, by the tables in `carried`; `lens`: of the table in `room`.
+    `pattern`, `shape`: of the target, by the tables in `carried`; `lens`: of those in `room`;
+    `smallest_square_px`: that a detector finds.
 
     Of the sightings: shares of displaced ones, of wild corners, of misnamed faces; `displaced_px`:
     how far, None: drawn each time. Of the site: `time_offset_s`, `scale`, `mount`, `lens_spread`:
@@ -58,6 +59,7 @@ class Recipe:
     pattern: str = "charuco"
     shape: str = "star"
     lens: str = "plain"
+    smallest_square_px: float = 7.0
     displaced_share: float = 0.0
     displaced_px: float | None = 15.0
     wild_share: float = 0.0
@@ -173,6 +175,7 @@ def everything(recipe: Recipe) -> Recipe:
         pattern=str(random.choice(alike if recipe.is_alike else known)),
         shape=str(random.choice(["star", "box", "sheet"], p=[0.6, 0.25, 0.15])),
         lens=str(random.choice(["plain", "bent", "fisheye"], p=[0.4, 0.4, 0.2])),
+        smallest_square_px=5.0,
         displaced_px=15.0 if random.random() < 0.5 else None,
         misnamed_share=0.02 if not recipe.is_alike and random.random() < 0.2 else 0.0,
         time_offset_s=0.05 if rate_hz and random.random() < 0.35 else 0.0,
@@ -205,9 +208,12 @@ _DRIVE = {"route": Route.DRIVE, "rate_hz": 5.0}
 
 KINDS: dict[str, Preset] = {
     "everything": Preset("everything at once", everything),
+    "everything-mismatch": Preset(
+        "everything at once, and what the site file does not know", everything, is_mismatch=True
+    ),
     "composition": Preset("one robot, an oval of cameras, each disturbance by chance", composed),
     "mismatch": Preset(
-        "the same with what the site file does not know", composed, is_mismatch=True
+        "a composition with what the site file does not know", composed, is_mismatch=True
     ),
     "loop-alike": Preset("a closed loop, one picture a stop, equal checkerboards", always=_ALIKE),
     "dance-alike": Preset("a dance, equal checkerboards", always={"route": Route.DANCE, **_ALIKE}),

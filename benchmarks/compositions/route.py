@@ -149,7 +149,7 @@ def _heading_in_sight(
         heading = float(tour.random.uniform(-np.pi, np.pi))
         if unlike is not None and abs(wrap(heading - unlike)) < np.radians(50):
             continue
-        if faces_in_sight(tour.target, np.append(place, heading), camera):
+        if faces_in_sight(tour.recipe, tour.target, np.append(place, heading), camera):
             break
     return heading
 

@@ -42,15 +42,31 @@ class Composition:
         is_added = recipe.is_mismatched and not (preset and preset.is_mismatch)
         return f"{recipe.kind}{'-mismatch' if is_added else ''}-{recipe.seed}"
 
+    @property
+    def lasts_s(self) -> float:
+        """Its length."""
+        return self.carriers[0].ride.end_s
+
     def last_places(self) -> dict[str, Pose]:
         """map_from_camera where each camera hung when it last had a sighting that is not wrong as
         a whole; a camera that never had one is not there."""
-        places = {}
+        return {
+            camera.name: camera.pose_at(good[-1].t_s)
+            for camera in self.cameras
+            if (good := self._good(camera))
+        }
+
+    def pictures_at_last(self) -> dict[str, int]:
+        """How many pictures show each camera's last place by a sighting that is not wrong."""
+        counts = {}
         for camera in self.cameras:
-            good = [p for p in self.pictures[camera.name] if only_good(p) is not None]
-            if good:
-                places[camera.name] = camera.pose_at(good[-1].t_s)
-        return places
+            good = self._good(camera)
+            since_s = [move.at_s for move in camera.moves if good and move.at_s <= good[-1].t_s]
+            counts[camera.name] = sum(p.t_s >= max(since_s, default=0.0) for p in good)
+        return counts
+
+    def _good(self, camera: Camera) -> list[Picture]:
+        return [p for p in self.pictures[camera.name] if only_good(p) is not None]
 
     def odometry(self, robot: str) -> tuple[np.ndarray, Pose]:
         """Stamps (n,) after the start, nanoseconds, and reported poses of a robot's messages."""

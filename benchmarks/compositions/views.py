@@ -15,7 +15,6 @@ from .recipe import Recipe
 from .ride import Ride
 from .room import Camera
 
-_SMALLEST_SQUARE_PX = 5.0
 _FEWEST_CORNERS = 6
 _WILD_PX = 60.0
 _LEAST_DISPLACED_PX, _MOST_DISPLACED_PX = 8.0, 40.0
@@ -60,19 +59,19 @@ class Picture:
     faces: tuple[Labelled, ...]
 
 
-def is_found(seen: SeenFace) -> bool:
+def is_found(recipe: Recipe, seen: SeenFace) -> bool:
     """Whether a detector would find the face: a checkerboard only as a whole."""
     face = seen.face
     is_whole = face.pattern is Pattern.CHECKERBOARD
     needed = face.corner_count if is_whole else min(_FEWEST_CORNERS, face.corner_count)
-    return len(seen.corners) >= needed and seen.smallest_square_px >= _SMALLEST_SQUARE_PX
+    return len(seen.corners) >= needed and seen.smallest_square_px >= recipe.smallest_square_px
 
 
-def faces_in_sight(target: Target, base: np.ndarray, camera: Camera) -> list[int]:
+def faces_in_sight(recipe: Recipe, target: Target, base: np.ndarray, camera: Camera) -> list[int]:
     """Ids of the faces that a camera finds of a robot at (3,) x, y, heading."""
     poses = Pose.stack([Pose.planar(*base)])
     [seen] = seen_faces_each(target, poses, camera.map_from_camera, camera.model, ())
-    return [shown.face.id for shown in seen if is_found(shown)]
+    return [shown.face.id for shown in seen if is_found(recipe, shown)]
 
 
 def pictures_of(
@@ -96,7 +95,7 @@ def pictures_of(
         found = [
             _labelled(recipe, shown, carrier, carriers, random)
             for carrier, shown in faces
-            if is_found(shown)
+            if is_found(recipe, shown)
         ]
         if found:
             pictures.append(Picture(camera.name, t_s, tuple(found)))

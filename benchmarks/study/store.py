@@ -22,12 +22,17 @@ class _Line(msgspec.Struct, frozen=True):
     measure: Measure
 
 
-@cache
 def sources() -> str:
     """A fingerprint of what a measure depends on."""
+    return fingerprint(_SOURCES)
+
+
+@cache
+def fingerprint(folders: tuple[str, ...]) -> str:
+    """Of the Python files in folders of the project, and in theirs."""
     digest = hashlib.sha256()
-    for folder in _SOURCES:
-        for path in sorted((_ROOT / folder).glob("*.py")):
+    for folder in folders:
+        for path in sorted((_ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 

@@ -1,0 +1,157 @@
+"""Writes docs/compositions.md from the scores."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+
+from .recipe import KINDS
+from .score import GOAL_S, GOAL_SHARE, WRONG_M, WRONG_M_SIGMAS, WRONG_SIGMAS, Outcome, Score
+
+_HEAD = """# Compositions
+
+```
+make compositions SEEDS=100              # as many sessions of each kind, and this page
+python -m benchmarks.compositions --out DIR --seeds 1:40 --kind everything    # the sessions
+```
+
+Everything at once, drawn by the seed: 2 to 12 cameras in drawn rooms, one to three robots, every
+pattern on three shapes of target, faces alike or known, one picture a stop or 5 to 10 Hz;
+displaced, misnamed and wild sightings, unknown lenses, time offsets, scales and mountings, moved
+cameras, lifted robots, gaps, late and doubled messages; and, where the model is wrong, a floor
+that tilts by 0.3°, a target that sways by 1 mm, wheels that slip in bursts, noise of half or twice
+what the site file says, heavy tails. Sessions are drawn forwards by a simulator that shares
+nothing with fusion; `calibrate` works out each from its files, as a user would.
+
+- **wrong**: sessions with a located camera whose position is over {sigmas:.0f} of its own sigmas
+  off, or {far:.0f} cm and {far_sigmas:.0f} sigmas. **late**: over the limit of processor time.
+  **failed**: no network. **slow**: over {goal:.0f} s and {share:.0%} of the session's length.
+- **honesty**: √ of the mean of eᵀP⁻¹e/6n with the network's own joint covariance; 1 is right.
+- **located**: of the cameras with a sighting that is not wrong as a whole, by whether two or more
+  pictures show the place where a camera hangs at last, or one. Not all of the others could be
+  located: where equal faces, or a lift, leave a place open, «undetermined» is the right answer.
+"""
+
+
+def write_report(scores: Mapping[str, list[Score]], docs: Path) -> Path:
+    """Write the page; return its path."""
+    docs.mkdir(parents=True, exist_ok=True)
+    head = _HEAD.format(
+        sigmas=WRONG_SIGMAS,
+        far=100 * WRONG_M,
+        far_sigmas=WRONG_M_SIGMAS,
+        goal=GOAL_S,
+        share=GOAL_SHARE,
+    )
+    found = {kind: of_kind for kind, of_kind in scores.items() if of_kind}
+    parts = [head, *summary_lines(found), "", *_bad(found), "", f"Measured on {machine().summary}."]
+    path = docs / "compositions.md"
+    path.write_text("\n".join(parts) + "\n", encoding="utf-8")
+    return path
+
+
+def summary_lines(scores: Mapping[str, list[Score]]) -> list[str]:
+    """Two tables: of sessions, and of cameras by category."""
+    return [*_of_sessions(scores), "", *_of_cameras(scores)]
+
+
+def _of_sessions(scores: Mapping[str, list[Score]]) -> list[str]:
+    lines = [
+        "| sessions | number | wrong | late | failed | slow | honesty | median, longest (s) |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    everything = [score for of_kind in scores.values() for score in of_kind]
+    rows = {KINDS[kind].title: of_kind for kind, of_kind in scores.items()}
+    rows["all where the model is right"] = [s for s in everything if not s.is_mismatched]
+    rows["all where it is not"] = [s for s in everything if s.is_mismatched]
+    for title, of_row in rows.items():
+        if of_row:
+            lines.append(f"| {title} | {' | '.join(_session_cells(of_row))} |")
+    return lines
+
+
+def _session_cells(scores: list[Score]) -> list[str]:
+    seconds = [score.seconds for score in scores]
+    counts = [
+        sum(bool(score.wrong) for score in scores),
+        sum(score.outcome is Outcome.LATE for score in scores),
+        sum(score.outcome is Outcome.FAILED for score in scores),
+        sum(score.is_over_time for score in scores),
+    ]
+    return [
+        str(len(scores)),
+        *(f"**{count}**" if count else "0" for count in counts),
+        _honesty(scores),
+        f"{np.median(seconds):.1f}, {max(seconds):.1f}",
+    ]
+
+
+def _honesty(scores: list[Score]) -> str:
+    squares = [score.honesty for score in scores if score.honesty is not None]
+    if not squares:
+        return "–"
+    value = np.sqrt(np.mean(squares))
+    error = np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * value) if squares[1:] else 0.0
+    return f"{value:.2f} ± {error:.2f}"
+
+
+_CATEGORIES: dict[str, Callable[[Score], bool]] = {
+    "known faces": lambda score: not score.is_alike and not score.lifts,
+    "known faces, a lift": lambda score: not score.is_alike and bool(score.lifts),
+    "equal faces": lambda score: score.is_alike and not score.lifts,
+    "equal faces, a lift": lambda score: score.is_alike and bool(score.lifts),
+}
+
+
+def _of_cameras(scores: Mapping[str, list[Score]]) -> list[str]:
+    """Located of all, and how many of these are wrong, by category."""
+    lines = [
+        "| located cameras | two pictures or more | one picture | wrong "
+        "| unconfirmed, wrong of them | truth not among the alternatives |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for kind, of_kind in scores.items():
+        for category, belongs in _CATEGORIES.items():
+            cameras = [c for score in of_kind if belongs(score) for c in score.cameras]
+            if not cameras:
+                continue
+            often = [camera for camera in cameras if camera.pictures >= 2]
+            once = [camera for camera in cameras if camera.pictures < 2]
+            wrong = sum(camera.is_wrong for camera in cameras)
+            unconfirmed = [c for c in cameras if c.is_located and not c.is_confirmed]
+            cells = [
+                f"{sum(c.is_located for c in often)} of {len(often)}",
+                f"{sum(c.is_located for c in once)} of {len(once)}",
+                f"**{wrong}**" if wrong else "0",
+                f"{len(unconfirmed)}, {sum(c.is_wrong for c in unconfirmed)}",
+                _missed([c.among for c in cameras if c.among is not None]),
+            ]
+            lines.append(f"| {kind}: {category} | {' | '.join(cells)} |")
+    return lines
+
+
+def _missed(among: list[bool]) -> str:
+    return f"{sum(not found for found in among)} of {len(among)}" if among else "–"
+
+
+def _bad(scores: Mapping[str, list[Score]]) -> list[str]:
+    """Each session that is wrong, late or failed."""
+    bad = [score for of_kind in scores.values() for score in of_kind if score.is_bad]
+    return ["Sessions to look at:\n", *(f"- {line_of(score)}" for score in bad)] if bad else []
+
+
+def line_of(score: Score) -> str:
+    """One session in a line."""
+    located = sum(camera.is_located for camera in score.cameras)
+    honesty = f"{np.sqrt(score.honesty):.2f}" if score.honesty is not None else "–"
+    line = f"{score.kind} {score.seed}: {located}/{len(score.cameras)} located, "
+    line += f"{score.seconds:.1f} s, honesty {honesty}"
+    for camera in score.wrong:
+        assert camera.error_m is not None
+        line += f", {camera.name} wrong by {100 * camera.error_m:.0f} cm"
+        line += f" ({camera.sigmas:.0f} sigmas)"
+    if score.outcome is not Outcome.DONE:
+        line += f", {score.outcome} {score.why}".rstrip()
+    return line

@@ -1,0 +1,117 @@
+"""What is wrong, late, failed or honest in what `calibrate` says of a drawn session."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.compositions.kept import keep, kept
+from benchmarks.compositions.recipe import Recipe
+from benchmarks.compositions.report import line_of, summary_lines, write_report
+from benchmarks.compositions.score import Outcome, Score, score_of, scored
+from benchmarks.compositions.session import Composition, session_of
+from trigpoint.geometry import Pose
+
+_SIGMA = 0.01
+
+
+@pytest.fixture(scope="module")
+def session() -> Composition:
+    return session_of(Recipe("loop-alike", 2, cameras=3))
+
+
+def _said(pose: Pose) -> dict[str, Any]:
+    return {
+        "translation": pose.translation.tolist(),
+        "quaternion": pose.quaternion.tolist(),
+    }
+
+
+def _network(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> None:
+    """A network in which some cameras are located, off by errors (6,)."""
+    cameras: dict[str, Any] = {
+        name: {"status": "undetermined", "map_from_camera": None} for name in session.last_places()
+    }
+    covariance = _SIGMA**2 * np.eye(6)
+    for name, error in errors.items():
+        pose = session.last_places()[name].disturbed(error)
+        cameras[name] = {
+            "status": "located",
+            "map_from_camera": _said(pose),
+            "covariance": covariance.ravel().tolist(),
+        }
+    (folder / "network.json").write_text(json.dumps({"cameras": cameras}))
+    joint = _SIGMA**2 * np.eye(6 * len(errors))
+    np.savez(folder / "covariance.npz", cameras=np.array(list(errors)), covariance=joint)
+
+
+def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> Score:
+    _network(folder, session, errors)
+    return score_of(session, folder, 0, 1.0, "")
+
+
+def test_errors_of_a_sigma_are_honest_and_right(tmp_path: Path, session: Composition) -> None:
+    score = _judged(tmp_path, session, {"c1": np.full(6, _SIGMA), "c3": np.full(6, -_SIGMA)})
+    assert score.honesty == pytest.approx(1.0, rel=1e-3)
+    assert not score.is_bad
+    assert [camera.is_located for camera in score.cameras] == [True, False, True]
+
+
+def test_a_camera_many_of_its_sigmas_off_is_wrong(tmp_path: Path, session: Composition) -> None:
+    off = np.array([9 * _SIGMA, 0, 0, 0, 0, 0])
+    score = _judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})
+    assert [camera.name for camera in score.wrong] == ["c2"]
+    assert score.honesty is None
+    assert "c2 wrong by 9 cm (9 sigmas)" in line_of(score)
+
+
+def test_a_camera_without_a_pose_that_names_the_true_place_has_it_among_its_alternatives(
+    tmp_path: Path, session: Composition
+) -> None:
+    _network(tmp_path, session, {})
+    network = json.loads((tmp_path / "network.json").read_text())
+    place = session.last_places()["c1"]
+    covariance = (_SIGMA**2 * np.eye(6)).ravel().tolist()
+    for name, shift in (("c1", 0.0), ("c2", 3.0)):
+        there = Pose(place.rotation, place.translation + shift)
+        named = {"map_from_camera": _said(there), "covariance": covariance, "probability": 0.4}
+        network["cameras"][name]["alternatives"] = [named]
+    (tmp_path / "network.json").write_text(json.dumps(network))
+    score = score_of(session, tmp_path, 0, 1.0, "")
+    assert [camera.among for camera in score.cameras] == [True, False, None]
+
+
+def test_a_session_without_a_network_has_failed_and_says_why(
+    tmp_path: Path, session: Composition
+) -> None:
+    score = score_of(session, tmp_path, 1, 1.0, "Traceback\nKeyError: 'c6'\n")
+    assert score.outcome is Outcome.FAILED
+    assert score.why == "exit 1: KeyError: 'c6'"
+    assert score_of(session, tmp_path, None, 1.0, "").outcome is Outcome.LATE
+
+
+def test_calibrate_over_its_limit_is_late() -> None:
+    score = scored("drive-everything", 1, limit_s=1.0)
+    assert score.outcome is Outcome.LATE
+    assert score.is_bad
+
+
+def test_scores_are_kept_and_a_torn_line_is_passed_over(
+    tmp_path: Path, session: Composition
+) -> None:
+    score = _judged(tmp_path, session, {"c1": np.zeros(6)})
+    keep(tmp_path / "scores", score)
+    with (tmp_path / "scores" / "loop-alike.jsonl").open("ab") as file:
+        file.write(b'{"sources": "x", "sc')
+    assert kept(tmp_path / "scores", "loop-alike") == [score]
+
+
+def test_the_page_counts_and_names_what_is_wrong(tmp_path: Path, session: Composition) -> None:
+    off = np.array([0.5, 0, 0, 0, 0, 0])
+    scores = [_judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})]
+    text = write_report({"loop-alike": scores}, tmp_path).read_text()
+    assert "- loop-alike 2: 2/3 located" in text
+    [row] = [line for line in summary_lines({"loop-alike": scores}) if "known faces" in line]
+    assert "**1**" in row
