@@ -7,8 +7,10 @@ from typing import Annotated
 import cv2
 import typer
 
+from trigpoint.access import Kind
+from trigpoint.bus import Bus
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import load_site
+from trigpoint.config import Site, load_site
 from trigpoint.node import Node, stop_on_signals
 from trigpoint.watchdog import Watchdog
 
@@ -33,13 +35,15 @@ def main(
     # The cameras of an agent share the cores by their own threads; OpenCV's would fight for them.
     cv2.setNumThreads(1)
     quieten_opencv()
-    with open_bus(loaded) as bus, ExitStack() as stack:
+    with ExitStack() as stack:
+        buses = _buses(loaded, names, stack)
         watchdog = Watchdog()
         nodes = [
-            Node(bus, site=loaded.name, kind=KIND, name=name, watchdog=watchdog) for name in names
+            Node(buses[name], site=loaded.name, kind=KIND, name=name, watchdog=watchdog)
+            for name in names
         ]
         agents = [
-            EdgeNode(bus, node, loaded, name, targets)
+            EdgeNode(buses[name], node, loaded, name, targets)
             for node, name in zip(nodes, names, strict=True)
         ]
         stop_on_signals(nodes)
@@ -48,6 +52,14 @@ def main(
             agent.start()
         stack.callback(lambda: [node.stop() for node in nodes])
         _wait_for_all(nodes)
+
+
+def _buses(site: Site, names: list[str], stack: ExitStack) -> dict[str, Bus]:
+    """Each camera's bus: one for all, but in a secured site, where each shows its certificate."""
+    if site.bus.tls is not None:
+        return {name: stack.enter_context(open_bus(site, (Kind.CAMERA, name))) for name in names}
+    bus = stack.enter_context(open_bus(site))
+    return dict.fromkeys(names, bus)
 
 
 def _wait_for_all(nodes: list[Node]) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from trigpoint import cdr
+from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.clock import SteadyClock
 from trigpoint.config import load_site
@@ -49,7 +50,7 @@ def main(
     clock = SteadyClock()
     cdr.warm_up()
     give_back_large()
-    with open_bus(loaded) as bus, ExitStack() as stack:
+    with open_bus(loaded, (Kind.FUSION, NAME)) as bus, ExitStack() as stack:
         node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
         with stopped_by_signals(node):
             fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs, node))

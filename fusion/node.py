@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from trigpoint import cdr, topics
+from trigpoint.authenticator import correction_signer
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.ending import ENDING
@@ -70,6 +71,7 @@ class FusionNode:
         """`solver`: makes somebody who solves for one map, so that no turn takes long."""
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
+        self._signer = correction_signer(inputs.site, clock)
         self._make_solver, self._solver = solver, solver() if solver is not None else None
         self._lock = Turns()
         self._admission = Admission(inputs.site)
@@ -241,7 +243,10 @@ class FusionNode:
         key = output.topic.key(self._site.name, output.node)
         if key not in self._publishers:
             self._publishers[key] = self._bus.publisher(output.topic, key)
-        self._publishers[key].put(cdr.encode(output.message), attachment=output.attachment)
+        payload, attachment = cdr.encode(output.message), output.attachment
+        if output.topic is topics.CORRECTION:
+            attachment = self._signer.sign(key, payload, attachment)
+        self._publishers[key].put(payload, attachment=attachment)
         self._node.health.count(f"sent {key}")
 
     def _guidance_world(self) -> GuidanceWorld | None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.clock import SystemClock, to_seconds
 from trigpoint.config import Site, load_site, parse_site
@@ -53,7 +54,7 @@ def record(
     clock = SystemClock()
     path = recorder.session_path(loaded, out, now_ns=clock.now_ns())
     with (
-        open_bus(loaded) as bus,
+        open_bus(loaded, (Kind.RECORDER, recorder.NAME)) as bus,
         recorder.Recorder(loaded, path, clock=clock) as session,
         stopped_by_signals(
             Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)

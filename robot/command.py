@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import load_site
 from trigpoint.node import Node, stopped_by_signals
@@ -32,7 +33,7 @@ def main(
     if dry_run:
         look(loaded, robot, typer.echo)
         return
-    with open_bus(loaded) as bus:
+    with open_bus(loaded, (Kind.ROBOT, robot)) as bus:
         node = Node(bus, site=loaded.name, kind=KIND, name=robot)
         with stopped_by_signals(node):
             RobotNode(bus, node, loaded, robot).start()

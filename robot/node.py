@@ -1,5 +1,6 @@
 """The robot bridge as a node: connects the port, the bridge and the bus."""
 
+from trigpoint.authenticator import correction_verifier
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.cdr import decode, encode, warm_up
 from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
@@ -31,6 +32,7 @@ class RobotNode:
         self._clock = clock or SystemClock()
         config = site.robot(robot)
         url = port_url(site, robot)
+        self._verifier = correction_verifier(site, self._clock)
         self._offset = measured_offset(self._clock)
         self._bridge = Bridge(robot, config, node.health, self._offset)
         self._line = Line(
@@ -98,7 +100,7 @@ class RobotNode:
         self._node.health.count(f"received {sample.key}")
         try:
             correction = decode(CORRECTION.type_name, sample.payload)
-            mark = decode_mark(sample.attachment)
+            mark = decode_mark(self._verifier.verify(sample.key, sample.payload, sample.attachment))
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return

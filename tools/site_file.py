@@ -15,14 +15,19 @@ from trigpoint.config import (
     OdometryNoise,
     RecorderConfig,
     RobotConfig,
+    RouterConfig,
     SafetyConfig,
+    TlsConfig,
 )
 from trigpoint.geometry import Pose
 
 COMMENTS: dict[tuple[type[Struct], str], str] = {
-    (BusConfig, "connect"): "a router or a peer elsewhere, like tcp/192.168.1.10:7447",
+    (BusConfig, "connect"): "a router or a peer elsewhere, like tls/192.168.1.10:7447",
     (BusConfig, "listen"): "what to open to the network; nothing unless it is written here",
     (BusConfig, "scouting"): "true: find peers on the link by multicast",
+    (BusConfig, "insecure"): "true: no certificates, on a network of its own",
+    (TlsConfig, "directory"): "trust.pem and this machine's keys (trigpoint secure)",
+    (RouterConfig, "picture_rate"): "pictures a second of a camera that a router hands on",
     (CameraConfig, "source"): "or rtsp://…, file:///clip.mp4, dir:///pictures",
     (CameraConfig, "width"): "pixels",
     (CameraConfig, "height"): "pixels",
@@ -70,12 +75,16 @@ _EXAMPLES = {
     (CameraConfig, "source"): "v4l2:///dev/video0",
     (RobotConfig, "port"): "/dev/ttyUSB0",
     (RobotConfig, "target"): "target.toml",
+    (RouterConfig, "picture_rate"): 2.0,
 }
 """Values of the keys that have no default; those that may be absent are written as comments."""
 
 _WRITTEN = {(CameraConfig, "intrinsics"): "estimate"}
 """Values in place of a default that a first site cannot start with: nothing announces a lens that
 nobody has measured."""
+
+_TABLES = ("tls",)
+"""Tables that a site may be without; they are written as comments."""
 
 _COMMENT_COLUMN = 32
 
@@ -103,12 +112,14 @@ def full_site_text() -> str:
     """Every key with its default and a comment."""
     tables = [
         _table("bus", BusConfig),
+        "".join(f"# {line}\n" for line in _table("bus.tls", TlsConfig).splitlines() if line),
         _table("cameras.c1", CameraConfig),
         _table("robots.r1", RobotConfig),
         _table("robots.r1.odometry", OdometryNoise),
         _table("robots.r1.safety", SafetyConfig),
         _table("fusion", FusionConfig),
         _table("recorder", RecorderConfig),
+        _table("router", RouterConfig),
     ]
     return "\n".join([_HEAD, *tables])
 
@@ -121,7 +132,7 @@ def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = No
 def _rows(struct: type[Struct]) -> Iterator[str]:
     for field in msgspec.structs.fields(struct):
         default = field.default
-        if isinstance(default, Struct):
+        if isinstance(default, Struct) or field.name in _TABLES:
             continue  # a table of its own
         place = (struct, field.name)
         value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)

@@ -103,6 +103,11 @@ class Bus(Protocol):
         ...
 
     @property
+    def warning(self) -> str:
+        """What will end the connection before long (a certificate's end), "" where nothing will."""
+        ...
+
+    @property
     def unreached(self) -> tuple[str, ...]:
         """What `bus.connect` names, while the session is connected to nobody."""
         ...

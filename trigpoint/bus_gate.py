@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 
 from .bus import Closable
-from .errors import BusError
+from .errors import BusError, TrigpointError
 
 _log = logging.getLogger(__name__)
 
@@ -20,10 +20,21 @@ class Gate:
 
     Every process of a machine that reads the same site file has one; the port lets only one in.
     When that process ends, another takes the port within two seconds, and clients connect again.
+    A door whose rules change is closed, which ends every link, and opened by the new ones.
     """
 
-    def __init__(self, names: tuple[str, ...], open_session: Callable[[], Closable]) -> None:
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        open_session: Callable[[], Closable],
+        *,
+        rules: Callable[[], object] | None = None,
+    ) -> None:
+        """`rules`: what says who may come in, so that the door is closed and opened again when it
+        changes; None where that is everyone."""
         self._names, self._open_session = ", ".join(names), open_session
+        self._rules = rules
+        self._current = rules() if rules else None
         self._stopping = threading.Event()
         self._session: Closable | None = None
         self._try()
@@ -48,11 +59,27 @@ class Gate:
     def _run(self) -> None:
         if self._session is None:
             _log.info("another process listens on %s; this one stands by", self._names)
-        while self._session is None and not self._stopping.wait(_RETRY_S):
+        while not self._is_settled and not self._stopping.wait(_RETRY_S):
             try:
-                self._try()
-            except BusError as reason:
+                self._look_at_rules()
+                if self._session is None:
+                    self._try()
+            except TrigpointError as reason:
                 _log.error("%s; trying again", reason)
+
+    @property
+    def _is_settled(self) -> bool:
+        """Whether nothing is left to do: the door is open, and nobody will be locked out."""
+        return self._session is not None and self._rules is None
+
+    def _look_at_rules(self) -> None:
+        if self._rules is None or (now := self._rules()) == self._current:
+            return
+        self._current = now
+        if self._session is not None:
+            _log.info("who may come in has changed; %s is opened anew", self._names)
+            session, self._session = self._session, None
+            session.close()
 
     def _try(self) -> None:
         """Open the session unless the port is taken; raise BusError for any other reason."""

@@ -128,6 +128,10 @@ class MemoryBus:
         return ()
 
     @property
+    def warning(self) -> str:
+        return ""
+
+    @property
     def unreached(self) -> tuple[str, ...]:
         return ()
 

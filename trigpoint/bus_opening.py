@@ -1,12 +1,15 @@
-"""What opening a session takes besides opening it: patience, and knowing who is there."""
+"""What opening a session takes besides opening it: means, patience, knowing who is there."""
 
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
+from .access import Kind
 from .bus import Bus
-from .bus_settings import Settings
+from .bus_settings import Door, Settings, TlsFiles
+from .config import Site
 from .errors import BusError
 
 _log = logging.getLogger(__name__)
@@ -16,6 +19,58 @@ _SETTLE_S = 0.2
 _SETTLE_LIMIT_S = 1.0
 
 Session = TypeVar("Session")
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """What a process shows to others, and with what it lets them in.
+
+    `door` and `rules` read the files each time: they change while the process lives. `keeps_gate`:
+    whether it opens the machine's gate where nobody else does.
+    """
+
+    files: TlsFiles | None = None
+    door: Callable[[], Door | None] = lambda: None
+    rules: Callable[[], object] | None = None
+    warning: Callable[[], str] = str
+    keeps_gate: bool = True
+
+
+def means_of(site: Site, me: tuple[Kind, str] | None, *, is_router: bool = False) -> Means:
+    """The means of a process of the site; raise ConfigError where a file of it is wrong.
+
+    `me`: whose certificate it shows; None: that of the person who sits here.
+    """
+    for name in site.bus.open_doors:
+        _log.warning(
+            "%s is open without certificates (insecure = true): whoever reaches it can move the "
+            "robots of site %s",
+            name,
+            site.name,
+        )
+    if site.bus.tls is None:
+        return Means()
+    from . import security  # needs the extra `secure`, which other sites do without
+
+    leaves = any(endpoint.startswith("tls/") for endpoint in site.bus.connect)
+    listens = any(endpoint.startswith("tls/") for endpoint in site.bus.listen)
+    shown = []
+    if leaves and not is_router:
+        shown.append(
+            security.node_credentials(site, *me) if me else security.person_credentials(site)
+        )
+    files = shown[0].files if shown else None
+    # Who only looks in for a moment may not read the machine's key; services keep the gate.
+    keeps_gate = listens and (me is not None or is_router)
+    if not keeps_gate:
+        return Means(files, warning=lambda: security.first_complaint(shown), keeps_gate=not listens)
+    shown.append(security.router_credentials(site))
+    return Means(
+        files,
+        door=lambda: security.door(site),
+        rules=lambda: security.fingerprint(site),
+        warning=lambda: security.first_complaint(shown),
+    )
 
 
 def open_patiently(

@@ -9,7 +9,8 @@
 | `listen` with port 0 | peer there; the system picks the port |
 | `scouting` | peer; found by multicast on the link; listens as written, else on loopback |
 
-Peers pass nothing on between peers, only for clients (measured, 1.10); hence the client.
+Peers pass nothing on between peers, only for clients (measured, 1.10); hence the client. With
+`[bus.tls]` whoever connects shows its own certificate, and the gate the machine's (`security`).
 """
 
 import socket
@@ -17,8 +18,9 @@ import zlib
 from dataclasses import dataclass
 from typing import Literal
 
-from .config import BusConfig, endpoint_host, endpoint_port
-from .errors import BusError
+from . import topics
+from .config import BusConfig, endpoint_host, endpoint_port, is_loopback
+from .errors import BusError, ConfigError
 
 CLIENT_TRY_MS = 1500
 LOOPBACK = "tcp/127.0.0.1:0"
@@ -36,14 +38,50 @@ class Multicast:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """One session. `gate`: what another session of the machine listens on for all of them."""
+class TlsFiles:
+    """What a session of a secured site shows, and whom it believes: paths of PEM files."""
 
-    mode: Literal["peer", "client"]
+    trust: str
+    certificate: str
+    key: str
+
+    def values(self) -> dict[str, object]:
+        """Zenoh's settings below `transport/link/tls`."""
+        return {
+            "root_ca_certificate": self.trust,
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+            "listen_certificate": self.certificate,
+            "listen_private_key": self.key,
+            "connect_certificate": self.certificate,
+            "connect_private_key": self.key,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """With what a session lets others in: its certificate, and Zenoh's `access_control`."""
+
+    files: TlsFiles
+    access: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """One session. `gate`: what another session of the machine listens on for all of them.
+    `files`: what it shows where it connects; `access`: what those who connect may do, None: all.
+    `picture_rate`: how many pictures a second of a camera it hands on, None: as many as come.
+    """
+
+    mode: Literal["peer", "client", "router"]
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
     multicast: Multicast | None = None
     gate: tuple[str, ...] = ()
+    files: TlsFiles | None = None
+    access: dict[str, object] | None = None
+    picture_rate: float | None = None
 
     def values(self) -> dict[str, object]:
         """Zenoh's configuration keys and their values."""
@@ -56,7 +94,7 @@ class Settings:
             # A peer opens at once and keeps trying on its own.
             "connect/timeout_ms": {"client": CLIENT_TRY_MS, "peer": -1, "router": -1},
             "scouting/multicast/enabled": self.multicast is not None,
-            "scouting/gossip/enabled": self.mode == "peer",
+            "scouting/gossip/enabled": self.mode != "client",
             # Off for peers and clients by default; caches and the recording need them.
             "timestamping/enabled": True,
             # A killed process would leave its segments behind; loopback TCP is fast enough.
@@ -67,7 +105,26 @@ class Settings:
         if self.multicast is not None:
             values["scouting/multicast/interface"] = self.multicast.interface
             values["scouting/multicast/address"] = self.multicast.group
+        if self.files is not None:
+            values["transport/link/tls"] = self.files.values()
+        if self.access is not None:
+            values["access_control"] = self.access
+        if self.picture_rate is not None:
+            values["downsampling"] = [_fewer_pictures(self.picture_rate)]
         return values
+
+    def document(self) -> dict[str, object]:
+        """The same as one nested document, as `zenohd` reads it."""
+        root: dict[str, object] = {}
+        for path, value in self.values().items():
+            *tables, last = path.split("/")
+            table = root
+            for name in tables:
+                inner = table.setdefault(name, {})
+                assert isinstance(inner, dict)  # a path is a value or a table, never both
+                table = inner
+            table[last] = value
+        return root
 
     @property
     def locators(self) -> tuple[str, ...]:
@@ -79,13 +136,33 @@ class Settings:
         """Whether the session learns of its peers one after the other."""
         return self.mode == "peer" and (bool(self.connect) or self.multicast is not None)
 
-    def gate_settings(self) -> "Settings":
+    def gate_settings(self, door: Door | None = None) -> "Settings":
         """The session that listens on `gate` and relays between there and this machine's peers."""
-        return Settings("peer", (LOOPBACK, *self.gate), multicast=self.multicast)
+        files, access = (door.files, door.access) if door else (None, None)
+        listen = (LOOPBACK, *self.gate)
+        return Settings("peer", listen, multicast=self.multicast, files=files, access=access)
 
 
-def session_settings(site: str, bus: BusConfig) -> Settings:
-    """The table above."""
+def router_settings(
+    site: str, bus: BusConfig, door: Door | None, *, picture_rate: float | None = None
+) -> Settings:
+    """A router at the place of the gate: it also hands on between those who connect, and to the
+    routers that `connect` names."""
+    if not bus.listen:
+        raise ConfigError("a router needs bus.listen: where the others connect to it")
+    return Settings(
+        "router",
+        (LOOPBACK, *bus.listen),
+        bus.connect,
+        _loopback_group(site, *bus.listen),
+        files=door.files if door else None,
+        access=door.access if door else None,
+        picture_rate=picture_rate,
+    )
+
+
+def session_settings(site: str, bus: BusConfig, files: TlsFiles | None = None) -> Settings:
+    """The table above; `files`: what is shown where a link leaves this machine."""
     if bus.scouting:
         listen = bus.listen or (LOOPBACK,)
         return Settings("peer", listen, bus.connect, Multicast("auto", "224.0.0.224:7446"))
@@ -93,11 +170,17 @@ def session_settings(site: str, bus: BusConfig) -> Settings:
         return Settings("peer", tuple(_with_port(e) for e in bus.listen), bus.connect)
     if bus.listen:
         group = _loopback_group(site, *bus.listen)
-        return Settings("peer", (LOOPBACK,), bus.connect, group, gate=bus.listen)
-    if all(_is_loopback(endpoint) for endpoint in bus.connect):
+        return Settings("peer", (LOOPBACK,), bus.connect, group, gate=bus.listen, files=files)
+    if all(is_loopback(endpoint) for endpoint in bus.connect):
         group = None if bus.connect else _loopback_group(site)
-        return Settings("peer", (LOOPBACK,), bus.connect, group)
-    return Settings("client", connect=bus.connect)
+        return Settings("peer", (LOOPBACK,), bus.connect, group, files=files)
+    return Settings("client", connect=bus.connect, files=files)
+
+
+def _fewer_pictures(rate: float) -> dict[str, object]:
+    """Zenoh's downsampling of what leaves a session on pictures' keys, whatever the site."""
+    rules = [{"key_expr": f"*/{topics.IMAGE.path.format(id='*')}", "freq": rate}]
+    return {"id": "pictures", "messages": ["put"], "flows": ["egress"], "rules": rules}
 
 
 def _with_port(endpoint: str) -> str:
@@ -117,11 +200,6 @@ def _with_port(endpoint: str) -> str:
 
 def _family(host: str) -> socket.AddressFamily:
     return socket.AF_INET6 if host.startswith("[") else socket.AF_INET
-
-
-def _is_loopback(endpoint: str) -> bool:
-    host = endpoint_host(endpoint)
-    return host in ("localhost", "[::1]") or host.startswith("127.")
 
 
 def _loopback_group(*names: str) -> Multicast:

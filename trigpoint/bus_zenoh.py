@@ -17,12 +17,13 @@ from typing import Self, TypeVar
 import zenoh
 from zenoh import CongestionControl, Priority, Reliability, ext
 
+from .access import Kind
 from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
 from .bus_gate import Gate
-from .bus_opening import open_patiently, settle
+from .bus_opening import means_of, open_patiently, settle
 from .bus_queue import SampleQueue
 from .bus_server import Server
-from .bus_settings import Settings, session_settings
+from .bus_settings import Settings, router_settings, session_settings
 from .config import Site
 from .errors import BusError
 from .topics import Delivery, Topic
@@ -48,25 +49,48 @@ _Arrival = tuple[int, zenoh.Sample]
 _Declared = TypeVar("_Declared", bound=Closable)
 
 
-def open_bus(site: Site, *, patience_s: float = math.inf) -> "ZenohBus":
+def open_bus(
+    site: Site, me: tuple[Kind, str] | None = None, *, patience_s: float = math.inf
+) -> "ZenohBus":
     """Open the bus by the site's `[bus]`; raise BusError where that is not possible.
 
-    A client whose endpoint cannot be reached tries again for `patience_s`, which the log says.
+    `me`: whose certificate is shown where the site is secured; None: the operator's or viewer's who
+    sits here. A client whose endpoint cannot be reached tries again for `patience_s`, which the log
+    says.
     """
-    settings = session_settings(site.name, site.bus)
+    means = means_of(site, me)
+    settings = session_settings(site.name, site.bus, means.files)
     session = open_patiently(lambda: open_session(settings), settings, patience_s)
     try:
         gate = None
-        if settings.gate:
-            gate_settings = settings.gate_settings()
-            gate = Gate(settings.gate, lambda: open_session(gate_settings))
-        bus = ZenohBus(session, locators=settings.locators, connect=settings.connect, gate=gate)
+        if settings.gate and means.keeps_gate:
+            gate = Gate(
+                settings.gate,
+                lambda: open_session(settings.gate_settings(means.door())),
+                rules=means.rules,
+            )
+        bus = ZenohBus(
+            session,
+            locators=settings.locators,
+            connect=settings.connect,
+            gate=gate,
+            warning=means.warning,
+        )
     except BaseException:
         session.close()
         raise
     if settings.meets_others:
         settle(bus)
     return bus
+
+
+def open_router(site: Site) -> "ZenohBus":
+    """Open the bus as the site's router: whoever connects to it reaches everyone else."""
+    means = means_of(site, None, is_router=True)
+    rate = site.router.picture_rate
+    settings = router_settings(site.name, site.bus, means.door(), picture_rate=rate)
+    session = open_session(settings)
+    return ZenohBus(session, locators=site.bus.listen, warning=means.warning)
 
 
 def open_session(settings: Settings) -> zenoh.Session:
@@ -248,8 +272,10 @@ class ZenohBus:
         locators: tuple[str, ...] = (),
         connect: tuple[str, ...] = (),
         gate: Gate | None = None,
+        warning: Callable[[], str] = str,
     ) -> None:
         self._session, self._locators, self._gate = session, locators, gate
+        self._warning = warning
         self._connect = connect
         self._lock = threading.Lock()
         self._declared: dict[int, Closable] = {}
@@ -266,6 +292,10 @@ class ZenohBus:
     def peers(self) -> tuple[str, ...]:
         info = self._session.info
         return tuple(_identity(zid) for zid in (*info.peers_zid(), *info.routers_zid()))
+
+    @property
+    def warning(self) -> str:
+        return self._warning()
 
     @property
     def unreached(self) -> tuple[str, ...]:

@@ -82,12 +82,35 @@ COMMANDS: dict[str, Command] = {
     "target import": Command(
         "trigpoint.tools.target_files:import_kalibr", "A target file from Kalibr's.", "edge"
     ),
+    "router": Command(
+        "trigpoint.tools.router:main", "Join the machines and segments of a site.", service=True
+    ),
+    "secure init": Command("trigpoint.tools.secure:init", "Make the site's authority.", "secure"),
+    "secure node": Command(
+        "trigpoint.tools.secure:node", "One node's key and certificate.", "secure"
+    ),
+    "secure list": Command(
+        "trigpoint.tools.secure:list_nodes", "Who may come in, and until when.", "secure"
+    ),
+    "secure renew": Command(
+        "trigpoint.tools.secure:renew", "Prolong a node's certificate.", "secure"
+    ),
+    "secure revoke": Command("trigpoint.tools.secure:revoke", "End a certificate.", "secure"),
+    "secure admit": Command(
+        "trigpoint.tools.secure:admit", "Trust another site's router.", "secure"
+    ),
+    "secure router": Command(
+        "trigpoint.tools.secure:router", "The configuration of a stock zenohd.", "secure"
+    ),
     "simulate": Command(
         "trigpoint.tools.simulate:main", "A session of a simulated lab, with its truth.", "all"
     ),
 }
 
-GROUPS = {"target": "Draw, check and import targets."}
+GROUPS = {
+    "target": "Draw, check and import targets.",
+    "secure": "Certificates of a site's nodes, and who may come in.",
+}
 
 EXTRAS: dict[str, str] = {
     "cv2": "edge",
@@ -100,6 +123,9 @@ EXTRAS: dict[str, str] = {
     "reportlab": "tools",
 }
 """Package -> the extra that brings it, where the command's own row names none."""
+
+SITE_EXTRAS: dict[str, str] = {"cryptography": "secure"}
+"""The same of what the site's file asks of every command."""
 
 
 def main() -> NoReturn:
@@ -219,9 +245,10 @@ def _exit_on_termination(chosen: str) -> None:
 def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:
     """What to tell of a third-party package that is not there; None for any other import error."""
     package = (error.name or "").partition(".")[0]
-    if package not in EXTRAS:
+    if package not in EXTRAS and package not in SITE_EXTRAS:
         return None
-    extra = (COMMANDS[chosen].extra if chosen else "") or EXTRAS[package]
+    extra = SITE_EXTRAS.get(package)
+    extra = extra or (COMMANDS[chosen].extra if chosen else "") or EXTRAS[package]
     return MissingExtraError(
         f"`{PROGRAM} {chosen}` needs the package «{package}», which is not installed here; "
         f"run: pip install 'trigpoint[{extra}]'"

@@ -28,12 +28,20 @@ _LONGEST_LINE_DELAY_S = 1e-3
 PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
 
 
+class TlsConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Mutual TLS on every link that leaves the machine; `trigpoint secure` makes the files."""
+
+    directory: str = "secure"
+
+
 class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """How the nodes find each other; without it, this machine alone."""
 
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     scouting: bool = False
+    insecure: bool = False
+    tls: TlsConfig | None = None
 
     def __post_init__(self) -> None:
         for endpoint in (*self.connect, *self.listen):
@@ -45,6 +53,41 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
         for endpoint in self.connect:
             if endpoint_port(endpoint) == 0:
                 raise ValueError(f"«{endpoint}» has no port to connect to; write the other's port")
+        if self.tls is None:
+            self._check_plain()
+        else:
+            self._check_secured()
+
+    def _check_plain(self) -> None:
+        for endpoint in (*self.connect, *self.listen):
+            if endpoint.startswith(("tls/", "quic/")):
+                raise ValueError(f"«{endpoint}» needs certificates; write [bus.tls]")
+        if self.open_doors and not self.insecure:
+            raise ValueError(
+                f"whoever reaches {' and '.join(self.open_doors)} can move the robots; secure the "
+                "site (trigpoint secure init, [bus.tls]), or write insecure = true"
+            )
+
+    def _check_secured(self) -> None:
+        if self.insecure or self.scouting:
+            key = "insecure" if self.insecure else "scouting"
+            raise ValueError(f"{key} = true undoes [bus.tls]; take one of the two out")
+        for endpoint in (*self.connect, *self.listen):
+            if not is_loopback(endpoint) and not endpoint.startswith("tls/"):
+                raise ValueError(f"«{endpoint}» leaves this machine in the clear; write tls/…")
+            if "#" in endpoint or "?" in endpoint:
+                raise ValueError(f"«{endpoint}» sets rules of its own; end it with the port")
+        for endpoint in self.listen:
+            if endpoint_port(endpoint) == 0:
+                raise ValueError(f"«{endpoint}» has no port that others can be told; write one")
+
+    @property
+    def open_doors(self) -> tuple[str, ...]:
+        """By what a neighbour on the network can get a session without a certificate."""
+        if self.tls is not None:
+            return ()
+        doors = tuple(f"«{endpoint}»" for endpoint in self.listen if not is_loopback(endpoint))
+        return (*doors, "scouting") if self.scouting else doors
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -145,6 +188,12 @@ class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True):
     pictures: bool = False
 
 
+class RouterConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The router, where the site has one."""
+
+    picture_rate: Positive | None = None
+
+
 class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     site: str
     cameras: dict[str, CameraConfig]
@@ -153,6 +202,7 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     bus: BusConfig = BusConfig()
     fusion: FusionConfig = FusionConfig()
     recorder: RecorderConfig = RecorderConfig()
+    router: RouterConfig = RouterConfig()
 
     def __post_init__(self) -> None:
         for what, name in [
@@ -180,6 +230,7 @@ class Site(Struct, frozen=True):
     directory: Path
     text: str
     default_target: str | None = None
+    router: RouterConfig = RouterConfig()
 
     def camera(self, name: str) -> CameraConfig:
         """A camera by name; raise ConfigError that lists the known ones."""
@@ -208,6 +259,12 @@ class Site(Struct, frozen=True):
 def endpoint_host(endpoint: str) -> str:
     """The host of a checked endpoint: tcp/localhost:7447 -> localhost."""
     return _endpoint(endpoint)["host"]
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether a checked endpoint stays on this machine."""
+    host = endpoint_host(endpoint)
+    return host in ("localhost", "[::1]") or host.startswith("127.")
 
 
 def endpoint_port(endpoint: str) -> int:
@@ -243,7 +300,16 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
         directory=directory,
         text=text,
         default_target=file.target,
+        router=file.router,
     )
+
+
+def check_name(what: str, name: str) -> None:
+    """Raise ConfigError where a name cannot be a part of a key and of a ROS topic."""
+    try:
+        _check_name(what, name)
+    except ValueError as reason:
+        raise ConfigError(str(reason)) from None
 
 
 def _check_name(what: str, name: str) -> None:

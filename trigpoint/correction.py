@@ -1,4 +1,5 @@
-"""The attachment of a correction: which map it is in, and its place in the order of sending."""
+"""The attachment of a correction: which map it is in, and its place in the order of sending. In a
+secured site an authenticator follows (`authenticator`)."""
 
 import struct
 from dataclasses import dataclass
@@ -7,7 +8,7 @@ from uuid import UUID
 from .errors import MessageError
 
 _SEQUENCE = struct.Struct("<Q")
-_LENGTH = 16 + _SEQUENCE.size
+MARK_LENGTH = 16 + _SEQUENCE.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +26,9 @@ def encode_mark(mark: CorrectionMark) -> bytes:
 
 def decode_mark(attachment: bytes) -> CorrectionMark:
     """The mark in an attachment; raise MessageError where it is none."""
-    if len(attachment) != _LENGTH:
+    if len(attachment) != MARK_LENGTH:
         raise MessageError(
-            f"a correction's attachment has {len(attachment)} bytes; it needs {_LENGTH}: "
+            f"a correction's attachment has {len(attachment)} bytes; it needs {MARK_LENGTH}: "
             "the map's UUID and a sequence number"
         )
     return CorrectionMark(UUID(bytes=attachment[:16]), _SEQUENCE.unpack(attachment[16:])[0])

@@ -248,6 +248,8 @@ class Node:
                 _log.error("%s: %s", self.label, self._logged_error)
         self._log_held(held)
         level, message = report.level, report.message
+        if level is Level.OK and (warning := self._bus.warning):
+            level, message = Level.WARN, warning
         if complaint := self._complaint():
             level, message = Level.ERROR, complaint
         values = (

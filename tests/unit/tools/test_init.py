@@ -14,7 +14,9 @@ from trigpoint.config import (
     OdometryNoise,
     RecorderConfig,
     RobotConfig,
+    RouterConfig,
     SafetyConfig,
+    TlsConfig,
     load_site,
     parse_site,
 )
@@ -29,6 +31,8 @@ STRUCTS = (
     SafetyConfig,
     FusionConfig,
     RecorderConfig,
+    RouterConfig,
+    TlsConfig,
 )
 
 
@@ -58,7 +62,7 @@ def test_full_file_holds_the_defaults_of_every_struct() -> None:
 def test_full_file_explains_every_key(struct: type[Struct]) -> None:
     lines = full_site_text().splitlines()
     for field in msgspec.structs.fields(struct):
-        if not isinstance(field.default, Struct):
+        if not isinstance(field.default, Struct) and (struct, field.name) != (BusConfig, "tls"):
             start, end = f"{field.name} = ", f"  # {COMMENTS[struct, field.name]}"
             assert any(line.lstrip("# ").startswith(start) and line.endswith(end) for line in lines)
 

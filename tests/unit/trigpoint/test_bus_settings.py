@@ -1,7 +1,7 @@
 import pytest
 
 from trigpoint.bus_settings import LOOPBACK, session_settings
-from trigpoint.config import BusConfig, endpoint_port
+from trigpoint.config import BusConfig, TlsConfig, endpoint_port
 
 
 def test_without_a_bus_table_nothing_leaves_this_machine() -> None:
@@ -24,14 +24,14 @@ def test_connecting_within_this_machine_is_done_as_a_peer(host: str) -> None:
 
 
 def test_connecting_to_another_machine_opens_nothing() -> None:
-    settings = session_settings("lab", BusConfig(connect=("tls/10.0.0.1:7447",)))
+    settings = session_settings("lab", BusConfig(connect=("tls/10.0.0.1:7447",), tls=TlsConfig()))
     assert (settings.mode, settings.listen, settings.multicast) == ("client", (), None)
     assert settings.connect == ("tls/10.0.0.1:7447",)
 
 
 def test_a_written_port_is_left_to_the_gate() -> None:
     endpoint = "tcp/0.0.0.0:7447"
-    settings = session_settings("lab", BusConfig(listen=(endpoint,)))
+    settings = session_settings("lab", BusConfig(listen=(endpoint,), insecure=True))
     assert (settings.listen, settings.gate) == ((LOOPBACK,), (endpoint,))
     assert settings.locators == (endpoint,)
     gate = settings.gate_settings()
@@ -48,7 +48,9 @@ def test_port_0_becomes_a_port_that_others_can_be_told() -> None:
 
 
 def test_scouting_looks_for_peers_on_the_link() -> None:
-    settings = session_settings("lab", BusConfig(scouting=True, listen=("tcp/0.0.0.0:0",)))
+    settings = session_settings(
+        "lab", BusConfig(scouting=True, listen=("tcp/0.0.0.0:0",), insecure=True)
+    )
     assert (settings.mode, settings.listen) == ("peer", ("tcp/0.0.0.0:0",))
     assert settings.multicast is not None
     assert settings.multicast.interface == "auto"

@@ -31,7 +31,7 @@ def test_peer_waits_for_a_meeting_point_that_comes_later(free_port: Callable[[],
 
 
 def test_address_of_another_machine_cannot_be_listened_on() -> None:
-    site = make_site(bus='listen = ["tcp/198.51.100.1:7447"]')
+    site = make_site(bus='listen = ["tcp/198.51.100.1:7447"]\ninsecure = true')
     with pytest.raises(BusError, match="the bus cannot be opened") as caught:
         open_bus(site)
     assert "\n" not in str(caught.value)
@@ -40,7 +40,7 @@ def test_address_of_another_machine_cannot_be_listened_on() -> None:
 
 def test_address_of_another_machine_gives_no_free_port() -> None:
     with pytest.raises(BusError, match=r"nothing can listen on tcp/198\.51\.100\.1:0"):
-        open_bus(make_site(bus='listen = ["tcp/198.51.100.1:0"]'))
+        open_bus(make_site(bus='listen = ["tcp/198.51.100.1:0"]\ninsecure = true'))
 
 
 def test_failed_declaration_leaves_nothing_behind() -> None:

@@ -1,0 +1,242 @@
+"""Every kind of node, every key, and what may be done there, over mutual TLS: as the contract says.
+
+The expected cells are written out here from the contract's table of keys; the rules under test are
+made from another one (`trigpoint.access`).
+"""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import pytest
+import zenoh
+from builders import eventually
+from secured import NODES, SecuredSite
+
+from trigpoint.access import Kind
+from trigpoint.bus_settings import session_settings
+from trigpoint.bus_zenoh import open_bus, open_router, open_session
+
+SITE = "lab"
+CAMERA_KEYS = ("image/compressed", "camera_info", "sightings", "pose", "snapshot", "calibrate")
+ROBOT_KEYS = ("odom", "pose", "correction", "suggestion", "particles")
+KEYS = (
+    *(f"camera/{camera}/{key}" for camera in ("c1", "c2") for key in CAMERA_KEYS),
+    *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS),
+    *("coverage/c1", "coverage/c2", "tf", "diagnostics", "clock"),
+    *("fusion/network", "fusion/map", "fusion/reset", "recorder/stop"),
+    "alive/edge/c1",
+    "alive/robot/r1",
+    "anything/else",
+)
+DATA = tuple(
+    key
+    for key in KEYS
+    if not key.startswith(("fusion/", "recorder/", "alive/", "anything/"))
+    and not key.endswith(("snapshot", "calibrate", "clock"))
+)
+OWN_CAMERA = ("camera/c1/image/compressed", "camera/c1/camera_info", "camera/c1/sightings")
+SEEN = tuple(f"camera/{c}/{key}" for c in ("c1", "c2") for key in ("camera_info", "sightings"))
+ESTIMATES = (
+    *(f"camera/{camera}/pose" for camera in ("c1", "c2")),
+    *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS if key != "odom"),
+    *("coverage/c1", "coverage/c2", "tf"),
+)
+CAMERA_COMMANDS = tuple(
+    f"camera/{c}/{key}" for c in ("c1", "c2") for key in ("snapshot", "calibrate")
+)
+FUSION_COMMANDS = ("fusion/network", "fusion/map", "fusion/reset")
+
+
+@dataclass(frozen=True)
+class May:
+    """What one node may do: the keys of each verb."""
+
+    put: tuple[str, ...] = ()
+    subscribe: tuple[str, ...] = ()
+    get: tuple[str, ...] = ()
+    reply: tuple[str, ...] = ()
+
+
+EXPECTED = {
+    Kind.CAMERA: May(
+        put=(*OWN_CAMERA, "diagnostics"),
+        subscribe=("diagnostics",),
+        get=("clock",),
+        reply=("camera/c1/snapshot", "camera/c1/calibrate"),
+    ),
+    Kind.ROBOT: May(
+        put=("robot/r1/odom", "diagnostics"),
+        subscribe=("robot/r1/correction", "robot/r1/pose", "robot/r1/suggestion", "diagnostics"),
+        get=("clock",),
+    ),
+    Kind.FUSION: May(
+        put=(*ESTIMATES, "diagnostics"),
+        subscribe=(*SEEN, "robot/r1/odom", "robot/r2/odom", "diagnostics"),
+        reply=(*FUSION_COMMANDS, "clock"),
+    ),
+    Kind.RECORDER: May(
+        put=("diagnostics",), subscribe=DATA, get=("fusion/network",), reply=("recorder/stop",)
+    ),
+    Kind.OPERATOR: May(
+        subscribe=DATA, get=(*CAMERA_COMMANDS, *FUSION_COMMANDS, "recorder/stop", "clock")
+    ),
+    Kind.VIEWER: May(subscribe=DATA),
+}
+PEOPLE = tuple((kind, name) for kind, name in NODES if kind is not Kind.ROUTER)
+_SETTLE_S = 0.4
+"""What is wrongly let through comes within a millisecond; it is waited for this long."""
+_ANSWER_S = 1.5
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> SecuredSite:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    return SecuredSite(tmp_path_factory.mktemp("site"), port)
+
+
+@pytest.fixture(params=["gate", "router"])
+def sessions(
+    secured: SecuredSite, request: pytest.FixtureRequest
+) -> Iterator[tuple[zenoh.Session, dict[Kind, zenoh.Session]]]:
+    """A process of the machine that listens, which may do all, and a client of every kind."""
+    with ExitStack() as stack:
+        if request.param == "router":
+            stack.enter_context(open_router(secured.listening))
+        else:
+            me = (Kind.FUSION, "fusion")
+            stack.enter_context(open_bus(secured.listening, me))
+        witness = open_session(session_settings(SITE, secured.listening.bus))
+        stack.callback(witness.close)
+        clients = {}
+        for kind, name in PEOPLE:
+            clients[kind] = secured.session(kind, name)
+            stack.callback(clients[kind].close)
+        met = witness.liveliness()
+        token = clients[Kind.CAMERA].liveliness().declare_token(f"{SITE}/alive/edge/c1")
+        assert eventually(lambda: len(list(met.get(f"{SITE}/alive/**", timeout=0.5))) == 1)
+        token.undeclare()
+        yield witness, clients
+
+
+def full(key: str) -> str:
+    return f"{SITE}/{key}"
+
+
+def cells(verb: str) -> set[tuple[Kind, str]]:
+    return {(kind, key) for kind, may in EXPECTED.items() for key in getattr(may, verb)}
+
+
+class Seen:
+    """(kind, key) pairs that happened; filled on Zenoh's threads."""
+
+    def __init__(self) -> None:
+        self._lock, self._pairs = threading.Lock(), set[tuple[Kind, str]]()
+
+    def add(self, kind: str, key: str) -> None:
+        with self._lock:
+            self._pairs.add((Kind(kind), key.removeprefix(f"{SITE}/")))
+
+    def settled(self, expected: set[tuple[Kind, str]]) -> set[tuple[Kind, str]]:
+        eventually(lambda: self._pairs >= expected, 5.0)
+        time.sleep(_SETTLE_S)
+        with self._lock:
+            return set(self._pairs)
+
+
+def direct(callback: Callable[..., None]) -> zenoh.handlers.Callback:
+    return zenoh.handlers.Callback(callback, indirect=False)
+
+
+def test_put(sessions: tuple[zenoh.Session, dict[Kind, zenoh.Session]]) -> None:
+    witness, clients = sessions
+    seen = Seen()
+    heard = direct(lambda sample: seen.add(sample.payload.to_string(), str(sample.key_expr)))
+    subscriber = witness.declare_subscriber("**", heard)
+    assert eventually(lambda: _reaches(clients[Kind.CAMERA], seen))
+    for kind, client in clients.items():
+        for key in KEYS:
+            client.put(full(key), str(kind))
+            client.delete(full(key))
+    assert seen.settled(cells("put")) == cells("put")
+    subscriber.undeclare()
+
+
+def _reaches(camera: zenoh.Session, seen: Seen) -> bool:
+    camera.put(full("diagnostics"), "camera")
+    return (Kind.CAMERA, "diagnostics") in seen.settled(set())
+
+
+def test_subscribe(sessions: tuple[zenoh.Session, dict[Kind, zenoh.Session]]) -> None:
+    witness, clients = sessions
+    seen = Seen()
+    subscribers = []
+    for kind, client in clients.items():
+        for key in (*map(full, KEYS), "**", f"{SITE}/**", f"{SITE}/robot/*/correction"):
+            heard = direct(lambda sample, kind=kind: seen.add(kind, str(sample.key_expr)))
+            subscribers.append(client.declare_subscriber(key, heard))
+    expected = cells("subscribe")
+    deadline = time.monotonic() + 10.0
+    while not seen.settled(set()) >= expected and time.monotonic() < deadline:
+        for key in KEYS:
+            witness.put(full(key), "x")
+    assert seen.settled(expected) == expected
+    for subscriber in subscribers:
+        subscriber.undeclare()
+
+
+def test_get(sessions: tuple[zenoh.Session, dict[Kind, zenoh.Session]]) -> None:
+    witness, clients = sessions
+    served = [
+        witness.declare_queryable(full(key), direct(lambda query, key=key: _answer(query, key)))
+        for key in KEYS
+    ]
+    time.sleep(_SETTLE_S)
+    seen = Seen()
+    for kind, client in clients.items():
+        for key in KEYS:
+            _ask(client, key, lambda _text, kind=kind, key=key: seen.add(kind, key))
+    expected = cells("get")
+    assert seen.settled(expected) == expected
+    for queryable in served:
+        queryable.undeclare()
+
+
+def test_reply(sessions: tuple[zenoh.Session, dict[Kind, zenoh.Session]]) -> None:
+    witness, clients = sessions
+    served = [
+        client.declare_queryable(full(key), direct(lambda query, kind=kind: _answer(query, kind)))
+        for kind, client in clients.items()
+        for key in KEYS
+    ]
+    time.sleep(_SETTLE_S)
+    seen = Seen()
+    for key in KEYS:
+        _ask(witness, key, lambda text, key=key: seen.add(text, key))
+    expected = cells("reply")
+    assert seen.settled(expected) == expected
+    for queryable in served:
+        queryable.undeclare()
+
+
+def _answer(query: zenoh.Query, text: str) -> None:
+    with query:
+        query.reply(query.key_expr, str(text))
+
+
+def _ask(session: zenoh.Session, key: str, answered: Callable[[str], None]) -> None:
+    def arrived(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            answered(reply.ok.payload.to_string())
+
+    session.get(
+        full(key),
+        direct(arrived),
+        timeout=_ANSWER_S,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )

@@ -1,0 +1,272 @@
+"""A site with [bus.tls]: its own nodes work as ever, and nobody else gets in."""
+
+import logging
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+import zenoh
+from builders import eventually
+from secured import SecuredSite
+
+from trigpoint.access import Identity, Kind
+from trigpoint.bus import Bus
+from trigpoint.bus_settings import Multicast, Settings, TlsFiles
+from trigpoint.bus_zenoh import ZenohBus, open_bus, open_router, open_session
+from trigpoint.errors import BusError, ConfigError
+from trigpoint.tools import authority as authority_module
+from trigpoint.topics import CAMERA_INFO, CORRECTION, DIAGNOSTICS, IMAGE, ODOMETRY, SIGHTINGS
+
+OUTSIDE = "from outside"
+FUSION, CAMERA, ROBOT = (Kind.FUSION, "fusion"), (Kind.CAMERA, "c1"), (Kind.ROBOT, "r1")
+
+
+@pytest.fixture
+def secured(tmp_path: Path, free_port: Callable[[], int]) -> SecuredSite:
+    return SecuredSite(tmp_path, free_port())
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture(params=["gate", "router"])
+def buses(
+    secured: SecuredSite, request: pytest.FixtureRequest, stack: ExitStack
+) -> tuple[Bus, Bus, Bus]:
+    """Fusion, a camera and a robot on three machines, joined by a gate or a router."""
+    if request.param == "gate":
+        fusion = stack.enter_context(open_bus(secured.listening, FUSION))
+    else:
+        stack.enter_context(open_router(secured.listening))
+        fusion = stack.enter_context(ZenohBus(secured.session(*FUSION)))
+    camera = stack.enter_context(ZenohBus(secured.session(*CAMERA)))
+    robot = stack.enter_context(ZenohBus(secured.session(*ROBOT)))
+    return fusion, camera, robot
+
+
+def test_what_was_said_before_somebody_came_is_caught_up(buses: tuple[Bus, Bus, Bus]) -> None:
+    fusion, camera, robot = buses
+    senders = [(SIGHTINGS, camera, "c1"), (CAMERA_INFO, camera, "c1"), (ODOMETRY, robot, "r1")]
+    for topic, bus, name in senders:
+        publisher = bus.publisher(topic, topic.key("lab", name))
+        for number in range(topic.cache + 2):
+            publisher.put(str(number).encode())
+        subscription = fusion.subscribe(topic, topic.expression("lab"))
+        expected = [str(n).encode() for n in range(2, topic.cache + 2)]
+        samples = [subscription.take(10.0) for _ in expected]
+        assert [sample.payload for sample in samples if sample] == expected
+        publisher.put(b"live")
+        sample = subscription.take(10.0)
+        assert sample is not None
+        assert sample.payload == b"live"
+        assert subscription.dropped == 0
+
+
+def test_corrections_arrive_and_pictures_leave_only_when_somebody_looks(
+    buses: tuple[Bus, Bus, Bus],
+) -> None:
+    fusion, camera, robot = buses
+    key = CORRECTION.key("lab", "r1")
+    corrections = robot.subscribe(CORRECTION, key)
+    publisher = fusion.publisher(CORRECTION, key)
+    assert eventually(lambda: publisher.has_listener)
+    publisher.put(b"here", attachment=b"mark")
+    sample = corrections.take(10.0)
+    assert sample is not None
+    assert (sample.payload, sample.attachment) == (b"here", b"mark")
+    pictures = camera.publisher(IMAGE, IMAGE.key("lab", "c1"))
+    assert not pictures.has_listener
+
+
+def test_everyone_sees_who_is_alive(buses: tuple[Bus, Bus, Bus]) -> None:
+    fusion, camera, robot = buses
+    fusion.declare_alive("lab/alive/fusion/fusion")
+    camera.declare_alive("lab/alive/edge/c1")
+    camera.declare_alive("lab/alive/edge/c2")  # not its own: only its own session takes it so
+    robot.declare_alive("lab/alive/robot/r1")
+    everyone = ["lab/alive/edge/c1", "lab/alive/fusion/fusion", "lab/alive/robot/r1"]
+    for bus in (fusion, robot):
+        assert eventually(lambda bus=bus: bus.alive("lab/alive/*/*") == everyone)
+    assert set(camera.alive("lab/alive/*/*")) == {*everyone, "lab/alive/edge/c2"}
+
+
+def test_viewer_looks_at_pictures(buses: tuple[Bus, Bus, Bus], secured: SecuredSite) -> None:
+    _, camera, _ = buses
+    pictures = camera.publisher(IMAGE, IMAGE.key("lab", "c1"))
+    with ZenohBus(secured.session(Kind.VIEWER, "bob")) as viewer:
+        looking = viewer.subscribe(IMAGE, IMAGE.expression("lab"))
+        assert eventually(lambda: pictures.has_listener)
+        pictures.put(b"picture")
+        assert looking.take(10.0) is not None
+        looking.close()
+    assert eventually(lambda: not pictures.has_listener)
+
+
+class Outsider:
+    """Somebody who tries to get in by one way, and to hear and say something once inside."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.heard: list[str] = []
+
+    def try_it(self, seconds: float = 2.0) -> bool:
+        """Whether a session came about."""
+        try:
+            session = open_session(self._settings)
+        except BusError:
+            return False
+        with session:
+            session.declare_subscriber("**", zenoh.handlers.Callback(self._hear, indirect=False))
+            met = eventually(lambda: self._has_met(session), seconds)
+            session.put("lab/robot/r1/correction", OUTSIDE)
+            time.sleep(0.2)
+            return met
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        if sample.payload.to_string() != OUTSIDE:  # its own
+            self.heard.append(str(sample.key_expr))
+
+    def _has_met(self, session: zenoh.Session) -> bool:
+        return bool(session.info.peers_zid() or session.info.routers_zid())
+
+
+def _files(secured: SecuredSite, folder: Path, stem: str) -> TlsFiles:
+    trust = secured.folder / "secure" / "trust.pem"
+    return TlsFiles(str(trust), str(folder / f"{stem}.pem"), str(folder / f"{stem}.key"))
+
+
+def _client(secured: SecuredSite, files: TlsFiles | None) -> Settings:
+    return Settings("client", connect=(secured.endpoint,), files=files)
+
+
+def wrong_authority(secured: SecuredSite, folder: Path) -> Settings:
+    """A certificate with fusion's name, of an authority of somebody's own."""
+    other = SecuredSite(folder / "other", 1)
+    return _client(secured, _files(secured, other.folder / "secure", "fusion-fusion"))
+
+
+def expired(secured: SecuredSite, folder: Path) -> Settings:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(authority_module, "_SKEW", timedelta(days=400))
+        patch.setattr(authority_module, "datetime", _Yesteryear)
+        secured.admit(Kind.OPERATOR, "late", days=90)
+    return _client(secured, _files(secured, secured.folder / "secure", "operator-late"))
+
+
+class _Yesteryear(datetime):
+    @classmethod
+    def now(cls, _tz: object = None) -> datetime:  # type: ignore[override]
+        return datetime.now(UTC) - timedelta(days=200)
+
+
+def revoked(secured: SecuredSite, folder: Path) -> Settings:
+    kept = folder / "kept"
+    shutil.copytree(secured.folder / "secure", kept)
+    secured.authority.revoke(Identity("lab", Kind.OPERATOR, "anna"))
+    return _client(secured, _files(secured, kept, "operator-anna"))
+
+
+def no_certificate(secured: SecuredSite, folder: Path) -> Settings:
+    return _client(secured, None)
+
+
+def plain_peer(secured: SecuredSite, folder: Path) -> Settings:
+    plain = secured.endpoint.replace("tls/", "tcp/")
+    return Settings("peer", ("tcp/127.0.0.1:0",), (plain,))
+
+
+def scouting_neighbour(secured: SecuredSite, folder: Path) -> Settings:
+    return Settings("peer", ("tcp/127.0.0.1:0",), multicast=Multicast("auto", "224.0.0.224:7446"))
+
+
+@pytest.mark.parametrize("door", ["gate", "router"])
+@pytest.mark.parametrize(
+    "way",
+    [wrong_authority, expired, revoked, no_certificate, plain_peer, scouting_neighbour],
+    ids=lambda way: way.__name__,
+)
+def test_stranger_gets_neither_session_nor_byte(
+    secured: SecuredSite,
+    tmp_path: Path,
+    stack: ExitStack,
+    door: str,
+    way: Callable[[SecuredSite, Path], Settings],
+) -> None:
+    outsider = Outsider(way(secured, tmp_path))
+    if door == "gate":
+        stack.enter_context(open_bus(secured.listening, FUSION))
+    else:
+        stack.enter_context(open_router(secured.listening))
+    robot = stack.enter_context(ZenohBus(secured.session(*ROBOT)))
+    corrections = robot.subscribe(CORRECTION, CORRECTION.key("lab", "r1"))
+    odometry = robot.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
+    odometry.put(b"secret")
+    assert not outsider.try_it()
+    assert outsider.heard == []
+    assert corrections.take(0.1) is None
+
+
+def test_client_does_not_take_a_camera_for_the_router(secured: SecuredSite) -> None:
+    """Who steals a camera's key cannot put up a router with it."""
+    files = _files(secured, secured.folder / "secure", "camera-c1")
+    with (
+        open_session(Settings("router", (secured.endpoint,), files=files)),
+        pytest.raises(BusError, match="cannot reach"),
+    ):
+        secured.session(*ROBOT)
+
+
+@pytest.mark.parametrize("door", ["gate"])
+def test_revoked_node_is_cut_off_and_the_others_come_back(
+    secured: SecuredSite, stack: ExitStack, door: str
+) -> None:
+    fusion = stack.enter_context(open_bus(secured.listening, FUSION))
+    camera = stack.enter_context(ZenohBus(secured.session(*CAMERA)))
+    operator = stack.enter_context(ZenohBus(secured.session(Kind.OPERATOR, "anna")))
+    heard = fusion.subscribe(DIAGNOSTICS, DIAGNOSTICS.key("lab"))
+    said = camera.publisher(DIAGNOSTICS, DIAGNOSTICS.key("lab"))
+    assert eventually(lambda: operator.peers != () and said.has_listener)
+    secured.authority.revoke(Identity("lab", Kind.OPERATOR, "anna"))
+    assert eventually(lambda: operator.peers == ())
+    assert eventually(lambda: camera.peers != () and said.has_listener)
+    said.put(b"here again")
+    sample = heard.take(10.0)
+    assert sample is not None
+    time.sleep(1.0)  # the operator's session tries again all the while
+    assert operator.peers == ()
+
+
+def test_key_that_others_can_read_is_refused(secured: SecuredSite) -> None:
+    key = secured.folder / "secure" / "camera-c1.key"
+    key.chmod(0o640)
+    with pytest.raises(ConfigError, match=r"camera-c1\.key can be read by others \(mode 0640\)"):
+        open_bus(secured.connecting, CAMERA)
+    (secured.folder / "secure" / "trust.pem").chmod(0o666)
+    with pytest.raises(ConfigError, match=r"trust\.pem can be written by others"):
+        open_bus(secured.connecting, ROBOT)
+
+
+def test_machine_that_listens_needs_its_routers_key(secured: SecuredSite) -> None:
+    (secured.folder / "secure" / "router-hall.key").unlink()
+    with pytest.raises(ConfigError, match="no router's key"):
+        open_bus(secured.listening, FUSION)
+
+
+def test_no_secret_is_told(
+    secured: SecuredSite, stack: ExitStack, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    stack.enter_context(open_router(secured.listening))
+    camera = stack.enter_context(open_bus(secured.connecting, CAMERA))
+    assert eventually(lambda: camera.peers != ())
+    told = caplog.text + repr(secured.settings(*CAMERA)) + repr(secured.settings(*CAMERA).values())
+    for key in (secured.folder / "secure").glob("*.key"):
+        lines = key.read_text().splitlines()[1:-1]
+        assert not any(line in told for line in lines)

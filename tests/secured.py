@@ -1,0 +1,62 @@
+"""A secured site for tests: its file, its authority, and sessions that show a certificate."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+from builders import site_text
+
+from trigpoint.access import Identity, Kind
+from trigpoint.bus_settings import Settings
+from trigpoint.bus_zenoh import open_session
+from trigpoint.config import Site, parse_site
+from trigpoint.security import node_credentials
+from trigpoint.tools.authority import Authority, addresses_of
+
+NODES = (
+    (Kind.ROUTER, "hall"),
+    (Kind.CAMERA, "c1"),
+    (Kind.ROBOT, "r1"),
+    (Kind.FUSION, "fusion"),
+    (Kind.RECORDER, "main"),
+    (Kind.OPERATOR, "anna"),
+    (Kind.VIEWER, "bob"),
+)
+
+
+class SecuredSite:
+    """A site in a folder, with an authority that has admitted `NODES`."""
+
+    def __init__(self, folder: Path, port: int, *, name: str = "lab", bus: str = "") -> None:
+        self.folder, self.name, self.endpoint = folder, name, f"tls/127.0.0.1:{port}"
+        self.authority = Authority(name, folder / "authority", folder / "secure")
+        self.authority.create()
+        for kind, node in NODES:
+            self.admit(kind, node)
+        self.listening = self.site(bus or f'listen = ["{self.endpoint}"]')
+        self.connecting = self.site(f'connect = ["{self.endpoint}"]')
+
+    def admit(self, kind: Kind, node: str, *, days: int = 90) -> None:
+        identity = Identity(self.name, kind, node)
+        self.authority.issue(identity, days, addresses_of(kind, ()))
+
+    def site(self, bus: str, *, more: str = "") -> Site:
+        text = site_text(
+            name=self.name,
+            bus=f"{bus}\n[bus.tls]",
+            cameras=2,
+            robots=2,
+            more=more,
+        )
+        return parse_site(text, directory=self.folder)
+
+    def settings(self, kind: Kind, node: str) -> Settings:
+        """A client's with the node's certificate, whatever the endpoint's host."""
+        files = node_credentials(self.connecting, kind, node).files
+        return Settings("client", connect=(self.endpoint,), files=files)
+
+    def session(self, kind: Kind, node: str) -> zenoh.Session:
+        return open_session(self.settings(kind, node))
+
+
+Open = Callable[[Kind, str], zenoh.Session]

@@ -1,0 +1,65 @@
+"""`trigpoint router`: joins the machines of a site, and its segments with each other."""
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.access import Kind
+from trigpoint.bus_opening import means_of
+from trigpoint.bus_zenoh import open_router
+from trigpoint.config import Site, check_name, load_site
+from trigpoint.node import Node, stop_on_signals
+
+_log = logging.getLogger(__name__)
+
+_LOOK_S = 2.0
+
+
+def main(
+    site: Annotated[Path, typer.Option(help="The site file.")] = Path("site.toml"),
+    name: Annotated[str, typer.Option(help="The router's name.")] = "main",
+) -> None:
+    """A Zenoh router with the site's rules: others connect to bus.listen, it to bus.connect.
+
+    When the file that says who may come in changes, it is opened anew, which ends every link.
+    """
+    check_name(Kind.ROUTER, name)
+    loaded = load_site(site)
+    stop = Router(loaded, name)
+    stop_on_signals([stop])
+    stop.run()
+
+
+class Router:
+    """Runs until it is stopped."""
+
+    def __init__(self, site: Site, name: str) -> None:
+        self._site, self._name = site, name
+        self._node: Node | None = None
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        self._is_stopped = True
+        if (node := self._node) is not None:
+            node.stop()
+
+    def run(self) -> None:
+        """Be the router, and again whenever the rules change."""
+        while not self._is_stopped:
+            rules = means_of(self._site, None, is_router=True).rules
+            before = rules() if rules else None
+            with open_router(self._site) as bus:
+                self._node = Node(
+                    bus,
+                    site=self._site.name,
+                    kind=Kind.ROUTER,
+                    name=self._name,
+                )
+                with self._node as node:
+                    while not self._is_stopped and not node.stopping.wait(_LOOK_S):
+                        if rules and rules() != before:
+                            _log.info("who may come in has changed; the router is opened anew")
+                            node.stop()
+                    node.wait()
