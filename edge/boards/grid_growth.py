@@ -1,136 +1,133 @@
-"""Makes a grid of corners whole: drops the wild ones, and looks where the next ones should be."""
+"""Makes a grid of corners whole: drops the wild ones, and looks where the next ones should be.
 
-from collections.abc import Callable
+Every corner is judged by those about it, and every free place is predicted from them, so that no
+lens and no paper is too bent: over two squares each is nearly a parallelogram.
+"""
 
 import numpy as np
 
-from trigpoint.edge.image.median import median
-from trigpoint.edge.registration.planar_fit import (
-    LEAST_WILD_PX,
-    WILD_SIGMAS,
-    PlanarFit,
-    fit_plane,
-    settled_fit,
-    sound_corners,
-)
 from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
 from .saddles import Curvature, Saddles, examine
 
 LEAST_SEED = 9
-MOST_SEEDS = 6
-# How far a seed's surroundings reach, steps; how far off their plane a corner may be, of a step.
-SEED_REACH = 2
-FLAT = 0.15
-MOST_ROUNDS = 6
-# How often the wildest corners of a grid are dropped before its lens is looked at.
-MOST_DROPS = 3
-# Corners that are all so near their plane need no lens, pixels.
-ENOUGH_PX = 0.7
-# A predicted corner may be this much weaker than one that nothing predicted,
+MOST_ROUNDS = 8
+# How often a grid's wild corners are dropped, the wildest first.
+MOST_DROPS = 4
+# A corner may lie this far from where those about it have it, of the distance to the next: a
+# slanted board's squares shrink by a quarter from one to the next, and each prediction is off by
+# half of that.
+MOST_OFF = 0.3
+# A predicted corner may be this much weaker than one that nothing predicted.
 TOLERANCE = 1.7
-# and this far from its place, of the grid's spacing there.
-REACH = 0.3
 
 
-def cleaned(grid: Grid, size: tuple[int, int], may_bend: Callable[[], bool] = lambda: True) -> Grid:
-    """The grid without corners that lie off its plane; `size`: width and height of the picture.
-
-    `may_bend`: asked where only a lens could explain the grid, which takes long; where it is
-    false no corner is left.
-    """
-    keep = _near_plane(grid, size)
-    if keep is None and may_bend():
-        keep, _ = sound_corners(grid.places.astype(float), grid.pixels, size)
-    return grid.only(np.zeros(len(grid), dtype=bool) if keep is None else keep)
-
-
-def _near_plane(grid: Grid, size: tuple[int, int]) -> np.ndarray | None:
-    """Which corners (n,) are on a plane without a lens, where that is plain: after the wildest are
-    dropped all are near it. None where it is not, since a lens or chance made the grid."""
-    places, keep = grid.places.astype(float), np.ones(len(grid), dtype=bool)
+def cleaned(grid: Grid) -> Grid:
+    """The grid without corners that do not lie where their neighbours have them; those that nothing
+    can be said about stay."""
     for _ in range(MOST_DROPS):
-        fit = fit_plane(places[keep], grid.pixels[keep], size, has_lens=False)
-        if fit is None:
-            return None
-        distances = fit.residuals(places, grid.pixels)
-        worst = float(distances[keep].max())
-        if worst <= LEAST_WILD_PX:
-            return keep
-        limit = max(LEAST_WILD_PX, WILD_SIGMAS * median(distances[keep]))
-        if worst <= limit:
-            return None
-        keep &= distances < max(limit, 0.7 * worst)
-    return None
-
-
-def largest_flat(grid: Grid, size: tuple[int, int]) -> np.ndarray:
-    """Which corners (n,) of a grid lie on the plane that most of them share; for a grid that runs
-    over two boards. Planes are laid through the surroundings of some corners."""
-    best = np.zeros(len(grid), dtype=bool)
-    across, down = (np.abs(line[:, None] - line) for line in grid.places.T)
-    apart = np.maximum(across, down)
-    crowded = np.argsort(-(apart <= 1).sum(axis=1), kind="stable")
-    for seed in crowded[:: max(1, len(grid) // MOST_SEEDS)][:MOST_SEEDS]:
-        keep = apart[seed] <= SEED_REACH
-        for _ in range(2):
-            if keep.sum() < LEAST_SEED:
-                break
-            places = grid.places[keep].astype(float)
-            fit = fit_plane(places, grid.pixels[keep], size, has_lens=False)
-            if fit is None:
-                break
-            spacing = np.median(np.linalg.norm(np.diff(grid.pixels[keep], axis=0), axis=-1))
-            keep = fit.residuals(grid.places.astype(float), grid.pixels) < FLAT * spacing
-            if keep.sum() > best.sum():
-                best = keep
-        if best.all():
+        if len(grid) == 0:
             break
-    return best
+        lattice, low = _lattice(grid)
+        x, y = (grid.places - low).T
+        off = np.linalg.norm(_predicted(lattice)[y, x] - grid.pixels, axis=-1)
+        off = np.nan_to_num(off / _steps(lattice)[y, x], nan=0.0)
+        worst = float(off.max())
+        if worst <= MOST_OFF:
+            break
+        grid = grid.only(off < max(MOST_OFF, 0.7 * worst))
+    return grid
 
 
-def grown(
-    grid: Grid,
-    curvature: Curvature,
-    largest: tuple[int, int],
-    may_bend: Callable[[], bool] = lambda: True,
-) -> Grid:
-    """The grid with every corner that its plane predicts and the picture shows.
+def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
+    """The grid with every corner that its own predict and the picture shows.
 
     Stops at the pattern's edge, where no X corner is; `largest`: the longer and the shorter extent
-    of any pattern that is looked for; `may_bend`: as of `cleaned`.
+    of any pattern that is looked for.
     """
-    height, width = curvature.smooth.shape
     for _ in range(MOST_ROUNDS):
         if len(grid) < LEAST_SEED or max(grid.extent) > max(largest) + 1:
             break
-        places = grid.places.astype(float)
-        fit = settled_fit(places, grid.pixels, (width, height), ENOUGH_PX)
-        added = _found_beside(grid, fit, curvature) if fit else None
+        added = _found_beside(grid, curvature)
         if added is None:
             break
-        added = cleaned(added, (width, height), may_bend)
+        added = cleaned(added)
         if len(added) <= len(grid):  # what was found is not the board's, and would be found again
             break
         grid = added
     return grid
 
 
-def _found_beside(grid: Grid, fit: PlanarFit, curvature: Curvature) -> Grid | None:
+def _lattice(grid: Grid) -> tuple[Array, np.ndarray]:
+    """The grid's pixels by place (h, w, 2), not a number where it has none, with two free places on
+    every side; and the place of the first."""
+    low = grid.places.min(axis=0) - 2
+    width, height = grid.places.max(axis=0) + 3 - low
+    lattice = np.full((height, width, 2), np.nan)
+    x, y = (grid.places - low).T
+    lattice[y, x] = grid.pixels
+    return lattice, low
+
+
+def _shifted(lattice: Array, dx: int, dy: int) -> Array:
+    """What lies (dx, dy) on from each place; not a number beyond the lattice."""
+    height, width = lattice.shape[:2]
+    moved = np.full_like(lattice, np.nan)
+    to_y, from_y = slice(max(-dy, 0), height - max(dy, 0)), slice(max(dy, 0), height + min(dy, 0))
+    to_x, from_x = slice(max(-dx, 0), width - max(dx, 0)), slice(max(dx, 0), width + min(dx, 0))
+    moved[to_y, to_x] = lattice[from_y, from_x]
+    return moved
+
+
+_SIDES = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+def _predicted(lattice: Array) -> Array:
+    """Where each place's neighbours have it, (h, w, 2): the median of what every two beside it on a
+    line, and every three of a square, say."""
+    near = {side: _shifted(lattice, *side) for side in _SIDES}
+    said = []
+    for dx, dy in _SIDES:
+        said.append(2 * near[dx, dy] - _shifted(lattice, 2 * dx, 2 * dy))
+        beside = near[-dy, dx]
+        said.append(near[dx, dy] + beside - _shifted(lattice, dx - dy, dy + dx))
+        # Between two is twice as sure as beyond two, and they are met from both sides.
+        said.append(0.5 * (near[dx, dy] + near[-dx, -dy]))
+    # What is no number comes last.
+    said = np.sort(said, axis=0)
+    middle = np.maximum(np.count_nonzero(~np.isnan(said), axis=0, keepdims=True) - 1, 0) // 2
+    return np.take_along_axis(said, middle, axis=0)[0]
+
+
+def _steps(lattice: Array) -> Array:
+    """How far it is from each place to the next ones, (h, w), the shorter of both ways."""
+    across, down = (np.linalg.norm(_slope(lattice, *side), axis=-1) for side in _SIDES[:2])
+    return np.fmin(across, down)
+
+
+def _slope(lattice: Array, dx: int, dy: int) -> Array:
+    """The step (h, w, 2) at each place along (dx, dy), by what lies before and behind it."""
+    ahead, behind = _shifted(lattice, dx, dy) - lattice, lattice - _shifted(lattice, -dx, -dy)
+    known = np.where(np.isnan(ahead), behind, ahead)
+    return 0.5 * (known + np.where(np.isnan(behind), ahead, behind))
+
+
+def _found_beside(grid: Grid, curvature: Curvature) -> Grid | None:
     """The grid with the corners found in free places next to it, None where there is none."""
-    places = _free_places(grid.places)
-    predicted = fit.project(places.astype(float))
-    across = fit.project(places + np.array([1.0, 0.0])) - predicted
-    down = fit.project(places + np.array([0.0, 1.0])) - predicted
-    spacing = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
-    inside = _inside(predicted, curvature.smooth.shape)
-    places, predicted, spacing = places[inside], predicted[inside], spacing[inside]
-    diagonal = (across + down)[inside]
-    if len(places) == 0:
+    lattice, low = _lattice(grid)
+    there = _predicted(lattice)
+    filled = np.where(np.isnan(lattice), there, lattice)
+    step = _steps(filled)
+    is_free = np.isnan(lattice[..., 0]) & _inside(there, curvature.smooth.shape) & (step > 0)
+    rows, columns = np.nonzero(is_free)
+    if len(rows) == 0:
         return None
+    places = np.stack([columns, rows], axis=-1) + low
+    predicted, spacing = there[rows, columns], step[rows, columns]
+    diagonal = (_slope(filled, 1, 0) + _slope(filled, 0, 1))[rows, columns]
     found, which = _nearest_to(examine(curvature, predicted, tolerance=TOLERANCE), predicted)
-    ok = np.linalg.norm(found.pixels - predicted[which], axis=-1) < REACH * spacing[which]
+    ok = np.linalg.norm(found.pixels - predicted[which], axis=-1) < MOST_OFF * spacing[which]
     dark = _is_dark_towards(found.directions, -diagonal[which])
     ok &= dark == _expected_dark(grid, places[which])
     if not ok.any():
@@ -149,22 +146,6 @@ def _nearest_to(found: Saddles, predicted: Array) -> tuple[Saddles, np.ndarray]:
     _, first = np.unique(which, return_index=True)
     once = Saddles(found.pixels[first], found.directions[first], found.amplitude[first])
     return once, which[first]
-
-
-def _free_places(places: np.ndarray) -> np.ndarray:
-    """Places (m, 2) that are free and have two corners among the eight around them."""
-    low = places.min(axis=0) - 1
-    width, height = places.max(axis=0) + 2 - low
-    taken = np.zeros((height + 2, width + 2), dtype=int)
-    x, y = (places - low + 1).T
-    taken[y, x] = 1
-    around = sum(
-        taken[1 + dy : height + 1 + dy, 1 + dx : width + 1 + dx]
-        for dx in (-1, 0, 1)
-        for dy in (-1, 0, 1)
-    )
-    rows, columns = np.nonzero((taken[1:-1, 1:-1] == 0) & (around >= 2))
-    return np.stack([columns, rows], axis=-1) + low
 
 
 def _inside(pixels: Array, shape: tuple[int, ...]) -> np.ndarray:

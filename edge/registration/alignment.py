@@ -25,7 +25,7 @@ LEAST_SHOWN = 0.8
 LEAST_PIXELS = (2 * LEAST_HALF_PX + 1) ** 2 / 4
 # its contrast, grey levels, and against the face's;
 LEAST_CONTRAST = 8.0
-LEAST_CONTRAST_SHARE = 0.5
+LEAST_CONTRAST_SHARE = 0.25
 # and how much worse than the face's it may match, beyond a little noise, grey levels².
 MOST_MISMATCH = 3.0
 QUIET_POWER = 4.0

@@ -24,7 +24,7 @@ LEAST_SIGMA_PX = 0.003
 # Registered corners that lie this far off their plane are not believed: pixels, and share of the
 # spacing; more is allowed where all scatter, since real boards are not flat.
 LEAST_WILD_PX = 0.1
-LEAST_WILD_SHARE = 0.01
+LEAST_WILD_SHARE = 0.04
 # Corners that are so near their plane need no lens of their own, pixels.
 ENOUGH_PX = 0.03
 # What the picture's noise says of a face's sigma is worth so many squares of what its corners

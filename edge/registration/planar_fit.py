@@ -1,16 +1,20 @@
 """Fits a flat face to its pixels, to predict corners, and to drop wild ones.
 
-The model is a homography followed by radial distortion about the picture's centre (two
-coefficients with a weak prior towards none), so that a lens does not look like noise.
+The model is a homography to rays, and a lens by division (Fitzgibbon 2001) about the picture's
+centre: the ray of a pixel (x, y) is (x, y, 1 + k1 r² + k2 r⁴). That has fisheye lenses to 180° and
+beyond, is inverted without a search, and with a weak prior towards none does not look like noise.
+What both leave, because the lens is another or the face is not flat, a smooth `Bend` takes up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
+
+from .bend import Bend
 
 LEAST_WILD_PX = 0.7
 # Of a face's grid spacing: real boards are not flat to better than this.
@@ -20,7 +24,7 @@ WILD_SIGMAS = 5.0
 SCATTER_SHARE = 0.1
 # Corners that are so far off even before a lens is fitted are not worth the fit.
 CHAOS_SHARE = 0.4
-_RADIAL_PRIOR = 0.25  # of each coefficient, at the corner of the picture
+_RADIAL_PRIOR = 0.5  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
 # Numbers of a homography and a lens.
@@ -33,11 +37,12 @@ _LEAST_DAMPING = 1e-7
 _DAMPING_STEP = 10.0
 _TINY = 1e-12
 _RUNAWAY = 1e4
-_MOST_RADIAL = 0.9
-# Where the lens is inverted, and the cubic (highest power first) through values there.
-_NODES = np.linspace(-1.0, 1.0, 9)
-_CUBIC = np.linalg.pinv(np.vander(_NODES, 4))
-_NEWTON_STEPS = 5
+_MOST_RADIAL = 6.0  # 180 degrees in a circle of 0.4 of the picture's diagonal
+_NEWTON_STEPS = 4
+# What no ray in front of the camera comes near to, of its length; and of the quadratic's slope,
+# how much at least is left with the second coefficient.
+_HORIZON = 1e-9
+_LEAST_SLOPE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +57,7 @@ class PlanarFit:
     radial: Array
     centre: Array
     scale: float
+    bend: Bend | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -61,11 +67,8 @@ class PlanarFit:
 
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of face points (n, 2)."""
-        return self._project(points)[0]
-
-    def straight(self, points: Array) -> Array:
-        """Where a lens without distortion would have face points (n, 2); pixels (n, 2)."""
-        return self.centre + self.scale * self._project(points)[1]
+        pixels = self._straight(points)
+        return pixels if self.bend is None else pixels + self.bend.at(points)
 
     def residuals(self, points: Array, pixels: Array) -> Array:
         """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""
@@ -76,57 +79,59 @@ class PlanarFit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Face points x and y of pixels x and y (float32, shapes that broadcast), by way of the
         lens; `then` (3, 3): moved on by that."""
+        inverse = np.linalg.inv(self.homography)
+        if self.bend is None:
+            return self._straight_points(x, y, inverse if then is None else then @ inverse)
+        # The bend is small and smooth: where it moves a point to is where it would move that too.
+        there_x, there_y = self._straight_points(x, y, inverse)
+        aside = self.bend.at(np.column_stack([there_x.ravel(), there_y.ravel()]))
+        x = x - aside[:, 0].reshape(there_x.shape).astype(np.float32)
+        y = y - aside[:, 1].reshape(there_y.shape).astype(np.float32)
+        return self._straight_points(x, y, inverse if then is None else then @ inverse)
+
+    def _straight_points(
+        self, x: np.ndarray, y: np.ndarray, inverse: Array
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same for a face without a bend, moved on by `inverse` (3, 3)."""
         flat_x = (x - np.float32(self.centre[0])) * np.float32(1 / self.scale)
         flat_y = (y - np.float32(self.centre[1])) * np.float32(1 / self.scale)
-        inverse = np.linalg.inv(self.homography)
-        inverse = inverse if then is None else then @ inverse
         m = (inverse / np.abs(inverse).max()).astype(np.float32)
-        factor = self._straightening(flat_x, flat_y) if self.radial.any() else np.float32(1)
-        above_x, above_y, depth = (row[0] * flat_x + row[1] * flat_y for row in m)
-        for part, row in zip((above_x, above_y, depth), m, strict=True):
-            part *= factor
-            part += row[2]
+        first, second = (np.float32(value) for value in self.radial)
+        squared = flat_x * flat_x + flat_y * flat_y
+        forward = 1 + squared * (first + squared * second)
+        above_x, above_y, depth = (
+            row[0] * flat_x + row[1] * flat_y + row[2] * forward for row in m
+        )
         depth[depth == 0] = 1e-9  # on the horizon
         above_x /= depth
         above_y /= depth
         return above_x, above_y
 
-    def _straightening(self, flat_x: np.ndarray, flat_y: np.ndarray) -> np.ndarray:
-        """Undistorted over distorted radius at distorted coordinates (float32, they broadcast).
+    def _straight(self, points: Array) -> Array:
+        """Pixels (n, 2) of face points (n, 2), as if the face were flat."""
+        rays = points @ self.homography[:, :2].T + self.homography[:, 2]
+        return self.centre + self.scale * rays[:, :2] * _shares(rays, self.radial)[:, None]
 
-        The inverse is smooth over one face: a cubic through nine Newton solutions meets it to 1e-5.
-        """
-        squared_x, squared_y = flat_x * flat_x, flat_y * flat_y
-        low = float(squared_x.min()) + float(squared_y.min())
-        high = float(squared_x.max()) + float(squared_y.max())
-        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
-        bent = np.sqrt(middle + half * _NODES)
-        straight = bent.copy()
+
+def _shares(rays: Array, radial: Array) -> Array:
+    """(n,) q of rays (n, 3) to (X, Y, Z), so that the picture has them at q · (X, Y): the root of
+    1 + k1 R² q² + k2 R⁴ q⁴ = Z q that is nearest the middle of the picture."""
+    squared = rays[:, 0] ** 2 + rays[:, 1] ** 2
+    depth, first, second = rays[:, 2], radial[0] * squared, radial[1] * squared * squared
+    root = np.sqrt(np.maximum(depth * depth - 4 * first, 0.0))
+    # With the first coefficient alone it is a quadratic equation.
+    shares = 2 / np.maximum(depth + root, _HORIZON)
+    if radial[1]:
         for _ in range(_NEWTON_STEPS):
-            square = straight * straight
-            gain = 1 + square * (self.radial[0] + square * self.radial[1])
-            slope = 1 + square * (3 * self.radial[0] + 5 * square * self.radial[1])
-            straight -= (straight * gain - bent) / np.maximum(slope, 0.1)
-            straight = np.clip(straight, 0.0, 3 * bent)  # beyond the lens's fold nothing is found
-        share = np.divide(straight, bent, out=np.ones(len(_NODES)), where=bent > 1e-9)
-        cubic = (_CUBIC @ share).astype(np.float32)
-        by_half = np.float32(1 / half)
-        place = (squared_x - np.float32(middle)) * by_half + squared_y * by_half
-        factor = cubic[0] * place
-        for number in cubic[1:3]:
-            factor += number
-            factor *= place
-        factor += cubic[3]
-        return factor
-
-    def _project(self, points: Array) -> tuple[Array, Array, Array]:
-        """Pixels, undistorted coordinates and the homogeneous points (n, 3) before division."""
-        mapped = points @ self.homography[:, :2].T + self.homography[:, 2]
-        mapped[np.abs(mapped[:, 2]) < 1e-9, 2] = 1e-9  # a point on the horizon: far away, not NaN
-        flat = mapped[:, :2] / mapped[:, 2:]
-        squared = np.sum(flat * flat, axis=-1, keepdims=True)
-        bent = flat * (1 + squared * (self.radial[0] + squared * self.radial[1]))
-        return self.centre + self.scale * bent, flat, mapped
+            square = shares * shares
+            error = 1 + square * (first + square * second) - depth * shares
+            slope = np.minimum(
+                shares * (2 * first + 4 * second * square) - depth, -_LEAST_SLOPE * root
+            )
+            shares = np.clip(
+                shares - error / np.minimum(slope, -_HORIZON), 0.5 * shares, 2 * shares
+            )
+    return shares
 
 
 def fit_plane(
@@ -146,7 +151,8 @@ def fit_plane(
         return None
     centre = (np.array(size, dtype=float) - 1) / 2
     scale = float(np.hypot(*size)) / 2
-    target = (pixels - centre) / scale
+    bend = start.bend if start is not None and not has_lens else None
+    target = ((pixels if bend is None else pixels - bend.at(points)) - centre) / scale
     normal = _normalising(points)
     source = points @ normal[:2, :2].T + normal[:2, 2]
     if start is None:
@@ -162,7 +168,7 @@ def fit_plane(
     if fit is None:
         return None
     homography = fit.homography @ normal
-    return PlanarFit(homography / np.linalg.norm(homography), fit.radial, centre, scale)
+    return PlanarFit(homography / np.linalg.norm(homography), fit.radial, centre, scale, bend)
 
 
 def settled_fit(
@@ -173,12 +179,15 @@ def settled_fit(
     *,
     start: PlanarFit | None = None,
 ) -> PlanarFit | None:
-    """Like `fit_plane`; the lens stays that of `start`, or none, where all points come within
+    """Like `fit_plane`; lens and bend stay those of `start`, or none, where all points come within
     `enough_px` so: the search for a better one is long where a face hardly shows it."""
     fit = fit_plane(points, pixels, size, has_lens=False, start=start)
     if fit is None or float(fit.residuals(points, pixels).max()) <= enough_px:
         return fit
-    return fit_plane(points, pixels, size, start=fit)
+    fit = fit_plane(points, pixels, size, start=fit)
+    if fit is None or float(fit.residuals(points, pixels).max()) <= enough_px:
+        return fit
+    return replace(fit, bend=Bend.of(points, pixels - fit.project(points)))
 
 
 def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, int]:
@@ -347,25 +356,25 @@ class _State:
 def _linearised(numbers: Array, homogeneous: Array, target: Array) -> tuple[Array, Array]:
     """Residuals (2n,), all x before all y, in units of the scale, and their derivative (2n, 10) by
     the homography's first eight numbers and the radial ones; `homogeneous`: (n, 3) points."""
-    k1, k2 = numbers[8], numbers[9]
-    mapped = homogeneous @ np.append(numbers[:8], 1.0).reshape(3, 3).T
-    depth = mapped[:, 2]
-    depth[np.abs(depth) < 1e-9] = 1e-9  # a point on the horizon: far away, not NaN
-    mapped /= depth[:, None]
-    x, y = mapped[:, 0], mapped[:, 1]
-    source = homogeneous / depth[:, None]
-    squared = x * x + y * y
-    gain = 1 + squared * (k1 + squared * k2)
-    slope = 2 * (k1 + 2 * k2 * squared)
-    outward = gain + slope * squared
+    radial = numbers[8:]
+    rays = homogeneous @ np.append(numbers[:8], 1.0).reshape(3, 3).T
+    share = _shares(rays, radial)
+    x, y, depth = rays.T
+    squared, square = x * x + y * y, share * share
+    # How the share changes with the ray and with the lens, by its own equation.
+    lens = squared * square
+    slope = share * squared * (2 * radial[0] + 4 * radial[1] * lens) - depth
+    slope = np.minimum(slope, -_HORIZON)
+    outward = -2 * square * (radial[0] + 2 * radial[1] * lens) / slope
     n = len(homogeneous)
     jacobian = np.empty((2, n, 10))
-    jacobian[0, :, 0:3] = (gain + slope * x * x)[:, None] * source
-    jacobian[1, :, 3:6] = (gain + slope * y * y)[:, None] * source
-    jacobian[0, :, 3:6] = jacobian[1, :, 0:3] = (slope * x * y)[:, None] * source
-    jacobian[0, :, 6:8] = -(outward * x)[:, None] * source[:, :2]
-    jacobian[1, :, 6:8] = -(outward * y)[:, None] * source[:, :2]
-    jacobian[0, :, 8], jacobian[1, :, 8] = squared * x, squared * y
-    jacobian[:, :, 9] = jacobian[:, :, 8] * squared
-    error = np.concatenate([target[:, 0] - gain * x, target[:, 1] - gain * y])
-    return error, jacobian.reshape(2 * n, 10)
+    for axis, place in enumerate((x, y)):
+        by_ray = np.stack([place * outward * x, place * outward * y, place * share / slope])
+        by_ray[axis] += share
+        jacobian[axis, :, :8] = (
+            (by_ray[:, :, None] * homogeneous).swapaxes(0, 1).reshape(n, 9)[:, :8]
+        )
+        jacobian[axis, :, 8] = -place * lens / slope
+    jacobian[:, :, 9] = jacobian[:, :, 8] * lens
+    error = target - share[:, None] * rays[:, :2]
+    return error.T.reshape(-1), jacobian.reshape(2 * n, 10)

@@ -25,7 +25,6 @@ COSTLY: list[tuple[object, str]] = [
     (detector_checkerboard, "find_saddles"),
     (detector_checkerboard, "find_grids"),
     (detector_checkerboard, "grown"),
-    (detector_checkerboard, "largest_flat"),
     (detector_checkerboard, "_measured"),
     (detector_checkerboard, "measured"),
     (marked_board.MarkedBoard, "locate"),
@@ -50,7 +49,6 @@ def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -
         detector.detect(picture)
         looks = 2  # at the whole size, and at half
         assert done["grown"] <= looks * detector_checkerboard.MOST_GROWN, name
-        assert done["largest_flat"] <= looks * detector_checkerboard.MOST_PARTED, name
         assert done["_measured"] <= looks * detector_checkerboard.MOST_GRIDS, name
         # Two marked faces are looked for.
         assert done["locate"] <= 2 * marked_search.MOST_REFUSED + 2, name

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from boards import checkerboard, picture_of, placed, target_of, true_pixels
 
-from trigpoint.edge.boards.partly_seen import is_partly_seen
+from trigpoint.edge.boards.evidence import weighed
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.registration.planar_fit import fit_plane
 
@@ -38,15 +38,26 @@ def test_part_of_a_larger_board_has_no_end_and_is_not_taken() -> None:
         fit = fit_plane(FACE.corners[:, :2], pixels, (640, 480), has_lens=False)
         assert fit is not None
         ids = np.delete(np.arange(FACE.corner_count), [9, 10, 16, 17])
-        assert is_partly_seen(picture_of([view]), FACE, fit, ids) == is_ours
+        assert weighed(picture_of([view]), FACE, fit, ids).is_board == is_ours
 
 
 def test_board_without_one_of_its_outermost_lines_is_not_taken() -> None:
+    """Which line it is that a hand hides, cannot be seen."""
     view = placed(FACE, tilt_deg=20)
-    fit = fit_plane(FACE.corners[:, :2], true_pixels(view), (640, 480), has_lens=False)
-    assert fit is not None
-    first_line_hidden = np.arange(FACE.columns - 1, FACE.corner_count)
-    assert not is_partly_seen(picture_of([view]), FACE, fit, first_line_hidden)
+    pixels = true_pixels(view)
+    picture = picture_of([view])
+    cv2.rectangle(picture, (0, 0), (639, int(pixels[0, 1] + 5)), (60,), -1)
+    assert detector_for([target_of(FACE)]).detect(picture) == ()
+
+
+def test_board_whose_last_line_is_outside_of_the_picture_keeps_its_numbers() -> None:
+    view = placed(FACE, tilt_deg=20)
+    pixels = true_pixels(view)
+    end = int(pixels[FACE.columns - 2 :: FACE.columns - 1, 0].min()) - 3
+    cut = np.ascontiguousarray(picture_of([view])[:, :end])
+    (found,) = detector_for([target_of(FACE)]).detect(cut)
+    assert len(found.corners) == FACE.corner_count - (FACE.rows - 1)
+    assert np.abs(found.pixels - pixels[found.corners.astype(int)]).max() < 0.3
 
 
 @pytest.mark.parametrize("strip", [0.15, 0.3, 0.6])
