@@ -179,14 +179,14 @@ def test_checkerboard_that_leaves_the_picture_is_not_measured(
     face = checkerboard(8, 5)
     tracker = TargetTracker([target_of(face)])
     for index in range(3):
-        view = placed(face, distance=0.9, x=0.04 + 0.18 * index)
+        view = placed(face, distance=0.9, x=0.07 + 0.18 * index)
         assert len(tracker.detect(picture_of([view]), index * STEP_NS)) == 1
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the board was measured")
 
     monkeypatch.setattr(detector_checkerboard, "measured", refuse)
-    leaving = picture_of([placed(face, distance=0.9, x=0.58)])
+    leaving = picture_of([placed(face, distance=0.9, x=0.61)])
     assert tracker._where_expected(leaving, tracker._tracks[0], 3 * STEP_NS, never) is None
 
 
