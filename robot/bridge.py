@@ -6,31 +6,62 @@ The reader's thread and the corrections' thread both come here; one lock guards 
 import logging
 import threading
 from dataclasses import dataclass
+from uuid import UUID
 
+from trigpoint.clock import to_ns
 from trigpoint.config import RobotConfig
 from trigpoint.correction import CorrectionMark
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 from trigpoint.health import Health
 from trigpoint.messages import Odometry, PoseEstimate
 
+from .blend import Blend
 from .firmware_clock import CONTRADICTION_NS, FirmwareClock
-from .odometry import OdometryStream
+from .limits import Motion, MotionLimits
+from .odometry import OdometryStream, Stamped
 from .protocol import (
     Acknowledged,
     ClockExchange,
     Connected,
     Damaged,
     Event,
+    LocatedPose,
     Mismatched,
     Missing,
     Reading,
     RobotCorrection,
     Silent,
+    StampClock,
+    Takes,
+    Traits,
     Unanswered,
     Vitals,
 )
-from .safety import Approved, Refused, SafetyGate
+from .safety import Approved, Refusal, Refused, SafetyGate
+from .sent_covariance import as_sent
 
 _log = logging.getLogger(__name__)
+
+
+# What is wrong with the site rather than with one message.
+_SERIOUS = {Refusal.SENDERS, Refusal.PULL, Refusal.OTHER_MAP}
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """Where a robot is at a reading: `covariance` (6, 6) the contract's; `resets` counts how often
+    it was placed anew."""
+
+    at: Stamped
+    map_from_base: Pose
+    covariance: Array
+    resets: int
+
+    @property
+    def for_robot(self) -> LocatedPose:
+        """The same by the robot's own clock."""
+        return LocatedPose(self.at.firmware_ns, self.map_from_base, self.covariance, self.resets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +74,48 @@ class Offset:
     unix_minus_elapsed_ns: int
 
 
+# Odometry comes at least 20 times a second (docs/serial.md); so long without any is a gap.
+_GAP_NS = to_ns(0.5)
+# How often a robot that takes no corrections is told, and the bus, where it is: navigation stacks
+# expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.
+LOCATE_EVERY_NS = to_ns(0.05)
+# Correction numbers start at so many a second since 1970, so that a restarted bridge counts on
+# above every number that the one before it can have used. Modulo 2³²: 8.5 years.
+NUMBERS_A_SECOND = 16
+_NUMBERS = 1 << 32
+
+OUR_SERIAL = Traits(Takes.CORRECTIONS, StampClock.FIRMWARE)
+
+
+def first_number(unix_ns: int) -> int:
+    """The number that a bridge started now counts its corrections from."""
+    return unix_ns * NUMBERS_A_SECOND // 10**9 % _NUMBERS
+
+
 class Bridge:
     """One robot. `health` counts everything that comes, goes, is lost and refused."""
 
-    def __init__(self, robot: str, config: RobotConfig, health: Health, offset: Offset) -> None:
+    def __init__(
+        self,
+        robot: str,
+        config: RobotConfig,
+        health: Health,
+        offset: Offset,
+        traits: Traits = OUR_SERIAL,
+        *,
+        number: int = 0,
+    ) -> None:
         self._robot, self._health, self._offset = robot, health, offset
+        self._traits, self._limits = traits, MotionLimits(config)
+        self._blend, self._planar = Blend(config.safety.blend), config.planar
+        self._located_ns: int | None = None
+        self._resets = 0
         self._lock = threading.Lock()
         self._clock = FirmwareClock()
         self._stream = OdometryStream(robot)
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
-        self._number = 0
+        self._number = number
         self._refused_for = ""
         self._vitals = Vitals(0, 0)
         self._answer_ms = 0.0
@@ -100,21 +162,80 @@ class Bridge:
                     self._trouble(event)
             return None
 
+    @property
+    def asks_for_map(self) -> bool:
+        """Whether fusion should be asked what its map is: corrections want to place the robot
+        anew, and one sender's word is not enough."""
+        with self._lock:
+            return self._gate.asks
+
+    def hear_map(self, maps: list[UUID], elapsed_ns: int) -> None:
+        """What those who serve `fusion/map` answered."""
+        with self._lock:
+            self._gate.hear(maps, self.unix_ns(elapsed_ns))
+
+    def locate(self) -> Location | None:
+        """Where the robot is at its newest reading, where that is known and due to be said.
+
+        The uncertainty grows with the way since the last correction.
+        """
+        with self._lock:
+            believed = self._gate.believed()
+            if believed is None:
+                return None
+            at, pose, covariance = believed
+            if self._located_ns is not None and at.stamp_ns - self._located_ns < LOCATE_EVERY_NS:
+                return None
+            self._located_ns = at.stamp_ns
+            pose, covariance = self._blend.told(at, pose, covariance)
+            return Location(at, pose, as_sent(covariance), self._resets)
+
     def on_correction(
-        self, correction: PoseEstimate, mark: CorrectionMark, elapsed_ns: int
+        self,
+        correction: PoseEstimate,
+        mark: CorrectionMark,
+        elapsed_ns: int,
+        sender: str = "",
     ) -> RobotCorrection | None:
         """What to hand to the robot; None where the correction is refused (and counted)."""
         with self._lock:
             self._health.count("corrections")
             if self._connected is None:
                 return self._refuse("not_connected", "the robot is not connected")
-            verdict = self._gate.judge(correction, mark, self.unix_ns(elapsed_ns))
+            verdict = self._gate.judge(correction, mark, self.unix_ns(elapsed_ns), sender)
+            self._health.describe("localisation", self._gate.state)
             if isinstance(verdict, Refused):
-                return self._refuse(verdict.reason.value, verdict.text)
-            return self._hand_on(correction, mark, verdict)
+                return self._refuse_by(verdict)
+            return self._hand_on(mark, verdict)
 
     def _read(self, reading: Reading) -> Odometry | None:
-        machine_ns = self._clock.machine_ns(reading.firmware_ns)
+        stamp_ns = self._stamp(reading)
+        if stamp_ns is None:
+            return None
+        last = self._stream.last
+        if last is not None and stamp_ns <= last.stamp_ns:
+            self._health.lose("odometry_out_of_order")
+            return None
+        if not self._is_possible(stamp_ns, reading):
+            return None
+        if last is not None and stamp_ns - last.stamp_ns > _GAP_NS:
+            self._health.lose("odometry_gaps")
+        odometry = self._stream.add(reading, stamp_ns)
+        assert odometry is not None  # its time was looked at
+        assert self._stream.last is not None
+        self._gate.add_odometry(self._stream.last)
+        self._health.count("odometry")
+        return odometry
+
+    def _stamp(self, reading: Reading) -> int | None:
+        """When the reading was taken, Unix time; None where that cannot be told or be true."""
+        match self._traits.clock:
+            case StampClock.UNIX:
+                return reading.firmware_ns
+            case StampClock.MACHINE:
+                machine_ns = reading.firmware_ns
+            case StampClock.FIRMWARE:
+                machine_ns = self._clock.machine_ns(reading.firmware_ns)
         if machine_ns is None:
             self._health.count("odometry_before_clock")
             return None
@@ -122,13 +243,33 @@ class Bridge:
             # The firmware's clock was set: such a stamp would make all later readings out of order.
             self._health.lose("odometry_ahead_of_clock")
             return None
-        odometry = self._stream.add(reading, self.unix_ns(machine_ns))
-        if odometry is None or self._stream.last is None:
-            self._health.lose("odometry_out_of_order")
-            return None
-        self._gate.add_odometry(self._stream.last)
-        self._health.count("odometry")
-        return odometry
+        return self.unix_ns(machine_ns)
+
+    def _is_possible(self, stamp_ns: int, reading: Reading) -> bool:
+        """Whether the robot can have moved so; a count that began anew goes on from here."""
+        motion = self._limits.look(stamp_ns, reading.pose)
+        if motion is Motion.POSSIBLE:
+            return True
+        if motion is Motion.IMPOSSIBLE:
+            self._health.lose("odometry_impossible")
+            self._health.fail(
+                f"odometry of robot {self._robot} is refused: it moves further than max_speed or "
+                "max_turn in the site file allow"
+            )
+            return False
+        self._health.lose("odometry_epochs")
+        self._restart()
+        self._health.fail(
+            f"the odometry of robot {self._robot} began to count anew; it goes on from where it "
+            "was last, and the robot is placed anew"
+        )
+        return True
+
+    def _restart(self) -> None:
+        """How the robot moved is not known: its odometry goes on, its place is worked out anew."""
+        self._stream.restart()
+        self._gate.restart()
+        self._blend.restart()
 
     def _connect(self, event: Connected) -> None:
         known, self._connected = self._connected, event
@@ -136,8 +277,8 @@ class Bridge:
         if known is None or known.boot == event.boot:
             return
         self._clock.restart()
-        self._stream.restart()
-        self._gate.restart()
+        self._limits.restart()
+        self._restart()
         self._health.lose("firmware_restarts")
         self._health.fail(
             f"the firmware of robot {self._robot} was restarted; its odometry goes on from where "
@@ -166,26 +307,45 @@ class Bridge:
             case Silent():
                 self._health.fail(f"robot {self._robot} is silent; is it on, and is `baud` right?")
 
+    def _refuse_by(self, refused: Refused) -> None:
+        if refused.reason is Refusal.WAITING:
+            # Before the robot is placed this is how it begins, and nothing is lost.
+            self._health.count("corrections_waiting")
+            return
+        if refused.reason in _SERIOUS:
+            self._health.fail(f"a correction for robot {self._robot} was refused: {refused.text}")
+        self._refuse(refused.reason.value, refused.text)
+
     def _refuse(self, reason: str, text: str) -> None:
         self._health.lose(f"corrections_refused_{reason}")
         if reason != self._refused_for:  # the first of a run is told, all are counted
             self._refused_for = reason
             _log.warning("a correction for robot %s was refused: %s", self._robot, text)
 
-    def _hand_on(
-        self, correction: PoseEstimate, mark: CorrectionMark, approved: Approved
-    ) -> RobotCorrection:
-        self._number += 1
+    def _hand_on(self, mark: CorrectionMark, approved: Approved) -> RobotCorrection:
+        self._number = (self._number + 1) % _NUMBERS
         self._refused_for = ""
         if approved.establishes:
+            self._resets += 1
             self._health.count("frames_established")
             _log.info("robot %s is told where it is anew: %s", self._robot, approved.why)
+        if self._traits.takes is Takes.CORRECTIONS:
+            pose, covariance = self._blend.told(
+                approved.at,
+                approved.map_from_base,
+                approved.covariance,
+                establishes=approved.establishes,
+            )
+        else:  # the blend is at the readings, where the pose is told
+            pose, covariance = approved.map_from_base, approved.covariance
+            if approved.establishes:
+                self._blend.restart()
         return RobotCorrection(
             number=self._number,
             firmware_ns=approved.firmware_ns,
             map_id=mark.map_id,
             sequence=mark.sequence,
-            map_from_base=correction.pose,
-            covariance=correction.covariance,
+            map_from_base=pose,
+            covariance=as_sent(covariance),
             establishes=approved.establishes,
         )

@@ -12,7 +12,7 @@ from trigpoint.node import Node, stopped_by_signals
 
 from .dry_run import look
 from .node import KIND, RobotNode
-from .protocol import protocol_class
+from .protocol import check_protocol
 
 
 def main(
@@ -29,7 +29,7 @@ def main(
 ) -> None:
     """The serial bridge of one robot: odometry from its port to the bus, corrections back."""
     loaded = load_site(site)
-    protocol_class(loaded.robot(robot).protocol)  # a wrong name is told before anything is opened
+    check_protocol(loaded.robot(robot))  # a wrong name is told before anything is opened
     if dry_run:
         look(loaded, robot, typer.echo)
         return

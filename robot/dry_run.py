@@ -12,9 +12,9 @@ from trigpoint.health import Health
 
 from .bridge import Bridge
 from .line import Line
-from .node import measured_offset, port_url
+from .node import measured_offset, new_boot, port_url
 from .port import Port
-from .protocol import Event, Mismatched, protocol_class
+from .protocol import Event, Mismatched, make_protocol
 
 SECONDS = 5.0
 _TROUBLE = ("serial_framing_errors", "serial_checksum_errors", "serial_content_errors")
@@ -48,14 +48,16 @@ class _Session:
     def __init__(self, site: Site, robot: str, clock: Clock) -> None:
         config, url = site.robot(robot), port_url(site, robot)
         self.health = Health(clock)
-        self.bridge = Bridge(robot, config, self.health, measured_offset(clock))
+        protocol = make_protocol(robot, config, new_boot())
+        offset = measured_offset(clock)
+        self.bridge = Bridge(robot, config, self.health, offset, protocol.traits)
         self.stopping = threading.Event()
         self.trouble = ""
         self.pose = (0.0, 0.0, 0.0)
         Port(url, config.baud).close()  # raises at once where it cannot be opened
         self._line = Line(
             lambda: Port(url, config.baud),
-            protocol_class(config.protocol)(robot=robot),
+            protocol,
             clock=clock,
             handle=self._handle,
             failed=self._fail,

@@ -12,7 +12,7 @@ from typing import Protocol as Interface
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.errors import PortError
 
-from .protocol import Event, Protocol, RobotCorrection
+from .protocol import Event, LocatedPose, Protocol, RobotCorrection
 
 _log = logging.getLogger(__name__)
 
@@ -74,6 +74,12 @@ class Line:
         """Send a correction as soon as possible. Any thread."""
         with self._changed:
             self._protocol.correct(correction)
+            self._changed.notify()
+
+    def locate(self, pose: LocatedPose) -> None:
+        """Tell the robot where it is now. Any thread."""
+        with self._changed:
+            self._protocol.locate(pose)
             self._changed.notify()
 
     def read_until(self, stopping: threading.Event, beat: Beat = _unwatched) -> None:

@@ -1,5 +1,8 @@
 """The robot bridge as a node: connects the port, the bridge and the bus."""
 
+import logging
+import os
+
 from trigpoint.authenticator import correction_verifier
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.cdr import decode, encode, warm_up
@@ -12,10 +15,14 @@ from trigpoint.node import Node
 from trigpoint.topics import CORRECTION, ODOMETRY
 from trigpoint.watchdog import Pulse
 
-from .bridge import Bridge, Offset
+from .bridge import Bridge, Offset, first_number
 from .line import Line
+from .places import Places
 from .port import Port, is_device
-from .protocol import Event, protocol_class
+from .protocol import Event, Takes, make_protocol
+from .relocation import MapQuestion
+
+_log = logging.getLogger(__name__)
 
 KIND = "robot"
 _TAKE_S = 0.2
@@ -34,21 +41,29 @@ class RobotNode:
         url = port_url(site, robot)
         self._verifier = correction_verifier(site, self._clock)
         self._offset = measured_offset(self._clock)
-        self._bridge = Bridge(robot, config, node.health, self._offset)
+        protocol = make_protocol(robot, config, new_boot())
+        self._traits = protocol.traits
+        number = first_number(self._clock.now_ns())
+        self._bridge = Bridge(
+            robot, config, node.health, self._offset, protocol.traits, number=number
+        )
         self._line = Line(
             lambda: Port(url, config.baud),
-            protocol_class(config.protocol)(robot=robot),
+            protocol,
             clock=self._clock,
             handle=self._handle,
             failed=node.health.fail,
         )
         self._odometry_key = ODOMETRY.key(site.name, robot)
         self._publisher: Publisher | None = None
+        self._places: Places | None = None
 
     def start(self) -> None:
         """Declare what the bridge sends and takes, and start its threads."""
         warm_up()
         self._publisher = self._bus.publisher(ODOMETRY, self._odometry_key)
+        if self._traits.takes is not Takes.CORRECTIONS:
+            self._places = Places(self._bus, self._site.name, self._robot)
         key = CORRECTION.key(self._site.name, self._robot)
         corrections = self._bus.subscribe(CORRECTION, key)
         self._show()
@@ -56,6 +71,10 @@ class RobotNode:
         node.work("reads", lambda pulse: self._line.read_until(node.stopping, pulse.beat))
         node.work("writes", lambda pulse: self._line.write_until(node.stopping, pulse.beat))
         node.work("corrects", lambda pulse: self._take(corrections, pulse))
+        question = MapQuestion(self._bus, node, self._site.name, self._bridge, self._clock)
+        node.work("asks", question.run)
+        for lack in self._traits.lacks:
+            _log.warning("%s: %s", node.label, lack)
 
     def _show(self) -> None:
         health, bridge = self._node.health, self._bridge
@@ -88,6 +107,15 @@ class RobotNode:
         if odometry is not None and self._publisher is not None:
             self._publisher.put(encode(odometry))
             self._node.health.count(f"sent {self._odometry_key}")
+            self._locate()
+
+    def _locate(self) -> None:
+        """Tell a robot that takes no corrections, and the bus, where it is."""
+        if self._places is None or (location := self._bridge.locate()) is None:
+            return
+        if self._traits.takes is Takes.POSES:
+            self._line.locate(location.for_robot)
+        self._places.publish(location)
 
     def _take(self, corrections: Subscription, pulse: Pulse) -> None:
         while not self._node.stopping.is_set():
@@ -105,14 +133,22 @@ class RobotNode:
             self._node.health.reject(sample, reason)
             return
         assert isinstance(correction, PoseEstimate)  # held by the topic's type
-        handed_on = self._bridge.on_correction(correction, mark, self._clock.elapsed_ns())
-        if handed_on is not None:
+        now_ns = self._clock.elapsed_ns()
+        handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)
+        if handed_on is not None and self._traits.takes is Takes.CORRECTIONS:
             self._line.correct(handed_on)
+
+
+def new_boot() -> int:
+    """A number that no earlier start of a bridge had, but for one chance in four thousand
+    million."""
+    return int.from_bytes(os.urandom(4))
 
 
 def port_url(site: Site, robot: str) -> str:
     """The port to open; a relative path is relative to the site file, like every path in it."""
     port = site.robot(robot).port
+    assert port is not None  # held by the site file's own check, but for robots on the bus
     return str(site.path(port)) if is_device(port) and "/" in port else port
 
 

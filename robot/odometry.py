@@ -1,13 +1,10 @@
 """Readings of the firmware become messages of the bus: time, frame names, restarts."""
 
-from collections import deque
 from dataclasses import dataclass
 
-from trigpoint.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
 
-from .interpolation import between
 from .protocol import Reading
 
 
@@ -55,45 +52,3 @@ class OdometryStream:
         return Odometry(
             stamp_ns, self._frame, self._child, pose, reading.linear.copy(), reading.angular.copy()
         )
-
-
-class OdometryHistory:
-    """The last few seconds of what was published, to look up a moment in."""
-
-    def __init__(self, span_s: float) -> None:
-        self._span_ns = to_ns(span_s)
-        self._entries: deque[Stamped] = deque()
-
-    def add(self, entry: Stamped) -> None:
-        """Append the newest."""
-        self._entries.append(entry)
-        while self._entries[0].stamp_ns < entry.stamp_ns - self._span_ns:
-            self._entries.popleft()
-
-    def clear(self) -> None:
-        """Forget everything: the firmware's clock and frame are others now."""
-        self._entries.clear()
-
-    def at(self, stamp_ns: int) -> Stamped | None:
-        """The robot at a moment, between the two readings about it; None outside of the history."""
-        later: Stamped | None = None
-        for entry in reversed(self._entries):
-            if entry.stamp_ns <= stamp_ns:
-                return _between(entry, later, stamp_ns)
-            later = entry
-        return None
-
-    def after(self, stamp_ns: int) -> list[Stamped]:
-        """The readings after a moment, in order."""
-        return [entry for entry in self._entries if entry.stamp_ns > stamp_ns]
-
-
-def _between(earlier: Stamped, later: Stamped | None, stamp_ns: int) -> Stamped | None:
-    if earlier.stamp_ns == stamp_ns:
-        return earlier
-    if later is None:
-        return None
-    fraction = (stamp_ns - earlier.stamp_ns) / (later.stamp_ns - earlier.stamp_ns)
-    firmware_ns = earlier.firmware_ns + round(fraction * (later.firmware_ns - earlier.firmware_ns))
-    pose = between(earlier.odom_from_base, later.odom_from_base, fraction)
-    return Stamped(stamp_ns, firmware_ns, pose)

@@ -5,7 +5,8 @@ the time at which they came, and asks it what to send. Times named `now_ns` are 
 monotonic clock, `firmware_ns` the firmware's own clock.
 
 To add a protocol, add a row to `PROTOCOLS`, or let another package offer an entry point in the
-group `trigpoint.protocols`; both name a class that is built as `Class(robot="r1")`.
+group `trigpoint.protocols`; both name a class that is built as
+`Class(robot="r1", config=RobotConfig, boot=number)`.
 """
 
 import importlib
@@ -16,12 +17,41 @@ from enum import StrEnum
 from importlib.metadata import entry_points
 from uuid import UUID
 
+from trigpoint.config import ROS2_PROTOCOL, RobotConfig
 from trigpoint.errors import ConfigError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-PROTOCOLS = {"trigpoint": "trigpoint.robot.protocols.trigpoint_serial:TrigpointSerial"}
+PROTOCOLS = {
+    "trigpoint": "trigpoint.robot.protocols.trigpoint_serial:TrigpointSerial",
+}
 ENTRY_POINTS = "trigpoint.protocols"
+
+
+class Takes(StrEnum):
+    """What a protocol can tell its robot."""
+
+    CORRECTIONS = "corrections"
+    POSES = "poses"
+    NOTHING = "nothing"
+
+
+class StampClock(StrEnum):
+    """Which clock `Reading.firmware_ns` is of: the firmware's own, which clock exchanges map to
+    ours; this machine's monotonic one, where the protocol has no times; or Unix time."""
+
+    FIRMWARE = "firmware"
+    MACHINE = "machine"
+    UNIX = "unix"
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What a protocol can carry. `lacks`: what it cannot, in words, said at the start."""
+
+    takes: Takes
+    clock: StampClock
+    lacks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +72,9 @@ class Mismatched:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One reading of the odometry: base in the firmware's own odometry frame. `received_ns`: this
-    machine's monotonic clock when it had come."""
+    """One reading of the odometry: base in the firmware's own odometry frame. `firmware_ns`: by the
+    clock that the protocol's traits name; `received_ns`: this machine's monotonic clock when it
+    had come."""
 
     firmware_ns: int
     received_ns: int
@@ -145,8 +176,24 @@ class RobotCorrection:
     establishes: bool
 
 
+@dataclass(frozen=True, slots=True)
+class LocatedPose:
+    """Where a robot is now, for protocols that take poses: `firmware_ns` by their clock,
+    `covariance` (6, 6) the contract's; `resets` counts how often the pose was placed anew."""
+
+    firmware_ns: int
+    map_from_base: Pose
+    covariance: Array
+    resets: int
+
+
 class Protocol(typing.Protocol):
     """One robot's conversation. Not thread-safe: the owner holds a lock around each call."""
+
+    @property
+    def traits(self) -> Traits:
+        """What it can carry."""
+        ...
 
     def reset(self) -> None:
         """The port was (re)opened: forget half-received bytes, ask again who is there."""
@@ -158,6 +205,10 @@ class Protocol(typing.Protocol):
 
     def correct(self, correction: RobotCorrection) -> None:
         """Send this correction next; one that still waits is replaced, since the newest wins."""
+        ...
+
+    def locate(self, pose: LocatedPose) -> None:
+        """Tell the robot where it is now; only where the traits say that it takes poses."""
         ...
 
     def data_to_send(self, now_ns: int) -> bytes:
@@ -175,7 +226,20 @@ class Protocol(typing.Protocol):
 
 def known_protocols() -> list[str]:
     """The names that `protocol` in site.toml may have here."""
-    return sorted({*PROTOCOLS, *(point.name for point in entry_points(group=ENTRY_POINTS))})
+    others = (point.name for point in entry_points(group=ENTRY_POINTS))
+    return sorted({*PROTOCOLS, ROS2_PROTOCOL, *others})
+
+
+def make_protocol(robot: str, config: RobotConfig, boot: int) -> Protocol:
+    """The protocol that the site file names for a robot. `boot`: a number that no earlier bridge of
+    this robot had."""
+    return protocol_class(config.protocol_name)(robot=robot, config=config, boot=boot)
+
+
+def check_protocol(config: RobotConfig) -> None:
+    """Raise ConfigError where the site file names a protocol that there is not."""
+    if config.protocol_name != ROS2_PROTOCOL:
+        protocol_class(config.protocol_name)
 
 
 def protocol_class(name: str) -> Callable[..., Protocol]:

@@ -1,11 +1,10 @@
-"""Which corrections reach the robot. Pure: no bus, no port, no clock.
+"""Which corrections reach the robot, and what of them. Pure: no bus, no port, no clock.
 
 A robot acts on a correction: a wrong one can drive it into a wall, a missing one only lets it drift
 as its odometry does. So whatever is doubtful is refused and counted by its reason. The reasoning
-behind the limits is in decisions/0302-which-corrections-reach-a-robot.md.
+behind the limits is in decisions/0302-which-corrections-reach-a-robot.md and 0304.
 """
 
-from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
 from uuid import UUID
@@ -17,21 +16,21 @@ from trigpoint.config import RobotConfig
 from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import symmetric
 from trigpoint.messages import PoseEstimate
 
-from .odometry import OdometryHistory, Stamped
-from .reckoning import Belief, Reckoning, anchored
+from .agreement import Agreement, MapWord
+from .history import OdometryHistory
+from .odometry import Stamped
+from .placement import Measured, Placement
+from .sent_covariance import as_sent, covariance_fault
 
 MAP_FRAME = "map"
-# A correction of this many sigmas comes once in 70 000 by chance (χ² with 3 degrees of freedom).
-JUMP_SIGMAS = 5.0
 # How far a stamp may lie ahead of our clock: two machines that NTP keeps are nearer.
 FUTURE_NS = to_ns(0.05)
-# A robot that was carried: as many refused corrections in a row that agree with each other, over at
-# least this time, are believed.
-AGREEING = 10
-AGREEING_NS = to_ns(1.0)
+# Two that speak within this time speak at once; a killed fusion that is started again takes longer.
+SENDERS_NS = to_ns(2.0)
+# A site is a building; what lies further away is a broken number.
+FURTHEST_M = 100e3
 _PLANAR_ROWS = [0, 1, 5]
 # 1 mm, and 1.4 mrad: what a planar estimator's rounding never reaches.
 _LIFT, _TILT = 1e-3, 1e-6
@@ -46,20 +45,30 @@ class Refusal(StrEnum):
     UNCERTAIN = "too_uncertain"
     OLD = "too_old"
     FUTURE = "in_the_future"
+    SENDERS = "two_senders"
     ORDER = "out_of_order"
-    REPLACED_MAP = "replaced_map"
     NO_ODOMETRY = "no_odometry"
     JUMP = "jump"
+    PULL = "pull"
+    OTHER_MAP = "other_map"
+    WAITING = "waiting"
 
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """Hand it on. `firmware_ns`: its moment on the firmware's clock; `establishes`: the pose may be
+    """Hand this on. `firmware_ns`: its moment on the firmware's clock; `map_from_base` and
+    `covariance` (6, 6): what is believed with this correction fused; `establishes`: the pose may be
     anywhere, `why` says the reason, "" otherwise."""
 
-    firmware_ns: int
+    at: Stamped
+    map_from_base: Pose
+    covariance: Array
     establishes: bool
     why: str = ""
+
+    @property
+    def firmware_ns(self) -> int:
+        return self.at.firmware_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,60 +79,83 @@ class Refused:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """Refused corrections in a row that agree with each other."""
-
-    map_id: UUID
-    since_ns: int
-    count: int
-    reckoning: Reckoning
-
-
 class SafetyGate:
     """Judges one robot's corrections in the order in which they come. Not thread-safe."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._limits, self._noise, self._planar = config.safety, config.odometry, config.planar
-        self._span_s = config.safety.max_age + 2.0
-        self._history = OdometryHistory(self._span_s)
+        self._config, self._limits, self._planar = config, config.safety, config.planar
+        # The horizon lies behind every correction that may still come, with room for the
+        # interpolation's neighbours.
+        self._horizon_ns = to_ns(config.safety.max_age + 0.5)
+        self.history = OdometryHistory(config.safety.max_age + 2.0, config.odometry)
         self._map_id: UUID | None = None
-        self._replaced: deque[UUID] = deque(maxlen=64)
-        self._last_sequence = -1
-        self._newest_ns = 0
-        self._accepted: Reckoning | None = None
-        self._run: _Run | None = None
+        self._placement: Placement | None = None
+        self._run: Agreement | None = None
+        self._word = MapWord()
+        self._senders: dict[str, int] = {}
+
+    # ---- what comes beside corrections
 
     def add_odometry(self, entry: Stamped) -> None:
         """Every odometry message, as it is published."""
-        self._history.add(entry)
-        horizon_ns = entry.stamp_ns - to_ns(self._span_s)
-        for reckoning in (self._accepted, self._run.reckoning if self._run else None):
-            if reckoning is not None:
-                reckoning.add(entry)
-                reckoning.forget(horizon_ns)
+        self.history.add(entry)
+        for placement in (self._placement, self._run.placement if self._run else None):
+            if placement is not None:
+                placement.follow(self.history, entry.stamp_ns - self._horizon_ns)
 
     def restart(self) -> None:
         """The firmware was restarted: the robot knows no pose now; nor do we know how it moved."""
-        self._history.clear()
-        self._accepted = self._run = None
+        self.history.clear()
+        self._placement = self._run = None
+
+    def hear(self, maps: list[UUID], now_ns: int) -> None:
+        """What those who serve `fusion/map` answered when they were asked."""
+        self._word.hear(maps, now_ns)
+
+    @property
+    def asks(self) -> bool:
+        """Whether fusion's own word is needed: corrections want to place the robot anew."""
+        return self._run is not None and not self._word.speaks_for(self._run)
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is known where the robot is."""
+        return self._placement is not None
+
+    @property
+    def state(self) -> str:
+        """How it stands with the robot's place, for people."""
+        if self._run is None:
+            return "known" if self._placement else "unknown: no correction came yet"
+        sure = "doubted" if self._placement else "unknown"
+        return f"{sure}: {self._run.progress(self._word)}"
+
+    def believed(self) -> tuple[Stamped, Pose, Array] | None:
+        """Where the robot is at the newest reading, and its (6, 6); None where that is unknown."""
+        last = self.history.last
+        if self._placement is None or last is None or last.stamp_ns < self._placement.newest_ns:
+            return None
+        return (last, *self._placement.believed(self.history, last))
+
+    # ---- judging
 
     def judge(
-        self, correction: PoseEstimate, mark: CorrectionMark, now_ns: int
+        self, correction: PoseEstimate, mark: CorrectionMark, now_ns: int, sender: str = ""
     ) -> Approved | Refused:
         """Whether to hand a correction on; `now_ns`: Unix time on the odometry stamps' clock."""
         refused = (
             self._content(correction)
             or self._age(correction.stamp_ns, now_ns)
+            or self._sender(sender, now_ns)
             or self._order(correction.stamp_ns, mark)
         )
         if refused:
             return refused
-        at = self._history.at(correction.stamp_ns)
+        at = self.history.at(correction.stamp_ns)
         if at is None:
             return Refused(Refusal.NO_ODOMETRY, "there is no odometry about its moment")
-        belief = anchored(at, correction.pose, correction.covariance, self._noise)
-        return self._place(belief, mark)
+        measured = Measured(at, correction.pose, self._sent(correction.covariance))
+        return self._place(measured, mark, now_ns)
 
     # ---- the correction by itself
 
@@ -131,12 +163,13 @@ class SafetyGate:
         if correction.frame_id != MAP_FRAME:
             text = f"it is given in frame «{correction.frame_id}», not in «{MAP_FRAME}»"
             return Refused(Refusal.FRAME, text)
+        if not np.max(np.abs(correction.pose.translation)) < FURTHEST_M:
+            return Refused(Refusal.POSE, f"it lies over {FURTHEST_M / 1e3:.0f} km away")
         if self._planar and not _is_planar(correction.pose):
             return Refused(Refusal.POSE, "it lifts or tilts a robot that drives on a plane")
-        shown = self._shown(correction.covariance)
-        if not np.all(np.isfinite(shown)) or np.linalg.eigvalsh(symmetric(shown))[0] <= 0:
-            return Refused(Refusal.COVARIANCE, "its covariance is not positive")
-        return self._uncertainty(correction.covariance)
+        if fault := covariance_fault(self._shown(correction.covariance)):
+            return Refused(Refusal.COVARIANCE, fault)
+        return self._uncertainty(self._sent(correction.covariance))
 
     def _uncertainty(self, covariance: Array) -> Refused | None:
         place = _largest_sigma(covariance[:2, :2] if self._planar else covariance[:3, :3])
@@ -158,84 +191,68 @@ class SafetyGate:
             return Refused(Refusal.FUTURE, f"it is stamped {-age_s:.2f} s in the future")
         return None
 
-    def _order(self, stamp_ns: int, mark: CorrectionMark) -> Refused | None:
-        """A number that is not above the last is refused, unless the stamp is newer than all: a
-        restarted fusion may number anew, but what it says is of now."""
-        if mark.map_id != self._map_id:
+    def _sender(self, sender: str, now_ns: int) -> Refused | None:
+        self._senders = {
+            name: last_ns
+            for name, last_ns in self._senders.items()
+            if abs(now_ns - last_ns) <= SENDERS_NS
+        } | {sender: now_ns}
+        if len(self._senders) < 2:
             return None
-        if mark.sequence <= self._last_sequence and stamp_ns <= self._newest_ns:
-            last = self._last_sequence
-            return Refused(Refusal.ORDER, f"its number {mark.sequence} comes after {last}")
-        self._last_sequence = mark.sequence
-        self._newest_ns = max(self._newest_ns, stamp_ns)
+        names = " and ".join(f"«{name or 'unknown'}»" for name in sorted(self._senders)[:3])
+        text = f"sessions {names} both send corrections for this robot; stop one of the two"
+        return Refused(Refusal.SENDERS, text)
+
+    def _order(self, stamp_ns: int, mark: CorrectionMark) -> Refused | None:
+        """A correction of a moment that is not after the last applied one's says nothing new. Its
+        number may be lower: a restarted fusion counts anew, but what it says is of now."""
+        if self._placement is not None and stamp_ns <= self._placement.newest_ns:
+            return Refused(Refusal.ORDER, f"number {mark.sequence} is no newer than one applied")
+        if self._run is not None and stamp_ns <= self._run.placement.newest_ns:
+            return Refused(Refusal.ORDER, f"number {mark.sequence} is no newer than one before it")
         return None
 
     # ---- the correction beside what is known
 
-    def _place(self, belief: Belief, mark: CorrectionMark) -> Approved | Refused:
-        if mark.map_id in self._replaced:
-            text = f"it is of the map {mark.map_id}, which another one has replaced"
-            return self._doubt(belief, mark, Refused(Refusal.REPLACED_MAP, text))
+    def _place(self, measured: Measured, mark: CorrectionMark, now_ns: int) -> Approved | Refused:
+        if self._placement is None:
+            waiting = Refused(Refusal.WAITING, "it is not known yet where the robot is")
+            return self._doubt(measured, mark.map_id, now_ns, waiting)
         if mark.map_id != self._map_id:
-            return self._establish(belief, mark, "first of a map")
-        if self._accepted is None:
-            return self._establish(belief, mark, "first after a restart of the firmware")
-        if jump := self._jump(belief, self._accepted):
-            return self._doubt(belief, mark, Refused(Refusal.JUMP, jump))
-        self._accept(belief)
-        return Approved(belief.at.firmware_ns, establishes=False)
+            text = f"it is of the map {mark.map_id}, not of the one that the robot knows"
+            return self._doubt(measured, mark.map_id, now_ns, Refused(Refusal.OTHER_MAP, text))
+        if wrong := self._placement.contradiction(measured, self.history):
+            reason = Refusal.PULL if wrong.is_pull else Refusal.JUMP
+            return self._doubt(measured, mark.map_id, now_ns, Refused(reason, wrong.text))
+        self._run = None
+        pose, covariance = self._placement.take(measured, self.history)
+        return Approved(measured.at, pose, covariance, establishes=False)
 
-    def _jump(self, belief: Belief, known: Reckoning) -> str:
-        """What is wrong with a pose beside what odometry allows since the known one, or ""."""
-        expected = known.at(belief.at)
-        difference = self._shown(belief.map_from_base.difference(expected.map_from_base))
-        places = 2 if self._planar else 3
-        far = float(np.linalg.norm(difference[:places]))
-        turned = float(np.linalg.norm(difference[places:]))
-        if far > self._limits.max_jump:
-            return f"it jumps by {far:.2f} m; the limit is {self._limits.max_jump} m"
-        if turned > self._limits.max_turn:
-            return f"it turns by {turned:.2f} rad; the limit is {self._limits.max_turn} rad"
-        allowed = self._shown(expected.pose_covariance + belief.pose_covariance)
-        sigmas = float(np.sqrt(difference @ np.linalg.solve(allowed, difference)))
-        if sigmas > JUMP_SIGMAS:
-            return f"it jumps by {far:.3f} m and {turned:.3f} rad, {sigmas:.1f} sigmas"
-        return ""
-
-    def _doubt(self, belief: Belief, mark: CorrectionMark, refused: Refused) -> Approved | Refused:
-        """Refuse, unless the corrections before it were refused too and agree with it."""
+    def _doubt(
+        self, measured: Measured, map_id: UUID, now_ns: int, refused: Refused
+    ) -> Approved | Refused:
+        """Refuse, unless a run of corrections agrees with this one and all else does too."""
         run = self._run
-        if run is None or run.map_id != mark.map_id or self._jump(belief, run.reckoning):
-            since_ns, count = belief.at.stamp_ns, 1
-        else:
-            since_ns, count = run.since_ns, run.count + 1
-        if count >= AGREEING and belief.at.stamp_ns - since_ns >= AGREEING_NS:
-            return self._establish(belief, mark, f"{count} in a row agree")
-        self._run = _Run(mark.map_id, since_ns, count, self._reckoning(belief))
-        return refused
+        if run is None or not run.goes_on_with(measured, map_id, self.history):
+            self._run = Agreement(measured, map_id, now_ns, self._config)
+            return refused
+        pose, covariance = run.take(measured, self.history)
+        if not run.is_complete or not self._word.speaks_for(run):
+            return Refused(refused.reason, f"{refused.text}; {run.progress(self._word)}")
+        self._map_id, self._placement, self._run = map_id, run.placement, None
+        why = f"{run.count} corrections in a row agree, and fusion says that its map is {map_id}"
+        return Approved(measured.at, pose, covariance, establishes=True, why=why)
 
-    def _establish(self, belief: Belief, mark: CorrectionMark, why: str) -> Approved:
-        if mark.map_id != self._map_id:
-            if self._map_id is not None:
-                self._replaced.append(self._map_id)
-            if mark.map_id in self._replaced:
-                self._replaced.remove(mark.map_id)
-            self._map_id = mark.map_id
-            self._last_sequence, self._newest_ns = mark.sequence, belief.at.stamp_ns
-        self._accept(belief)
-        return Approved(belief.at.firmware_ns, establishes=True, why=why)
+    def _sent(self, covariance: Array) -> Array:
+        """(6, 6), of which the robot is told the rows that are checked."""
+        sent = np.zeros((6, 6))
+        rows = np.ix_(*[_PLANAR_ROWS if self._planar else range(6)] * 2)
+        sent[rows] = as_sent(covariance[rows])
+        return sent
 
-    def _accept(self, belief: Belief) -> None:
-        self._accepted, self._run = self._reckoning(belief), None
-
-    def _reckoning(self, belief: Belief) -> Reckoning:
-        return Reckoning(belief, self._history, self._noise)
-
-    def _shown(self, values: Array) -> Array:
-        """The rows (and columns) that are checked: x, y and heading of a planar robot."""
-        if not self._planar:
-            return values
-        return values[np.ix_(*[_PLANAR_ROWS] * values.ndim)]
+    def _shown(self, covariance: Array) -> Array:
+        """The rows and columns that are checked: x, y and heading of a planar robot."""
+        return covariance[np.ix_(_PLANAR_ROWS, _PLANAR_ROWS)] if self._planar else covariance
 
 
 def _is_planar(pose: Pose) -> bool:

@@ -12,12 +12,14 @@ from trigpoint.config import (
     BusConfig,
     CameraConfig,
     FusionConfig,
+    MavlinkConfig,
     OdometryNoise,
     RecorderConfig,
     RobotConfig,
     RouterConfig,
     SafetyConfig,
     TlsConfig,
+    WheelConfig,
 )
 from trigpoint.geometry import Pose
 
@@ -44,7 +46,22 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (CameraConfig, "picture_quality"): "of their JPEG, 1 to 100",
     (RobotConfig, "port"): "or any URL that pyserial opens",
     (RobotConfig, "baud"): "bits a second",
-    (RobotConfig, "protocol"): "what the firmware speaks",
+    (RobotConfig, "protocol"): "or create2, mavlink, ros_arduino_bridge; ros2: no port, on the bus",
+    (RobotConfig, "topic"): "of a ros2 robot: its odometry's topic, where that is not ours",
+    (RobotConfig, "max_speed"): "m/s; odometry that says more is refused",
+    (RobotConfig, "max_turn"): "rad/s; the same of turns",
+    (
+        WheelConfig,
+        "diameter",
+    ): "m; for protocols that send encoder counts; 0: as the protocol knows it",
+    (WheelConfig, "track"): "m between the wheels' contact points",
+    (WheelConfig, "ticks"): "counts a turn of a wheel",
+    (WheelConfig, "left_scale"): "the left wheel's diameter by the one above; below 0: reversed",
+    (WheelConfig, "right_scale"): "the same of the right wheel",
+    (MavlinkConfig, "system"): "the bridge's system id: the vehicle's own",
+    (MavlinkConfig, "component"): "the bridge's component id (197: visual inertial odometry)",
+    (MavlinkConfig, "send"): "the message that tells a pose: odometry or vision",
+    (MavlinkConfig, "key"): "file with the signing key, 64 hexadecimal digits",
     (RobotConfig, "target"): "this robot's own target file",
     (RobotConfig, "planar"): "false: the odometry's full 3D motion is used (a ramp, an arm)",
     (SafetyConfig, "max_age"): "s; an older correction is not handed on",
@@ -52,6 +69,8 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (SafetyConfig, "max_turn"): "rad; or turns it further",
     (SafetyConfig, "max_sigma"): "m; nor one that is less certain",
     (SafetyConfig, "max_heading_sigma"): "rad",
+    (SafetyConfig, "establish_motion"): "m or rad between corrections that place it anew",
+    (SafetyConfig, "blend"): "s over which a step is spread; 0: the robot takes it at once",
     (OdometryNoise, "distance"): "m per √m, along the track",
     (OdometryNoise, "lateral"): "m per √m, across it",
     (OdometryNoise, "heading_drive"): "rad per √m",
@@ -73,15 +92,19 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
 
 _EXAMPLES = {
     (CameraConfig, "source"): "v4l2:///dev/video0",
-    (RobotConfig, "port"): "/dev/ttyUSB0",
     (RobotConfig, "target"): "target.toml",
     (RouterConfig, "picture_rate"): 2.0,
+    (RobotConfig, "topic"): "/r1/odom",
+    (MavlinkConfig, "key"): "mavlink.key",
 }
 """Values of the keys that have no default; those that may be absent are written as comments."""
 
-_WRITTEN = {(CameraConfig, "intrinsics"): "estimate"}
+_WRITTEN = {
+    (CameraConfig, "intrinsics"): "estimate",
+    (RobotConfig, "port"): "/dev/ttyUSB0",
+}
 """Values in place of a default that a first site cannot start with: nothing announces a lens that
-nobody has measured."""
+nobody has measured, and a robot without a port is another kind of robot."""
 
 _TABLES = ("tls",)
 """Tables that a site may be without; they are written as comments."""
@@ -115,6 +138,8 @@ def full_site_text() -> str:
         "".join(f"# {line}\n" for line in _table("bus.tls", TlsConfig).splitlines() if line),
         _table("cameras.c1", CameraConfig),
         _table("robots.r1", RobotConfig),
+        _table("robots.r1.wheels", WheelConfig),
+        _table("robots.r1.mavlink", MavlinkConfig),
         _table("robots.r1.odometry", OdometryNoise),
         _table("robots.r1.safety", SafetyConfig),
         _table("fusion", FusionConfig),

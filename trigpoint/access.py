@@ -86,9 +86,9 @@ GRANTS: dict[Kind, Grants] = {
         own=True,
     ),
     Kind.ROBOT: Grants(
-        publishes=(topics.ODOMETRY, topics.DIAGNOSTICS),
+        publishes=(topics.ODOMETRY, topics.CORRECTED, topics.ROBOT_TF, topics.DIAGNOSTICS),
         subscribes=(topics.CORRECTION, topics.ROBOT_POSE, topics.SUGGESTION, topics.DIAGNOSTICS),
-        asks=("clock",),
+        asks=("clock", "fusion/map"),
         token="alive/robot/{id}",
         own=True,
     ),

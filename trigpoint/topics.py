@@ -109,6 +109,12 @@ CORRECTION = Topic(
     Delivery.URGENT,
     queue=64,
 )
+CORRECTED = Topic(
+    "corrected", "robot/{id}/corrected", messages.POSE_ESTIMATE, Delivery.RELIABLE, queue=256
+)
+"""Where a robot that takes no corrections is, by its bridge: judged, fused, at its odometry."""
+ROBOT_TF = Topic("robot_tf", "robot/{id}/tf", messages.TRANSFORMS, Delivery.RELIABLE, queue=256)
+"""The same as transforms: map → odom, and odom → base where the bridge makes the odometry."""
 SUGGESTION = Topic(
     "suggestion",
     "robot/{id}/suggestion",
@@ -144,6 +150,8 @@ TOPICS = (
     ODOMETRY,
     ROBOT_POSE,
     CORRECTION,
+    CORRECTED,
+    ROBOT_TF,
     SUGGESTION,
     PARTICLES,
     TF,

@@ -31,6 +31,8 @@ from trigpoint.robot.protocols.trigpoint_frames import (
 
 HISTORY_NS = to_ns(3.0)
 HEARTBEAT_EVERY_NS = to_ns(1.0)
+# Corrections whose answers are remembered; the bridge repeats only the newest.
+REMEMBERED = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,7 @@ class Applied:
     """A correction that the firmware took over."""
 
     number: int
+    bridge: int
     stamp_ns: int
     map_id: UUID
     sequence: int
@@ -59,8 +62,8 @@ class FirmwareEndpoint:
         self._received = self._rejected = 0
         self._heartbeat_due_ns = 0
         self._history: deque[tuple[int, Pose]] = deque()
-        self._last_number: int | None = None
-        self._last_result = Result.ACCEPTED
+        self._bridge = 0
+        self._answers: dict[int, Result] = {}
         self._speaks_our_version = False
         self.map_from_odom: Pose | None = None
         self.applied: list[Applied] = []
@@ -113,6 +116,9 @@ class FirmwareEndpoint:
         match content:
             case Hello():
                 self._speaks_our_version = content.version == self._hello.version
+                if content.boot != self._bridge:  # another start of the bridge counts anew
+                    self._bridge = content.boot
+                    self._answers.clear()
                 return self._encode(self._hello)
             case Ping() if self._speaks_our_version:
                 # Both times are the same here; a firmware that answers later sends both.
@@ -123,11 +129,12 @@ class FirmwareEndpoint:
                 return b""
 
     def _correct(self, correction: CorrectionFrame) -> Acknowledge:
-        """A correction that is repeated, since its answer was lost, is answered as before."""
-        if correction.number != self._last_number:
-            self._last_number = correction.number
-            self._last_result = self._apply(correction)
-        return Acknowledge(correction.number, self._last_result, "")
+        """A number that came before, since its answer was lost, is answered as before."""
+        number = correction.number
+        if number not in self._answers:
+            recent = list(self._answers.items())[-REMEMBERED + 1 :]
+            self._answers = dict([*recent, (number, self._apply(correction))])
+        return Acknowledge(number, self._answers[number], "")
 
     def _apply(self, correction: CorrectionFrame) -> Result:
         odom_from_base = interpolated(list(self._history), correction.stamp_ns)
@@ -140,6 +147,7 @@ class FirmwareEndpoint:
         self.applied.append(
             Applied(
                 correction.number,
+                self._bridge,
                 correction.stamp_ns,
                 correction.map_id,
                 correction.sequence,

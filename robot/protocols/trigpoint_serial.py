@@ -2,6 +2,7 @@
 
 from trigpoint import __version__
 from trigpoint.clock import to_ns
+from trigpoint.config import RobotConfig
 from trigpoint.errors import MessageError
 from trigpoint.robot.protocol import (
     Acknowledged,
@@ -10,11 +11,15 @@ from trigpoint.robot.protocol import (
     Damaged,
     DamageKind,
     Event,
+    LocatedPose,
     Mismatched,
     Missing,
     Reading,
     RobotCorrection,
     Silent,
+    StampClock,
+    Takes,
+    Traits,
     Unanswered,
     Vitals,
 )
@@ -98,8 +103,10 @@ class _Outbox:
 class TrigpointSerial:
     """The conversation with one robot; see `Protocol`."""
 
-    def __init__(self, *, robot: str, boot: int = 0) -> None:
-        self._robot = robot
+    traits = Traits(Takes.CORRECTIONS, StampClock.FIRMWARE)
+
+    def __init__(self, *, robot: str, config: RobotConfig, boot: int) -> None:
+        self._robot, self._config = robot, config
         self._boot = boot
         self._writer = FrameWriter()
         self._outbox = _Outbox()
@@ -239,6 +246,9 @@ class TrigpointSerial:
 
     def correct(self, correction: RobotCorrection) -> None:
         self._outbox.replace(correction)
+
+    def locate(self, pose: LocatedPose) -> None:
+        raise NotImplementedError("this protocol takes corrections")
 
     def data_to_send(self, now_ns: int) -> bytes:
         data = bytearray()

@@ -5,13 +5,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trigpoint.clock import to_ns
-from trigpoint.robot.protocol import PROTOCOLS, Protocol, protocol_class
+from trigpoint.config import RobotConfig, WheelConfig
+from trigpoint.robot.protocol import PROTOCOLS, Protocol, make_protocol
 
 START_NS = to_ns(100.0)
 
 
 def opened(name: str) -> Protocol:
-    return protocol_class(name)(robot="r1")
+    config = RobotConfig(port="x", protocol=name, wheels=WheelConfig(0.1, 0.3, 1000))
+    return make_protocol("r1", config, boot=7)
 
 
 @pytest.mark.parametrize("name", list(PROTOCOLS))

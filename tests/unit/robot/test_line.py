@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from trigpoint.clock import SystemClock
+from trigpoint.config import RobotConfig
 from trigpoint.errors import PortError
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.line import Line
@@ -67,7 +68,7 @@ class Desk:
     def line(self, patience_s: float = 5.0) -> Line:
         return Line(
             self.open,
-            TrigpointSerial(robot="r1"),
+            TrigpointSerial(robot="r1", config=RobotConfig(port="x"), boot=77),
             clock=SystemClock(),
             handle=self.events.append,
             failed=self.troubles.append,

@@ -3,9 +3,11 @@
 import numpy as np
 
 from trigpoint.clock import to_ns
+from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
-from trigpoint.robot.odometry import OdometryHistory, OdometryStream, Stamped
+from trigpoint.robot.history import OdometryHistory
+from trigpoint.robot.odometry import OdometryStream, Stamped
 from trigpoint.robot.protocol import Reading
 
 
@@ -52,7 +54,7 @@ def test_restart_before_anything_was_published_changes_nothing() -> None:
 
 
 def history() -> OdometryHistory:
-    entries = OdometryHistory(1.0)
+    entries = OdometryHistory(1.0, OdometryNoise())
     for k in range(5):
         entries.add(Stamped(to_ns(0.5 * k), 7 + to_ns(0.5 * k), Pose.planar(k, 0, 0.2 * k)))
     return entries

@@ -2,18 +2,21 @@
 
 import pytest
 
+from trigpoint.config import RobotConfig, WheelConfig
 from trigpoint.errors import ConfigError
-from trigpoint.robot.protocol import PROTOCOLS, known_protocols, protocol_class
+from trigpoint.robot.protocol import PROTOCOLS, known_protocols, make_protocol, protocol_class
 
 
 @pytest.mark.parametrize("name", list(PROTOCOLS))
 def test_every_row_opens(name: str) -> None:
-    protocol = protocol_class(name)(robot="r1")
+    config = RobotConfig(port="x", protocol=name, wheels=WheelConfig(0.1, 0.3, 1000))
+    protocol = make_protocol("r1", config, boot=1)
     assert isinstance(protocol.data_to_send(0), bytes)
+    assert protocol.traits.takes
 
 
-@pytest.mark.parametrize("name", ["create2", "nonsense"])
+@pytest.mark.parametrize("name", ["create3", "nonsense"])
 def test_protocol_that_is_not_there_lists_those_that_are(name: str) -> None:
     with pytest.raises(ConfigError, match=f"no robot protocol «{name}».* trigpoint"):
         protocol_class(name)
-    assert known_protocols() == ["trigpoint"]
+    assert known_protocols() == sorted([*PROTOCOLS, "ros2"])

@@ -1,0 +1,67 @@
+"""Motion that a robot cannot have made, by its stated limits.
+
+A wrapped or reset counter, a controller that restarted without saying so, a broken number: each
+shows as a step that no motor makes. Such a reading is refused. Where those after it agree with one
+another, the counting began anew somewhere: a new epoch, which goes on from the last sound pose.
+"""
+
+from enum import Enum
+
+import numpy as np
+
+from trigpoint.clock import to_seconds
+from trigpoint.config import RobotConfig
+from trigpoint.geometry import Pose
+from trigpoint.geometry.pose import angle_between
+
+# A site is a building; beyond, a double of a broken counter.
+FURTHEST_M = 100e3
+# How wrong the time between two stamps may be: a reading that waited for the one before it.
+JITTER_S = 0.02
+# As many readings in a row that agree with each other; at 50 Hz a tenth of a second is lost.
+AGREEING = 5
+
+
+class Motion(Enum):
+    """What a reading is beside the one before it."""
+
+    POSSIBLE = "possible"
+    IMPOSSIBLE = "impossible"
+    NEW_EPOCH = "new epoch"
+
+
+class MotionLimits:
+    """Looks at one robot's readings in order. Not thread-safe."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._speed, self._turn = config.max_speed, config.max_turn
+        self._last: tuple[int, Pose] | None = None
+        self._doubted: tuple[int, Pose] | None = None
+        self._agreeing = 0
+
+    def restart(self) -> None:
+        """The next reading may be anywhere."""
+        self._last = self._doubted = None
+
+    def look(self, stamp_ns: int, pose: Pose) -> Motion:
+        """Whether the robot can have moved so since the last sound reading."""
+        reading = (stamp_ns, pose)
+        if not np.max(np.abs(pose.translation)) < FURTHEST_M:
+            return Motion.IMPOSSIBLE
+        if self._last is None or self._is_possible(self._last, reading):
+            self._last, self._doubted = reading, None
+            return Motion.POSSIBLE
+        doubted, self._doubted = self._doubted, reading
+        agrees = doubted is not None and self._is_possible(doubted, reading)
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        if self._agreeing < AGREEING:
+            return Motion.IMPOSSIBLE
+        self._last, self._doubted = reading, None
+        return Motion.NEW_EPOCH
+
+    def _is_possible(self, before: tuple[int, Pose], after: tuple[int, Pose]) -> bool:
+        allowed_s = max(0.0, to_seconds(after[0] - before[0])) + JITTER_S
+        far = float(np.linalg.norm(after[1].translation - before[1].translation))
+        if far > self._speed * allowed_s:
+            return False
+        return float(angle_between(before[1], after[1])) <= self._turn * allowed_s

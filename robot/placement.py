@@ -1,0 +1,206 @@
+"""Where a map puts the robot: what is believed now, and the corrections that led there.
+
+Two questions are asked of a new correction. Does it fit what is believed, which is every earlier
+correction carried on by odometry? And does it fit each of some earlier corrections carried on by
+odometry alone? The second sees what the first cannot: steps that are small each and sum up to more
+than odometry can have drifted (a pull). Those earlier corrections are kept at ages that double, so
+that a fast pull is seen in the short ones and a slow one in the long ones.
+
+A correction is fused by covariance intersection (Julier and Uhlmann 1997; the weights are Niehsen's
+of 2002, made free of units): fusion's corrections share its map, its odometry and its
+earlier sightings, by an amount that nobody here knows, and this is the fusion that stays honest
+whatever the amount is. See decisions/0304-corrections-are-fused-and-watched.md.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import RobotConfig
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .history import OdometryHistory
+from .odometry import Stamped
+from .reckoning import carried, pose_covariance, started
+from .sent_covariance import as_sent
+
+# χ² that a true correction exceeds once in 100 000, by degrees of freedom (planar, in space).
+JUMP_CHI2 = {3: 25.90, 6: 33.11}
+# Up to eight earlier corrections are asked each time: once in ten million each.
+PULL_CHI2 = {3: 35.41, 6: 43.34}
+# The oldest correction that is remembered. Within it a pull of 1 cm/s moves a robot 1.3 m, the
+# default odometry noise a robot at 0.4 m/s by some 0.7 m: what is slower drowns in that.
+MEMORY_S = 128.0
+_FOLLOW_NS = to_ns(0.25)
+_PLANAR_ROWS = [0, 1, 5]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A correction at its moment; `covariance` (6, 6) as it is sent."""
+
+    at: Stamped
+    map_from_base: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """Why a correction does not fit; `is_pull`: by the sum of the steps before, not by its own."""
+
+    text: str
+    is_pull: bool
+
+
+class Placement:
+    """Row 0 is the belief, the others are the remembered corrections, oldest first. All are placed
+    in the odometry frame and carried on together."""
+
+    def __init__(self, first: Measured, config: RobotConfig) -> None:
+        self._config = config
+        self._rows = _PLANAR_ROWS if config.planar else list(range(6))
+        self._at = first.at
+        frame = _map_from_odom(first.map_from_base, first.at)
+        self._frames, self._stamps = [frame, frame], [first.at.stamp_ns] * 2
+        self._covariances = np.stack([self._start(first)] * 2)
+        self._looked: tuple[Stamped, Array] | None = None
+
+    @property
+    def newest_ns(self) -> int:
+        """The stamp of the newest correction in it."""
+        return self._stamps[0]
+
+    @property
+    def map_from_odom(self) -> Pose:
+        """Where it puts the odometry frame."""
+        return self._frames[0]
+
+    def follow(self, history: OdometryHistory, horizon_ns: int) -> None:
+        """Carry everything on to a moment that no correction will come before."""
+        if horizon_ns - self._at.stamp_ns < _FOLLOW_NS:
+            return
+        at = history.at(horizon_ns)
+        if at is not None:
+            self._covariances = carried(self._covariances, history.steps(self._at, at))
+            self._at = at
+
+    def believed(self, history: OdometryHistory, at: Stamped) -> tuple[Pose, Array]:
+        """map_from_base and its (6, 6) at a moment after the newest correction."""
+        covariance = carried(self._covariances[0], history.steps(self._at, at))
+        pose = self._frames[0] @ at.odom_from_base
+        return pose, pose_covariance(pose, covariance)
+
+    def contradiction(self, measured: Measured, history: OdometryHistory) -> Contradiction | None:
+        """What is wrong with a correction beside what is known, or None."""
+        steps = history.steps(self._at, measured.at)
+        self._looked = (measured.at, carried(self._covariances, steps))
+        return self._jump(measured) or self._pull(measured)
+
+    def take(self, measured: Measured, history: OdometryHistory) -> tuple[Pose, Array]:
+        """Fuse a correction; returns the pose and covariance (6, 6) that are believed now."""
+        if self._looked is None or self._looked[0] != measured.at:
+            self.contradiction(measured, history)
+        assert self._looked is not None
+        self._at, self._covariances = self._looked
+        pose, covariance = self._fused(measured)
+        believed = Measured(measured.at, pose, covariance)
+        self._replace(0, believed)
+        self._remember(measured)
+        return pose, covariance
+
+    # ---- what does not fit
+
+    def _difference(self, row: int, measured: Measured) -> tuple[Array, Array, float]:
+        """(difference, its covariance, χ²) of a correction and a row, over what is checked."""
+        assert self._looked is not None
+        expected = self._frames[row] @ measured.at.odom_from_base
+        difference = measured.map_from_base.difference(expected)[self._rows]
+        covariance = self._shown(pose_covariance(expected, self._looked[1][row]))
+        covariance = covariance + self._shown(measured.covariance)
+        chi2 = float(difference @ np.linalg.solve(covariance, difference))
+        return difference, covariance, chi2
+
+    def _jump(self, measured: Measured) -> Contradiction | None:
+        limits = self._config.safety
+        difference, _, chi2 = self._difference(0, measured)
+        far, turned = self._sizes(difference)
+        text = ""
+        if far > limits.max_jump:
+            text = f"it jumps by {far:.2f} m; the limit is {limits.max_jump:g} m"
+        elif turned > limits.max_turn:
+            text = f"it turns by {turned:.2f} rad; the limit is {limits.max_turn:g} rad"
+        elif not chi2 <= JUMP_CHI2[len(self._rows)]:
+            text = f"it jumps by {far:.3f} m and {turned:.3f} rad, {math.sqrt(chi2):.1f} sigmas"
+        return Contradiction(text, is_pull=False) if text else None
+
+    def _pull(self, measured: Measured) -> Contradiction | None:
+        for row in range(1, len(self._frames)):
+            difference, _, chi2 = self._difference(row, measured)
+            if chi2 <= PULL_CHI2[len(self._rows)]:
+                continue
+            far, turned = self._sizes(difference)
+            age_s = to_seconds(measured.at.stamp_ns - self._stamps[row])
+            text = (
+                f"corrections moved the robot by {far:.2f} m and {turned:.2f} rad in {age_s:.1f} s "
+                f"beside its odometry, {math.sqrt(chi2):.1f} sigmas: either they are wrong, or "
+                "the odometry is worse than the site file says"
+            )
+            return Contradiction(text, is_pull=True)
+        return None
+
+    def _sizes(self, difference: Array) -> tuple[float, float]:
+        places = len(self._rows) // 2 + len(self._rows) % 2
+        far = float(np.linalg.norm(difference[:places]))
+        return far, float(np.linalg.norm(difference[places:]))
+
+    # ---- what does
+
+    def _fused(self, measured: Measured) -> tuple[Pose, Array]:
+        """Covariance intersection of the belief and a correction."""
+        assert self._looked is not None
+        expected = self._frames[0] @ measured.at.odom_from_base
+        ours = self._shown(pose_covariance(expected, self._looked[1][0]))
+        theirs = self._shown(measured.covariance)
+        # How much of the sum's uncertainty is the correction's: so much of the belief stays.
+        weight = float(np.trace(np.linalg.solve(ours + theirs, theirs))) / len(self._rows)
+        gain = (1 - weight) * np.linalg.inv(theirs)
+        shown = np.linalg.inv(weight * np.linalg.inv(ours) + gain)
+        disturbance, covariance = np.zeros(6), np.zeros((6, 6))
+        difference = measured.map_from_base.difference(expected)[self._rows]
+        disturbance[self._rows] = shown @ gain @ difference
+        covariance[np.ix_(self._rows, self._rows)] = as_sent(0.5 * (shown + shown.T))
+        return expected.disturbed(disturbance), covariance
+
+    def _replace(self, row: int, measured: Measured) -> None:
+        self._frames[row] = _map_from_odom(measured.map_from_base, measured.at)
+        self._stamps[row] = measured.at.stamp_ns
+        self._covariances[row] = self._start(measured)
+
+    def _remember(self, measured: Measured) -> None:
+        """Append a correction; of each span of ages (0 to 1 s, to 2, to 4, …) the oldest stays."""
+        self._frames.append(_map_from_odom(measured.map_from_base, measured.at))
+        self._stamps.append(measured.at.stamp_ns)
+        kept, spans = [0], set[int]()
+        for row in range(1, len(self._stamps)):
+            age_s = to_seconds(measured.at.stamp_ns - self._stamps[row])
+            span = math.frexp(age_s)[1] if age_s >= 1.0 else 0
+            if age_s < MEMORY_S and span not in spans:
+                spans.add(span)
+                kept.append(row)
+        covariances = [*self._covariances, self._start(measured)]
+        self._frames = [self._frames[row] for row in kept]
+        self._stamps = [self._stamps[row] for row in kept]
+        self._covariances = np.stack([covariances[row] for row in kept])
+
+    def _start(self, measured: Measured) -> Array:
+        return started(measured.map_from_base, measured.covariance, self._config.odometry)
+
+    def _shown(self, covariance: Array) -> Array:
+        return covariance[np.ix_(self._rows, self._rows)]
+
+
+def _map_from_odom(map_from_base: Pose, at: Stamped) -> Pose:
+    return map_from_base @ at.odom_from_base.inverse()

@@ -1,0 +1,46 @@
+"""Asks fusion what its map is, when corrections want to place the robot anew."""
+
+import json
+from uuid import UUID
+
+from trigpoint.bus import Bus, Reply
+from trigpoint.clock import Clock
+from trigpoint.node import Node
+from trigpoint.topics import command_key
+from trigpoint.watchdog import Pulse
+
+from .bridge import Bridge
+
+_ASK_EVERY_S = 0.25
+# Long for a command that takes a millisecond, short for a node that is to stop.
+_ANSWER_S = 1.0
+
+
+class MapQuestion:
+    """A node's thread that asks as long as the bridge has something to ask."""
+
+    def __init__(self, bus: Bus, node: Node, site: str, bridge: Bridge, clock: Clock) -> None:
+        self._bus, self._node, self._bridge, self._clock = bus, node, bridge, clock
+        self._key = command_key(site, "fusion/map")
+
+    def run(self, pulse: Pulse) -> None:
+        """Until the node stops."""
+        while not self._node.stopping.wait(_ASK_EVERY_S):
+            pulse.beat()
+            if self._bridge.asks_for_map:
+                self._ask()
+
+    def _ask(self) -> None:
+        replies = self._bus.query(self._key, timeout_s=_ANSWER_S)
+        maps = [found for reply in replies if (found := _map_id(reply)) is not None]
+        self._bridge.hear_map(maps, self._clock.elapsed_ns())
+
+
+def _map_id(reply: Reply) -> UUID | None:
+    """The map that a reply names; None where it is an error or says none."""
+    if reply.error:
+        return None
+    try:
+        return UUID(json.loads(reply.payload)["map_id"])
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
