@@ -9,6 +9,7 @@ squares (`evidence`): nothing assumes a lens, or flat paper.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -150,10 +151,13 @@ class CheckerboardDetector(FaceFinder):
         if len(grid) < self._least:
             return None
         height, width = curvature.smooth.shape
-        fit = settled_fit(grid.places.astype(float), grid.pixels, (width, height), ENOUGH_PX)
-        if fit is None:
-            return None
-        boards = (placed(grid, look, fit, (width, height)) for look in self._looks)
+
+        @cache
+        def fit_of() -> PlanarFit | None:
+            places = grid.places.astype(float)
+            return settled_fit(places, grid.pixels, (width, height), ENOUGH_PX)
+
+        boards = (placed(grid, look, (width, height), fit_of) for look in self._looks)
         return max((board for board in boards if board), key=lambda b: b.score, default=None)
 
 

@@ -49,38 +49,43 @@ class Evidence:
 def weighed(grey: np.ndarray, face: Face, fit: PlanarFit, ids: np.ndarray) -> Evidence:
     """The evidence for a board where `fit` has it. `ids`: (n,) the corners that are seen; squares
     with none of them are hidden, and say nothing."""
-    rising = _rising(grey, face, fit, END_SQUARES[0])
-    contrast = _contrast(rising[1:-1, 1:-1])
-    known = np.zeros((face.rows + 2, face.columns + 2), dtype=bool)
-    known[1:-1, 1:-1] = _beside(ids, face)
-    right, total = _steps(rising, known, contrast)
-    nearer = _rising(grey, face, fit, END_SQUARES[1])
-    ends = (
-        min(_end(side, contrast) for side in sides)
-        for sides in zip(_sides(rising), _sides(nearer), strict=True)
-    )
-    return Evidence(right * _RIGHT_NATS + (total - right) * _WRONG_NATS, tuple(ends))
+    rising, sides = _rising(grey, face, fit)
+    contrast = _contrast(rising)
+    right, total = _steps(rising, _beside(ids, face), contrast)
+    ends = tuple(min(_end(line, contrast) for line in lines) for lines in sides)
+    return Evidence(right * _RIGHT_NATS + (total - right) * _WRONG_NATS, ends)
 
 
-def _rising(grey: np.ndarray, face: Face, fit: PlanarFit, beyond: float) -> Array:
-    """Grey values of all squares and of those that a larger board would have around them, which are
-    looked at so many squares `beyond` the outermost corners, (rows + 2, columns + 2); light ones
-    count as negative, and what is not in the picture is not a number."""
-    x, y = np.meshgrid(np.arange(face.columns + 2), np.arange(face.rows + 2))
-    across, down = (
-        np.r_[
-            -beyond,
-            -OUTER_SQUARES,
-            np.arange(count - 2) + 0.5,
-            count - 2 + OUTER_SQUARES,
-            count - 2 + beyond,
-        ]
-        for count in (face.columns, face.rows)
-    )
-    pixels = fit.project(face.square * np.column_stack([across[x].ravel(), down[y].ravel()]))
+def _rising(grey: np.ndarray, face: Face, fit: PlanarFit) -> tuple[Array, list[Array]]:
+    """Grey values of all squares (rows, columns), and of those that a larger board would have on
+    each side, at each of END_SQUARES, (2, n) a side: top, bottom, left, right. Light ones count as
+    negative, and what is not in the picture is not a number."""
+    x, y = np.arange(face.columns), np.arange(face.rows)
+    across, down = x - 0.5, y - 0.5
+    across[[0, -1]] = -OUTER_SQUARES, face.columns - 2 + OUTER_SQUARES
+    down[[0, -1]] = -OUTER_SQUARES, face.rows - 2 + OUTER_SQUARES
+    parts = [_lattice(across, down, x, y)]
+    ends = np.array(END_SQUARES)
+    for far, place in ((-ends, -1), (face.rows - 2 + ends, face.rows)):
+        parts.append(_lattice(across, far, x, np.full(len(ends), place)))
+    for far, place in ((-ends, -1), (face.columns - 2 + ends, face.columns)):
+        parts.append(_lattice(down, far, y, np.full(len(ends), place))[:, [1, 0, 2]])
+    places = np.concatenate(parts)
+    pixels = fit.project(face.square * places[:, :2])
     inside = np.all((pixels >= 0) & (pixels <= np.array(grey.shape[::-1]) - 1), axis=1)
-    values = np.where(inside, sampled(grey, pixels), np.nan).reshape(x.shape)
-    return np.where((x + y) % 2 == 0, values, -values)
+    values = places[:, 2] * np.where(inside, sampled(grey, pixels), np.nan)
+    board, *sides = np.split(values, np.cumsum([len(part) for part in parts])[:-1])
+    shape = (face.rows, face.columns)
+    return board.reshape(shape), [side.reshape(len(ends), -1) for side in sides]
+
+
+def _lattice(first: Array, second: Array, x: np.ndarray, y: np.ndarray) -> Array:
+    """Places (n · m, 3) of a row of `first` (n,) for each `second` (m,), in squares from corner 0,
+    and the sign of the squares there, which are number `x` and `y`."""
+    sign = np.where((x + y[:, None]) % 2 == 0, 1.0, -1.0)
+    return np.column_stack(
+        [np.tile(first, len(second)), np.repeat(second, len(first)), sign.ravel()]
+    )
 
 
 def _contrast(rising: Array) -> float:
@@ -107,19 +112,17 @@ def _steps(rising: Array, known: np.ndarray, contrast: float) -> tuple[int, int]
     known = known & ~np.isnan(rising)
     values = np.where(known, rising, 0.0)
     total, count = np.zeros(rising.shape), np.zeros(rising.shape)
-    for axis in (0, 1):
-        for step in (-1, 1):
-            # The margin is never known, so that nothing comes round from the other side.
-            total += np.roll(values, step, axis)
-            count += np.roll(known, step, axis)
+    for to, beside in (
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:-1], np.s_[1:]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+        (np.s_[:, :-1], np.s_[:, 1:]),
+    ):
+        total[to] += values[beside]
+        count[to] += known[beside]
     told = known & (count > 0)
     away = -(values[told] + total[told] / count[told])
     return int(np.count_nonzero(away > LEAST_STEP * contrast)), int(told.sum())
-
-
-def _sides(rows: Array) -> tuple[Array, Array, Array, Array]:
-    """The outermost ones of what lies in rows and columns (r, c): top, bottom, left, right."""
-    return rows[0], rows[-1], rows[:, 0], rows[:, -1]
 
 
 def _end(side: Array, contrast: float) -> float:

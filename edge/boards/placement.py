@@ -6,6 +6,7 @@ would then be seen, by those that would be missing though they are in view, and 
 board that should not be there.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -38,53 +39,89 @@ class Placement:
     score: int
 
 
-def placed(grid: Grid, look: Appearance, fit: PlanarFit, size: tuple[int, int]) -> Placement | None:
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """A place of a board on a grid: its first place and its extent. `count`: of its corners that
+    are seen; `score`: those less the missing ones and those beside it."""
+
+    score: int
+    count: int
+    first: tuple[int, int]
+    extent: tuple[int, int]
+
+
+def placed(
+    grid: Grid, look: Appearance, size: tuple[int, int], fit_of: Callable[[], PlanarFit | None]
+) -> Placement | None:
     """The best place of a board on a grid; None where it shows too little of it, or leaves open
-    where the board lies. `fit`: from the grid's places to pixels; `size`: of the picture."""
+    where the board lies.
+
+    `size`: of the picture; `fit_of`: from the grid's places to pixels, asked where corners are
+    missing that may lie outside of the picture.
+    """
     columns, rows = look.face.columns - 1, look.face.rows - 1
-    best: list[tuple[int, int, tuple[int, int], tuple[int, int]]] = []
-    for extent in {(columns, rows), (rows, columns)}:
-        best += _places_of(grid, extent, fit, size)
-    best.sort(key=lambda place: place[0], reverse=True)
-    if not best or best[0][1] < LEAST_SHARE * look.face.corner_count:
+    enough, whole = LEAST_SHARE * look.face.corner_count, look.face.corner_count
+    best = _windows(grid, {(columns, rows), (rows, columns)}, None, size)
+    if best[0].count < enough:
         return None
-    score, _, corner, extent = best[0]
-    if len(best) > 1 and best[1][0] > score - LEAST_LEAD:
+    if best[0].score < whole:
+        fit = fit_of()
+        if fit is None:
+            return None
+        best = _windows(grid, {(columns, rows), (rows, columns)}, fit, size)
+    if best[0].count < enough or best[1].score > best[0].score - LEAST_LEAD:
         return None
-    inside = np.all((grid.places >= corner) & (grid.places < np.add(corner, extent)), axis=1)
+    first, extent = best[0].first, best[0].extent
+    inside = np.all((grid.places >= first) & (grid.places < np.add(first, extent)), axis=1)
     board = grid.only(inside)
-    ids = _numbered(board, board.places - corner, extent, look)
-    return ids if ids is None else Placement(look, ids, board.pixels, grid.only(~inside), score)
+    ids = _numbered(board, board.places - first, extent, look)
+    if ids is None:
+        return None
+    return Placement(look, ids, board.pixels, grid.only(~inside), best[0].score)
 
 
-def _places_of(
-    grid: Grid, extent: tuple[int, int], fit: PlanarFit, size: tuple[int, int]
-) -> list[tuple[int, int, tuple[int, int], tuple[int, int]]]:
-    """Score, count of corners seen, first place and extent of the best places of a board of that
-    extent: the two that are best."""
-    width, height = extent
-    low = grid.places.min(axis=0) - (width, height)
-    across, down = grid.places.max(axis=0) + (width, height) + 1 - low
+def _windows(
+    grid: Grid, extents: set[tuple[int, int]], fit: PlanarFit | None, size: tuple[int, int]
+) -> list[_Window]:
+    """The best places of boards of these extents, the best first: at least two. Without a `fit` all
+    missing corners count."""
+    reach = max(max(extent) for extent in extents)
+    low = grid.places.min(axis=0) - reach
+    across, down = grid.places.max(axis=0) + reach + 1 - low
     seen = np.zeros((down, across), np.float32)
     x, y = (grid.places - low).T
     seen[y, x] = 1
-    every = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1) + low
-    pixels = fit.project(every.reshape(-1, 2).astype(float)).reshape(down, across, 2)
-    in_view = np.all((pixels > _MARGIN_PX) & (pixels < np.array(size) - 1 - _MARGIN_PX), axis=-1)
-    missing = ((seen == 0) & in_view).astype(np.float32)
-    count, lacking = _sums(seen, width, height), _sums(missing, width, height)
-    beside = _sums(seen, width + 2, height + 2)
-    # The window that is wider begins one place before.
-    beyond = np.zeros_like(count)
-    beyond[1:-1, 1:-1] = beside
-    beyond[1:-1, 1:-1] -= count[1:-1, 1:-1]
-    score = np.rint(count - lacking - beyond).astype(int)
-    flat = np.argsort(-score, axis=None, kind="stable")[:2]
-    found = []
-    for top, left in zip(*np.unravel_index(flat, score.shape), strict=True):
-        first = (int(left + low[0]), int(top + low[1]))
-        found.append((int(score[top, left]), round(float(count[top, left])), first, extent))
-    return found
+    missing = 1 - seen
+    if fit is not None:
+        every = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1) + low
+        pixels = fit.project(every.reshape(-1, 2).astype(float)).reshape(down, across, 2)
+        limit = np.array(size) - 1 - _MARGIN_PX
+        missing *= np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1)
+    found: list[_Window] = []
+    for extent in extents:
+        found += _best_of(seen, missing, extent, low)
+    return sorted(found, key=lambda window: window.score, reverse=True)
+
+
+def _best_of(
+    seen: np.ndarray, missing: np.ndarray, extent: tuple[int, int], low: np.ndarray
+) -> list[_Window]:
+    """The two best places of a board of one extent."""
+    count, lacking = _sums(seen, *extent), _sums(missing, *extent)
+    # The window with all that is beside the board begins one place before.
+    beside = np.zeros_like(count)
+    beside[1:-1, 1:-1] = _sums(seen, extent[0] + 2, extent[1] + 2) - count[1:-1, 1:-1]
+    score = np.rint(count - lacking - beside).astype(int)
+    best = np.argsort(-score, axis=None, kind="stable")[:2]
+    return [
+        _Window(
+            int(score[top, left]),
+            round(float(count[top, left])),
+            (int(left + low[0]), int(top + low[1])),
+            extent,
+        )
+        for top, left in zip(*np.unravel_index(best, score.shape), strict=True)
+    ]
 
 
 def _sums(values: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from trigpoint.geometry.rotation import Array
 
@@ -59,5 +58,9 @@ _DEGREE_OF = {count: degree for degree, count in _COUNTS.items()}
 
 def _terms(places: Array, degree: int) -> Array:
     """Products of Legendre polynomials (n, m) at places (n, 2) of -1 to 1."""
-    across, down = (legendre.legvander(line, degree) for line in places.T)
-    return np.stack([across[:, i] * down[:, j] for i, j in _powers(degree)], axis=-1)
+    lines = [np.ones_like(places), places]
+    for n in range(1, degree):
+        lines.append(((2 * n + 1) * places * lines[n] - n * lines[n - 1]) / (n + 1))
+    across, down = np.stack(lines).transpose(2, 0, 1)
+    i, j = np.array(_powers(degree)).T
+    return (across[i] * down[j]).T

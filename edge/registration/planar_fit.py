@@ -122,15 +122,14 @@ def _shares(rays: Array, radial: Array) -> Array:
     # With the first coefficient alone it is a quadratic equation.
     shares = 2 / np.maximum(depth + root, _HORIZON)
     if radial[1]:
+        steepest = -np.maximum(_LEAST_SLOPE * root, _HORIZON)
         for _ in range(_NEWTON_STEPS):
             square = shares * shares
-            error = 1 + square * (first + square * second) - depth * shares
-            slope = np.minimum(
-                shares * (2 * first + 4 * second * square) - depth, -_LEAST_SLOPE * root
-            )
-            shares = np.clip(
-                shares - error / np.minimum(slope, -_HORIZON), 0.5 * shares, 2 * shares
-            )
+            lens = second * square
+            error = 1 + square * (first + lens) - depth * shares
+            slope = np.minimum(shares * (2 * first + 4 * lens) - depth, steepest)
+            better = shares - error / slope
+            shares = np.minimum(np.maximum(better, 0.5 * shares), 2 * shares)
     return shares
 
 
