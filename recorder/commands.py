@@ -1,6 +1,7 @@
 """The commands `record`, `view`, `review` and `replay`."""
 
 import os
+import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -14,8 +15,10 @@ from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.clock import SystemClock, to_seconds
 from trigpoint.config import Site, load_site, parse_site
+from trigpoint.errors import InputError, OperationError
 from trigpoint.node import Node, stopped_by_signals
 from trigpoint.target import load_target
+from trigpoint.topics import command_key
 
 from . import node as recorder
 from . import replay as player
@@ -32,6 +35,7 @@ Web = Annotated[
 ]
 
 _FLUSH_TIMEOUT_S = 1.0
+_ANSWER_S = 10.0  # a recorder that saves a ring writes some hundred megabytes first
 _LOOK_PERIOD_S = 0.2
 
 
@@ -45,25 +49,71 @@ def record(
             file_okay=False,
         ),
     ] = None,
+    ring: Annotated[
+        str,
+        typer.Option(
+            metavar="60s",
+            help="Keep the last seconds in memory only, and write them when a camera was moved "
+            "or on `--remote save`.",
+        ),
+    ] = "",
+    remote: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(recorder.COMMANDS),
+            help="Tell the site's recorder, wherever it runs, and end.",
+        ),
+    ] = "",
 ) -> None:
     """Record every key of the site to an MCAP file until stopped (Ctrl-C).
 
     Pictures are recorded where the site file says `pictures = true` under [recorder].
     """
     loaded = load_site(site)
+    if remote:
+        tell_recorder(loaded, remote)
+        return
     clock = SystemClock()
     path = recorder.session_path(loaded, out, now_ns=clock.now_ns())
+    ring_s = _seconds(ring, "--ring") if ring else 0.0
     with (
         open_bus(loaded, (Kind.RECORDER, recorder.NAME)) as bus,
-        recorder.Recorder(loaded, path, clock=clock) as session,
+        recorder.Recorder(loaded, path, clock=clock, out=out, ring_s=ring_s) as session,
         stopped_by_signals(
             Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)
         ) as node,
     ):
         session.start(bus, node)
-        typer.echo(f"recording site {loaded.name} to {path}")
+        what = f"keeping the last {ring_s:g} s of" if ring_s else "recording"
+        typer.echo(f"{what} site {loaded.name} to {path}")
         node.wait()
-    _say_recorded(path, session.sink.counts, session.sink.lost)
+    if session.last is not None:
+        _say_recorded(session.last.path, session.last.counts, session.last.lost)
+
+
+def tell_recorder(site: Site, command: str) -> None:
+    """Send one command to the recorder of a site and print what it replies, JSON."""
+    if command not in recorder.COMMANDS:
+        known = ", ".join(recorder.COMMANDS)
+        raise InputError(f"--remote {command}: there is no such command; give one of {known}")
+    with open_bus(site, patience_s=_ANSWER_S) as bus:
+        replies = bus.query(command_key(site.name, f"recorder/{command}"), timeout_s=_ANSWER_S)
+    if not replies:
+        raise OperationError(
+            f"no recorder answers on site {site.name}; start one with `trigpoint record`"
+        )
+    for reply in replies:
+        if reply.error:
+            raise OperationError(reply.error)
+        typer.echo(reply.payload.decode())
+
+
+def _seconds(text: str, option: str) -> float:
+    """«60», «60s», «2min» as seconds; raise InputError for anything else."""
+    match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(s|min)?", text.strip())
+    if match is None or not float(match[1]):
+        raise InputError(f"{option} {text}: this is no duration; write one like 60s")
+    return float(match[1]) * (60.0 if match[2] == "min" else 1.0)
 
 
 def view(site: SiteFile, web: Web = False) -> None:

@@ -10,7 +10,7 @@ from trigpoint.config import Site
 from trigpoint.errors import MessageError
 from trigpoint.messages import Message
 from trigpoint.node import Node
-from trigpoint.topics import IMAGE, TOPICS, Topic, topic_of
+from trigpoint.topics import IMAGE, TOPICS, Topic, key_matches, topic_of
 from trigpoint.watchdog import Pulse
 
 Take = Callable[[Topic, Sample, Message], None]
@@ -20,9 +20,17 @@ _LEAST_QUEUE = 64
 """The topics' own queues are for those who want the newest; here every sample is wanted."""
 
 
-def recorded_topics(*, pictures: bool) -> list[Topic]:
+def recorded_topics(site: Site) -> list[Topic]:
     """The contract's topics that are recorded; pictures only where they are wanted."""
+    pictures = site.recorder.pictures
     return [topic for topic in TOPICS if topic.recorded and (pictures or topic is not IMAGE)]
+
+
+def is_wanted(site: Site, key: str) -> bool:
+    """Whether the site's recorder keeps a key, by its filter."""
+    rest = key.partition("/")[2]
+    wanted = site.recorder.keys
+    return not wanted or any(key_matches(one, rest) or key_matches(one, key) for one in wanted)
 
 
 class Intake:

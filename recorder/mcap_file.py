@@ -1,7 +1,5 @@
 """An MCAP file as an index of chunks, read without decoding any message.
 
-The file is walked from its start by its records' headers, sound or not: one way of reading serves a
-finished file and one whose recorder was killed (no footer), which is read as far as it is complete.
 Record layouts: the MCAP specification.
 """
 
@@ -18,16 +16,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from trigpoint.errors import RecordingError
+from .mcap_records import HEAD, MESSAGE, MESSAGE_FIELDS
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_CHUNK_TIMES = struct.Struct("<QQ")
 _MESSAGE_INDEX = struct.Struct("<HI")
-_MESSAGE = struct.Struct("<BQHIQQ")
-_MESSAGE_FIELDS = _MESSAGE.size - _HEAD.size
-_LAST_OPCODE = Opcode.DATA_END
-_LARGEST_RECORD = 4 * 2**30
 
 
 class RawMessage(NamedTuple):
@@ -37,6 +28,7 @@ class RawMessage(NamedTuple):
     published_ns: int
     channel: int
     payload: bytes
+    sequence: int
 
 
 @dataclass(slots=True)
@@ -52,149 +44,118 @@ class ChunkSpan:
 
 @dataclass(slots=True)
 class McapIndex:
-    """What a file holds. `problem` says in words why it is not complete, "" where it is."""
+    """What a file holds; `problems` says in words what of it is damaged or missing.
+
+    `metadata`: the metadata records by name, the last one of a name. `is_finished`: whether its
+    summary was there, so that what is not in the index is not in the file.
+    """
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
     chunks: list[ChunkSpan] = field(default_factory=list)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    problem: str = ""
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    is_finished: bool = False
+
+    @property
+    def problem(self) -> str:
+        """All problems in one line, "" where there is none."""
+        told = "; ".join(self.problems[:_TOLD])
+        more = len(self.problems) - _TOLD
+        return f"{told}; and {more} more" if more > 0 else told
 
 
-def read_index(path: Path) -> McapIndex:
-    """Walk the file; raise RecordingError where it is no MCAP file at all."""
-    index = McapIndex(path)
-    try:
-        with path.open("rb") as file:
-            _check_magic(path, file)
-            size = file.seek(0, 2)
-            _walk(index, file, size)
-            _complete_counts(index, file)
-    except OSError as reason:
-        raise RecordingError(f"{path}: cannot be read ({reason.strerror}); check it") from None
-    return index
+_TOLD = 3
 
 
 def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
     """A chunk's records, decompressed and held against its checksum; ValueError where damaged."""
     file.seek(span.offset)
     try:
-        chunk = Chunk.read(_stream(file.read(span.length)))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        chunk = Chunk.read(stream(file.read(span.length)))
+        records, length = get_chunk_data_stream(chunk, validate_crc=True)
+        content = records.read(length)
     except Exception as reason:  # noqa: BLE001 - each compression raises errors of its own
         raise ValueError(f"the chunk at byte {span.offset} is damaged ({reason})") from None
-    return stream.read(length)
+    if len(content) != chunk.uncompressed_size:
+        raise ValueError(f"the chunk at byte {span.offset} is damaged (it is too short)")
+    return content
 
 
 def chunk_messages(records: bytes, channels: set[int]) -> Iterator[RawMessage]:
     """The messages of these channels, in the order of the chunk."""
     position, end = 0, len(records)
     while position < end:
-        opcode, length = _HEAD.unpack_from(records, position)
+        opcode, length = HEAD.unpack_from(records, position)
         if opcode == Opcode.MESSAGE:
-            _, _, channel, _, log_ns, published_ns = _MESSAGE.unpack_from(records, position)
+            _, _, channel, sequence, log_ns, published_ns = MESSAGE.unpack_from(records, position)
             if channel in channels:
-                start = position + _MESSAGE.size
-                payload = records[start : start - _MESSAGE_FIELDS + length]
-                yield RawMessage(log_ns, published_ns, channel, payload)
-        position += _HEAD.size + length
+                start = position + MESSAGE.size
+                payload = records[start : start - MESSAGE_FIELDS + length]
+                yield RawMessage(log_ns, published_ns, channel, payload, sequence)
+        position += HEAD.size + length
 
 
-def _check_magic(path: Path, file: IO[bytes]) -> None:
-    start = file.read(len(MAGIC))
-    if not start:
-        raise RecordingError(f"{path}: the file is empty; nothing was recorded into it")
-    if start != MAGIC:
-        raise RecordingError(f"{path}: this is no MCAP file; give a session that was recorded")
+def look_into(index: McapIndex, span: ChunkSpan, records: bytes) -> None:
+    """Take a chunk's definitions, count its messages, and see from when to when they are: the
+    chunk's own head, which says so, has no checksum."""
+    position = 0
+    span.counts = {}
+    times: list[int] = []
+    while position < len(records):
+        opcode, length = HEAD.unpack_from(records, position)
+        start = position + HEAD.size
+        if opcode == Opcode.CHANNEL:
+            take_channel(index, records[start : start + length])
+        elif opcode == Opcode.SCHEMA:
+            take_schema(index, records[start : start + length])
+        elif opcode == Opcode.MESSAGE:
+            _, _, channel, _, log_ns, _ = MESSAGE.unpack_from(records, position)
+            span.counts[channel] = span.counts.get(channel, 0) + 1
+            times.append(log_ns)
+        position = start + length
+    if times:
+        span.start_ns, span.end_ns = min(times), max(times)
 
 
-def _walk(index: McapIndex, file: IO[bytes], size: int) -> None:
-    position = len(MAGIC)
-    while True:
-        file.seek(position)
-        head = file.read(_HEAD.size)
-        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
-        position += _HEAD.size
-        if not 0 < opcode <= _LAST_OPCODE or length > _LARGEST_RECORD or position + length > size:
-            index.problem = f"it breaks off at byte {position - _HEAD.size}"
-            return
-        if opcode == Opcode.FOOTER:
-            return
-        _take_record(index, file, opcode, position, length)
-        position += length
+def counts_in(indexes: bytes) -> dict[int, int] | None:
+    """Messages by channel that a chunk's message indexes name; None where they are damaged."""
+    counts: dict[int, int] = {}
+    position = 0
+    while position < len(indexes):
+        if len(indexes) - position < HEAD.size + _MESSAGE_INDEX.size:
+            return None
+        opcode, length = HEAD.unpack_from(indexes, position)
+        channel, size = _MESSAGE_INDEX.unpack_from(indexes, position + HEAD.size)
+        if opcode != Opcode.MESSAGE_INDEX or size % 16 or length != _MESSAGE_INDEX.size + size:
+            return None
+        if size:
+            counts[channel] = size // 16
+        position += HEAD.size + length
+    return counts
 
 
-def _take_record(index: McapIndex, file: IO[bytes], opcode: int, offset: int, length: int) -> None:
-    if opcode == Opcode.CHUNK:
-        start_ns, end_ns = _CHUNK_TIMES.unpack(file.read(_CHUNK_TIMES.size))
-        index.chunks.append(ChunkSpan(offset, length, start_ns, end_ns))
-    elif opcode == Opcode.MESSAGE_INDEX and index.chunks:
-        channel, size = _MESSAGE_INDEX.unpack(file.read(_MESSAGE_INDEX.size))
-        index.chunks[-1].counts[channel] = size // 16
-    elif opcode == Opcode.CHANNEL:
-        _take_channel(index, file.read(length))
-    elif opcode == Opcode.SCHEMA:
-        _take_schema(index, file.read(length))
-    elif opcode == Opcode.ATTACHMENT:
-        _take_attachment(index, file.read(length), offset)
-    elif opcode == Opcode.MESSAGE:
-        raise RecordingError(
-            f"{index.path}: its messages are not in chunks; write it again with an MCAP tool"
-        )
-
-
-def _take_channel(index: McapIndex, body: bytes) -> None:
-    channel = Channel.read(_stream(body))
+def take_channel(index: McapIndex, body: bytes) -> None:
+    channel = Channel.read(stream(body))
     index.channels[channel.id] = channel
 
 
-def _take_schema(index: McapIndex, body: bytes) -> None:
-    schema = Schema.read(_stream(body))
+def take_schema(index: McapIndex, body: bytes) -> None:
+    schema = Schema.read(stream(body))
     index.schemas[schema.id] = schema
 
 
-def _take_attachment(index: McapIndex, body: bytes, offset: int) -> None:
+def take_attachment(index: McapIndex, body: bytes, offset: int) -> None:
+    """Keep an attachment; ValueError where it is damaged."""
     expected = int.from_bytes(body[-4:], "little")
     if expected and expected != zlib.crc32(body[:-4]):
-        raise RecordingError(f"{index.path}: the attachment at byte {offset} is damaged")
-    attachment = Attachment.read(_stream(body))
+        raise ValueError(f"the attachment at byte {offset} is damaged")
+    attachment = Attachment.read(stream(body))
     index.attachments[attachment.name] = attachment.data
 
 
-def _complete_counts(index: McapIndex, file: IO[bytes]) -> None:
-    """Look into the chunks that the file's own indexes do not describe.
-
-    A chunk holds the definitions of its new channels; a finished file repeats them at its end.
-    """
-    sound: list[ChunkSpan] = []
-    for span in index.chunks:
-        is_described = span.counts and index.channels.keys() >= span.counts.keys()
-        if index.problem or not is_described:
-            try:
-                _look_into(index, span, read_chunk(file, span))
-            except ValueError as reason:
-                index.problem = str(reason)
-                break
-        sound.append(span)
-    index.chunks = sound
-
-
-def _look_into(index: McapIndex, span: ChunkSpan, records: bytes) -> None:
-    position = 0
-    span.counts = {}
-    while position < len(records):
-        opcode, length = _HEAD.unpack_from(records, position)
-        start = position + _HEAD.size
-        if opcode == Opcode.CHANNEL:
-            _take_channel(index, records[start : start + length])
-        elif opcode == Opcode.SCHEMA:
-            _take_schema(index, records[start : start + length])
-        elif opcode == Opcode.MESSAGE:
-            (channel,) = struct.unpack_from("<H", records, start)
-            span.counts[channel] = span.counts.get(channel, 0) + 1
-        position = start + length
-
-
-def _stream(body: bytes) -> ReadDataStream:
+def stream(body: bytes) -> ReadDataStream:
+    """What the mcap package's records are read from."""
     return ReadDataStream(BytesIO(body))

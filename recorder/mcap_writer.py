@@ -1,15 +1,31 @@
 """Writes an MCAP file by the contract: profile ros2, CDR, full definitions, checksums."""
 
-import os
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from mcap.writer import CompressionType, Writer
+from mcap.opcode import Opcode
 
 from trigpoint import __version__, cdr
-from trigpoint.errors import OperationError
-from trigpoint.topics import Delivery, Topic
+from trigpoint.topics import Topic, topic_of
 
-_INFINITE = "{sec: 9223372036, nsec: 854775807}"
+from . import mcap_records as records
+from .mcap_channels import (
+    ATTACHED,
+    CHANNELS,
+    attached,
+    attached_topic,
+    attachment_in,
+    quality_of_service,
+)
+from .mcap_chunk import Compression, Pending, chunk, compressor
+from .mcap_output import Output
+from .sink_queue import Message
+
+CHUNK_BYTES = 2**20
+"""A chunk of this size is closed: what one damaged byte may cost, and what a reader must hold."""
+
+__all__ = ["CHUNK_BYTES", "McapWriter", "quality_of_service"]
 
 
 class McapWriter:
@@ -19,35 +35,130 @@ class McapWriter:
     readable as far as its last complete chunk.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, compression: Compression = Compression.ZSTD) -> None:
         """Create the file and its folder; raise OperationError where it is there already."""
         self.path = path
-        self.counts: dict[str, int] = {}
-        self._output = _Output(path)
-        # The writer only calls `write`, `tell` and `flush`, which _Output has.
-        self._writer = Writer(self._output, compression=CompressionType.ZSTD)  # pyright: ignore[reportArgumentType]
+        self._output = Output(path)
+        self._compression, self._compress = compression, compressor(compression)
+        self._keys: list[str] = []
+        self._types: list[str] = []
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._writer.start(profile="ros2", library=f"trigpoint {__version__}")
+        self._definitions: dict[str, list[bytes]] = {"schema": [], "channel": []}
+        self._new_definitions: list[bytes] = []
+        self._pending: list[Pending] = []
+        self._pending_bytes = 0
+        self._written: dict[int, int] = {}
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._summary: dict[Opcode, list[bytes]] = {}
+        self._output.write(records.MAGIC + records.header("ros2", f"trigpoint {__version__}"))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many messages of each key are in the file."""
+        return {
+            self._keys[number - 1]: count
+            for number, count in sorted(self._written.items())
+            if self._types[number - 1] != ATTACHED
+        }
+
+    @property
+    def size(self) -> int:
+        """The file's size so far, bytes."""
+        return self._output.position
+
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """The first and the last log time in the file, 0 where there is none."""
+        return self._first_ns or 0, self._last_ns
+
+    def unwritten(self) -> list[Message]:
+        """The messages of the contract's keys that wait for their chunk."""
+        messages, attachment = [], b""
+        for log_ns, published_ns, channel, payload in self._pending:
+            key = self._keys[channel - 1]
+            if self._types[channel - 1] == ATTACHED:
+                attachment = attachment_in(payload)
+            elif topic := topic_of(key):
+                messages.append(Message(log_ns, published_ns, topic, key, payload, attachment))
+                attachment = b""
+        return messages
+
+    def channel_of(self, key: str) -> int | None:
+        """The number of a key's channel, None where none is defined."""
+        return self._channels.get(key)
 
     def add(
-        self, topic: Topic, key: str, payload: bytes, *, log_ns: int, published_ns: int
+        self,
+        topic: Topic,
+        key: str,
+        payload: bytes,
+        *,
+        log_ns: int,
+        published_ns: int,
+        attachment: bytes = b"",
     ) -> None:
         """Append one message; its chunk is written when it is full or on `flush`."""
-        channel = self._channels.get(key)
-        if channel is None:
-            channel = self._channels[key] = self._register(topic, key)
-        sequence = self.counts.get(key, 0)
-        self._writer.add_message(channel, log_ns, payload, published_ns, sequence & 0xFFFFFFFF)
-        self.counts[key] = sequence + 1
+        self.extend([Message(log_ns, published_ns, topic, key, payload, attachment)])
+
+    def extend(self, messages: Sequence[Message]) -> None:
+        """Append many messages, as `add` does each."""
+        channels = self._channels
+        for message in messages:
+            if message[3] not in channels:
+                self._register(message.key, message.topic)
+        if any(message.attachment for message in messages):
+            rows = list(self._with_attachments(messages))
+        else:
+            rows = [(m[0], m[1], channels[m[3]], m[4]) for m in messages]
+        self.append(rows)
 
     def attach(self, name: str, data: bytes, media_type: str, *, time_ns: int) -> None:
         """Append a file."""
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        content = records.attachment(name, media_type, data, time_ns)
+        place = self._output.position, len(content)
+        self._output.write(content)
+        index = records.attachment_index(name, media_type, len(data), time_ns, place)
+        self._remember(Opcode.ATTACHMENT_INDEX, index)
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Append a metadata record."""
+        content = records.metadata(name, values)
+        index = records.metadata_index(name, (self._output.position, len(content)))
+        self._output.write(content)
+        self._remember(Opcode.METADATA_INDEX, index)
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system: a kill does not lose it."""
-        self._writer.flush()
+        if not self._pending:
+            return
+        one = chunk(
+            b"".join(self._new_definitions),
+            self._pending,
+            self._written,
+            self._compress,
+            self._compression,
+        )
+        if self._new_definitions:
+            self._note_channels()
+        start = self._output.position
+        self._output.write(*one.content)
+        index = records.chunk_index(
+            one.times_ns,
+            (start, one.length),
+            {number: start + offset for number, offset in one.indexes.items()},
+            one.indexes_length,
+            one.compression,
+            one.sizes,
+        )
+        self._remember(Opcode.CHUNK_INDEX, index)
+        for number, count in one.counts.items():
+            self._written[number] = self._written.get(number, 0) + count
+        first_ns, last_ns = one.times_ns
+        self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
+        self._last_ns = max(self._last_ns, last_ns)
+        self._pending, self._pending_bytes, self._new_definitions = [], 0, []
 
     def synchronise(self) -> None:
         """Wait until the disk has what was flushed: a power cut does not lose it."""
@@ -56,7 +167,9 @@ class McapWriter:
     def finish(self) -> None:
         """Write the rest and the summary, and close."""
         try:
-            self._writer.finish()
+            self.flush()
+            self._output.write(records.data_end())
+            self._output.write(self._end(self._output.position))
             self._output.synchronise()
         finally:
             self._output.close()
@@ -65,77 +178,100 @@ class McapWriter:
         """Close without writing any more, after an error."""
         self._output.close()
 
-    def _register(self, topic: Topic, key: str) -> int:
-        schema = self._schemas.get(topic.type_name)
-        if schema is None:
-            definition = cdr.definition(topic.type_name).encode()
-            schema = self._writer.register_schema(topic.type_name, "ros2msg", definition)
-            self._schemas[topic.type_name] = schema
+    def append(self, rows: list[Pending]) -> None:
+        """Append messages of channels that were defined; each full chunk is written."""
+        start = 0
+        try:
+            for end, row in enumerate(rows, 1):
+                self._pending_bytes += len(row[3])
+                if self._pending_bytes >= CHUNK_BYTES:
+                    self._pending += rows[start:end]
+                    start = end
+                    self.flush()
+        finally:  # where the disk refuses, `unwritten` has the rest too
+            self._pending += rows[start:]
+
+    def _with_attachments(self, messages: Sequence[Message]) -> Iterator[Pending]:
+        """Rows with each attachment just before its message, with the same times, which a reader
+        looks for."""
+        for message in messages:
+            log_ns, published_ns, topic, key, payload, attachment = message
+            if attachment:
+                beside = attached_topic(key)
+                channel = self._channels.get(beside)
+                if channel is None:
+                    channel = self._register(beside, topic, ATTACHED)
+                yield log_ns, published_ns, channel, attached(attachment)
+            yield log_ns, published_ns, self._channels[key], payload
+
+    def _register(self, key: str, topic: Topic, type_name: str = "") -> int:
+        """Define a key's channel; `type_name`: where it is not the topic's."""
+        type_name = type_name or topic.type_name
+        text = cdr.definition(type_name).encode()
         metadata = {
             "offered_qos_profiles": quality_of_service(topic),
-            "topic_type_hash": cdr.type_hash(topic.type_name),
+            "topic_type_hash": cdr.type_hash(type_name),
         }
-        return self._writer.register_channel("/" + key, "cdr", schema, metadata)
+        return self.define(key, type_name, "ros2msg", text, metadata)
+
+    def define(
+        self,
+        key: str,
+        type_name: str,
+        schema_encoding: str,
+        definition: bytes,
+        metadata: Mapping[str, str],
+        *,
+        encoding: str = "cdr",
+    ) -> int:
+        """Define a channel, of whatever type, and its schema; return its number."""
+        schema = self._schemas.get(type_name)
+        if schema is None:
+            schema = self._schemas[type_name] = len(self._schemas) + 1
+            self._define("schema", records.schema(schema, type_name, schema_encoding, definition))
+        number = self._channels[key] = len(self._channels) + 1
+        self._keys.append(key)
+        self._types.append(type_name)
+        self._define("channel", records.channel(number, schema, "/" + key, encoding, metadata))
+        return number
+
+    def _define(self, kind: str, definition: bytes) -> None:
+        self._definitions[kind].append(definition)
+        self._new_definitions.append(definition)
+
+    def _note_channels(self) -> None:
+        named = zip(self._keys, self._types, strict=True)
+        values = {str(i): json.dumps(["/" + key, name]) for i, (key, name) in enumerate(named, 1)}
+        self.note(CHANNELS, values)
+
+    def _remember(self, kind: Opcode, index: bytes) -> None:
+        self._summary.setdefault(kind, []).append(index)
+
+    def _end(self, start: int) -> bytes:
+        """The summary, the offsets of its groups, the footer."""
+        many = {kind: len(self._summary.get(kind, [])) for kind in _INDEXES}
+        statistics = records.statistics(
+            {number: self._written.get(number, 0) for number in self._channels.values()},
+            self.times_ns,
+            schemas=len(self._schemas),
+            attachments=many[Opcode.ATTACHMENT_INDEX],
+            metadata_records=many[Opcode.METADATA_INDEX],
+            chunks=many[Opcode.CHUNK_INDEX],
+        )
+        groups: dict[Opcode, list[bytes]] = {
+            Opcode.SCHEMA: self._definitions["schema"],
+            Opcode.CHANNEL: self._definitions["channel"],
+            Opcode.STATISTICS: [statistics],
+            **{kind: self._summary.get(kind, []) for kind in _INDEXES},
+        }
+        summary, offsets = b"", b""
+        for kind, group in groups.items():
+            if group:
+                content = b"".join(group)
+                offsets += records.summary_offset(kind, start + len(summary), len(content))
+                summary += content
+        whole = summary + offsets
+        return whole + records.footer(whole, start, start + len(summary)) + records.MAGIC
 
 
-def quality_of_service(topic: Topic) -> str:
-    """The topic's delivery as rosbag2's YAML (Jazzy writes the policies as words)."""
-    keeps = topic.delivery is Delivery.LAST_VALUE
-    return (
-        "- history: keep_last\n"
-        f"  depth: {max(1, topic.cache)}\n"
-        f"  reliability: {'reliable' if topic.delivery.is_reliable else 'best_effort'}\n"
-        f"  durability: {'transient_local' if keeps else 'volatile'}\n"
-        f"  deadline: {_INFINITE}\n"
-        f"  lifespan: {_INFINITE}\n"
-        "  liveliness: automatic\n"
-        f"  liveliness_lease_duration: {_INFINITE}\n"
-        "  avoid_ros_namespace_conventions: false\n"
-    )
-
-
-class _Output:
-    """The file without a buffer of Python's: what is written is with the operating system."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        if path.exists():
-            raise OperationError(f"{path}: is there already; give another folder")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("xb", buffering=0)
-        except OSError as reason:
-            raise OperationError(
-                f"{path}: cannot be created ({reason.strerror}); give another folder with --out"
-            ) from None
-        self._position = 0
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError as reason:
-            raise OperationError(
-                f"{self._path}: writing failed ({reason.strerror}) after "
-                f"{self._position / 1e6:.1f} MB, which are kept; make room on the disk"
-            ) from None
-        self._position += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._position
-
-    def flush(self) -> None:
-        """Nothing waits here."""
-
-    def synchronise(self) -> None:
-        try:
-            os.fsync(self._file.fileno())
-        except OSError as reason:
-            raise OperationError(
-                f"{self._path}: the disk refuses to synchronise ({reason.strerror}); check it"
-            ) from None
-
-    def close(self) -> None:
-        self._file.close()
+_INDEXES = (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.CHUNK_INDEX)

@@ -1,33 +1,44 @@
-"""The recorder: every key of a site into one MCAP file."""
+"""The recorder: every key of a site into a session, or into a ring; commands from elsewhere."""
 
-from datetime import UTC, datetime
+import json
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from trigpoint.bus import Bus, Sample
-from trigpoint.clock import NANOSECONDS, Clock, SystemClock
+from trigpoint.clock import Clock, SystemClock, to_ns
 from trigpoint.config import Site
-from trigpoint.errors import ConfigError, InputError, TargetError, read_text
-from trigpoint.messages import Message
+from trigpoint.ending import ENDING
+from trigpoint.errors import InputError, OperationError
+from trigpoint.messages import Message, PoseEstimate
 from trigpoint.network import decode_network
 from trigpoint.node import Node
-from trigpoint.target import parse_target
-from trigpoint.topics import Topic, command_key
+from trigpoint.topics import CAMERA_POSE, Topic, command_key
 from trigpoint.watchdog import Pulse
 
-from .intake import Intake, recorded_topics
-from .recording import NETWORK_ATTACHMENT, SITE_ATTACHMENT
-from .sink_mcap import McapSink
+from .intake import Intake, is_wanted, recorded_topics
+from .mcap_chunk import Compression
+from .recording import NETWORK_ATTACHMENT
+from .ring import MovedCameras, Ring
+from .room import Room
+from .session_files import FILE, session_path
+from .session_part import AttachedFile
+from .sink_mcap import McapSink, SinkSettings
+from .site_attachments import site_files
+
+__all__ = ["COMMANDS", "FILE", "KIND", "NAME", "Recorder", "session_path", "site_files"]
 
 KIND = "recorder"
 NAME = "main"
-FILE = "session.mcap"
+COMMANDS = ("start", "stop", "split", "save", "status")
+"""Queryables under {site}/recorder/: each replies with the status, JSON."""
 _NETWORK_PERIOD_S = 10.0
 _NETWORK_TIMEOUT_S = 1.0
-_TOML = "application/toml"
 # A worn SD card may take half a minute to synchronise; what waits meanwhile is kept in memory.
 _DISK_S = 60.0
+_INTERRUPTED = "recording"
 
 
 class Recorder:
@@ -37,27 +48,57 @@ class Recorder:
     attaches the network and finishes the file.
     """
 
-    def __init__(self, site: Site, path: Path, *, clock: Clock | None = None) -> None:
-        """Create the file with the site's files attached.
+    def __init__(
+        self,
+        site: Site,
+        path: Path,
+        *,
+        clock: Clock | None = None,
+        out: Path | None = None,
+        ring_s: float = 0.0,
+    ) -> None:
+        """Create the file with the site's files attached; with `ring_s`, keep that many seconds
+        in memory instead, until they are to be saved. `out`: where further sessions go.
 
-        Raises InputError where one of those is missing or wrong, OperationError where the file
-        cannot be written.
+        Raises InputError where one of the site's files is missing or wrong, OperationError where
+        the file cannot be written.
         """
-        files = site_files(site)
-        self._site = site
+        self._site, self._path, self._out = site, path, out
+        self._clock = clock or SystemClock()  # as what is received is stamped
+        now_ns = self._clock.now_ns()
+        self._files = [AttachedFile(*file, now_ns) for file in site_files(site)]
         self._network = b""
-        self.sink = McapSink(path, clock=clock or SystemClock())
-        for name, data, media_type in files:
-            self.sink.attach(name, data, media_type)
+        self._node: Node | None = None
+        self._pulse: Pulse | None = None
+        self._lock = threading.Lock()  # of starting and stopping
+        self._moved = MovedCameras()
+        self._saved_ns = 0
+        self._ring_s = ring_s
+        self.ring = Ring(ring_s, capacity=site.recorder.ring_bytes) if ring_s else None
+        self.last: McapSink | None = None
+        """The session that is or was recorded last."""
+        self._sink: McapSink | None = None
+        if self.ring is None:
+            self._start(path)
+
+    @property
+    def sink(self) -> McapSink:
+        """The session that is or was recorded last; there is none with a ring."""
+        assert self.last is not None
+        return self.last
 
     def start(self, bus: Bus, node: Node) -> None:
         """Start the node's threads; they write until the node stops."""
         self._bus, self._node = bus, node
-        node.health.gauge("file.depth", lambda: self.sink.depth)
-        topics = recorded_topics(pictures=self._site.recorder.pictures)
+        node.health.gauge("file.depth", self._depth)
+        topics = recorded_topics(self._site)
         Intake(bus, node, self._site, topics, self._write)
-        self.sink.watch(node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S))
+        self._pulse = node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S)
+        if self._sink is not None:
+            self._sink.watch(self._pulse)
         node.work("network", self._ask_for_network)
+        for name in COMMANDS:
+            bus.serve(command_key(self._site.name, f"recorder/{name}"), _answer(self, name))
 
     def __enter__(self) -> Self:
         return self
@@ -68,27 +109,132 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        sink = self._sink
+        if sink is None:
+            return
         if self._network and error is None:
-            self.sink.attach(NETWORK_ATTACHMENT, self._network, "application/json")
-        self.sink.__exit__(kind, error, trace)
-        if error is not None and not self.sink.counts:
-            self.sink.path.unlink(missing_ok=True)  # refused before it began: leave nothing behind
+            sink.attach(NETWORK_ATTACHMENT, self._network, "application/json")
+        with ENDING.writing():
+            sink.__exit__(kind, error, trace)
+        if error is not None and not sink.counts:
+            # Refused before it began: leave nothing behind.
+            sink.path.unlink(missing_ok=True)
+            sink.path.with_name("metadata.yaml").unlink(missing_ok=True)
 
-    def _write(self, topic: Topic, sample: Sample, _message: Message) -> None:
-        is_taken = self.sink.write(
+    def command(self, name: str) -> dict[str, object]:
+        """Do what one of `COMMANDS` says; return the status. Raises OperationError where it does
+        not fit the state."""
+        with self._lock:
+            if name == "start":
+                self._start_again()
+            elif name == "stop":
+                self._stop()
+            elif name == "split":
+                self._running().split()
+            elif name == "save":
+                return self._status() | {"saved": str(self._save())}
+            return self._status()
+
+    def _status(self) -> dict[str, object]:
+        sink = self.last
+        state = "recording" if self._sink else "ring" if self.ring else "stopped"
+        status: dict[str, object] = {"state": state, "depth": self._depth()}
+        if sink is not None:
+            status |= {
+                "file": str(sink.path),
+                "part": sink.part,
+                "bytes": sink.size,
+                "messages": sum(sink.counts.values()),
+                "lost": sink.losses,
+                "problem": sink.problem,
+            }
+        return status
+
+    def _start(self, path: Path) -> None:
+        sink = McapSink(
+            path, clock=self._clock, settings=settings_of(self._site), complain=self._complain
+        )
+        for file in self._files:
+            sink.attach(file.name, file.data, file.media_type)
+        if self._pulse is not None:
+            sink.watch(self._pulse)
+        self._sink = self.last = sink
+
+    def _start_again(self) -> None:
+        if self._sink is not None:
+            raise OperationError(f"{self._sink.path} is being recorded already; stop it first")
+        if self.ring is not None:
+            raise OperationError("this recorder keeps a ring; save it, or start one without --ring")
+        self._start(session_path(self._site, self._out, now_ns=self._clock.now_ns()))
+
+    def _stop(self) -> None:
+        sink = self._running()
+        if self._network:
+            sink.attach(NETWORK_ATTACHMENT, self._network, "application/json")
+        self._sink = None
+        sink.close()
+
+    def _running(self) -> McapSink:
+        if self._sink is None:
+            raise OperationError("nothing is being recorded; start it first")
+        return self._sink
+
+    def _save(self) -> Path:
+        if self.ring is None:
+            raise OperationError("this recorder keeps no ring; start it with --ring SECONDS")
+        path = session_path(self._site, self._out, now_ns=self._clock.now_ns())
+        files = self._files
+        if self._network:
+            now_ns = self._clock.now_ns()
+            network = AttachedFile(NETWORK_ATTACHMENT, self._network, "application/json", now_ns)
+            files = [*files, network]
+        self.ring.save(path, files, settings_of(self._site).compression)
+        return path
+
+    def _write(self, topic: Topic, sample: Sample, message: Message) -> None:
+        into = self.ring or self._sink
+        if into is None or not is_wanted(self._site, sample.key):
+            return
+        is_taken = into.write(
             topic,
             sample.key,
             sample.payload,
             log_ns=sample.received_ns,
             published_ns=sample.published_ns,
+            attachment=sample.attachment,
         )
+        assert self._node is not None
         if is_taken:
             self._node.health.count(f"recorded {sample.key}")
         else:
-            self._node.health.lose("file")
+            self._node.health.lose(f"file {sample.key}")
+        if self.ring is not None and topic is CAMERA_POSE and isinstance(message, PoseEstimate):
+            self._save_where_moved(sample, message)
+
+    def _save_where_moved(self, sample: Sample, pose: PoseEstimate) -> None:
+        """A camera was moved: save what led to it, once for what is one event."""
+        is_new = sample.received_ns - self._saved_ns > to_ns(self._ring_s)
+        if self._moved.add(sample.key, pose) and is_new:
+            self._saved_ns = sample.received_ns
+            with self._lock:
+                path = self._save()
+            assert self._node is not None
+            self._node.health.describe("saved", f"{path}: {sample.key} moved")
+
+    def _depth(self) -> int:
+        into = self.ring or self._sink
+        return into.depth if into is not None else 0
+
+    def _complain(self, problem: str) -> None:
+        if self._node is not None:
+            if problem:
+                self._node.health.hold(_INTERRUPTED, problem)
+            else:
+                self._node.health.release(_INTERRUPTED)
 
     def _ask_for_network(self, pulse: Pulse) -> None:
         """Ask fusion now and then and once at the end, since it may end before the recorder."""
+        assert self._node is not None
         key = command_key(self._site.name, "fusion/network")
         while True:
             pulse.beat()
@@ -100,6 +246,7 @@ class Recorder:
                 return
 
     def _is_network(self, payload: bytes) -> bool:
+        assert self._node is not None
         try:
             decode_network(payload, source="fusion's network")
         except InputError as reason:
@@ -108,35 +255,25 @@ class Recorder:
         return True
 
 
-def session_path(site: Site, out: Path | None, *, now_ns: int) -> Path:
-    """Where to record: `session.mcap` in `out`, or in a new folder of the recorder's directory.
+def settings_of(site: Site) -> SinkSettings:
+    """How a site's sessions are written, by its file."""
+    wanted = site.recorder
+    return SinkSettings(
+        compression=Compression[wanted.compression.upper()],
+        synchronise_s=wanted.synchronise,
+        split_bytes=wanted.split_bytes,
+        split_s=wanted.split_time,
+        room=Room(
+            site.path(wanted.directory),
+            wanted.minimum_free,
+            wanted.when_full == "free",
+            prefix=site.name,
+        ),
+    )
 
-    Where `out` has a session already (a recorder that was killed and started again), the next free
-    name is taken: nothing is ever written over.
-    """
-    if out is None:
-        time = datetime.fromtimestamp(now_ns // NANOSECONDS, UTC).strftime("%Y%m%dT%H%M%SZ")
-        out = site.path(site.recorder.directory) / f"{site.name}_{time}"
-    taken = {file.name for file in out.glob("*.mcap")}
-    number = 1
-    while (name := FILE if number == 1 else f"session_{number}.mcap") in taken:
-        number += 1
-    return out / name
 
+def _answer(recorder: Recorder, name: str) -> Callable[[bytes], bytes]:
+    def answer(_request: bytes) -> bytes:
+        return json.dumps(recorder.command(name)).encode()
 
-def site_files(site: Site) -> list[tuple[str, bytes, str]]:
-    """(name as the site file writes it, bytes, media type) of everything that a session needs.
-
-    Raises ConfigError or TargetError where a file is missing or wrong.
-    """
-    files = [(SITE_ATTACHMENT, site.text.encode(), _TOML)]
-    for name in dict.fromkeys(site.target_name(robot) for robot in site.robots):
-        path = site.path(name)
-        text = read_text(path, "target file", TargetError)
-        parse_target(text, file=str(path))
-        files.append((name, text.encode(), _TOML))
-    lenses = [c.intrinsics for c in site.cameras.values() if not c.estimates_intrinsics]
-    for name in dict.fromkeys(name for name in lenses if name):
-        text = read_text(site.path(name), "camera_info file", ConfigError)
-        files.append((name, text.encode(), "application/yaml"))
-    return files
+    return answer

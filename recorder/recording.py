@@ -2,17 +2,21 @@
 
 import logging
 from bisect import bisect_left
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from trigpoint.errors import RecordingError
 from trigpoint.topics import Topic, topic_of
 
-from .mcap_file import ChunkSpan, McapIndex, RawMessage, chunk_messages, read_chunk, read_index
+from .mcap_channels import attached_to, attachment_in
+from .mcap_file import ChunkSpan, McapIndex, RawMessage, chunk_messages, read_chunk
+from .mcap_index import read_index
+from .session_files import repeated_keys, session_files
 
 SITE_ATTACHMENT = "site.toml"
 NETWORK_ATTACHMENT = "network.json"
+LAST_NS = 2**63 - 1
 
 _LOG = logging.getLogger(__name__)
 
@@ -29,30 +33,43 @@ class RecordedSample(NamedTuple):
     payload: bytes
     log_ns: int
     published_ns: int
+    attachment: bytes = b""
 
 
 class Recording:
-    """An opened session; holds its index alone, the file is open only while samples are read."""
+    """An opened session, of one file or of several parts in the order of their recording.
 
-    def __init__(self, index: McapIndex) -> None:
-        self._index = index
-        self._topics = _topics_of(index)
-        # Offsets of the chunks that were told to be.
-        self._damaged: set[int] = set()
+    It holds their indexes alone; a file is open only while samples are read.
+    """
+
+    def __init__(self, indexes: Sequence[McapIndex]) -> None:
+        self.parts = tuple(indexes)
+        # Damaged chunks that were told to be.
+        self._damaged: set[tuple[Path, int]] = set()
+        for index in self.parts:
+            check_types(index)
 
     @property
     def path(self) -> Path:
-        return self._index.path
+        """The file, of several the first."""
+        return self.parts[0].path
 
     @property
     def problem(self) -> str:
-        """Why the file is not complete, in words; "" where it is."""
-        return self._index.problem
+        """What is damaged or missing, in words; "" where all is there."""
+        if len(self.parts) == 1:
+            return self.parts[0].problem
+        return "; ".join(f"{p.path.name}: {p.problem}" for p in self.parts if p.problem)
 
     @property
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name: site.toml, the target files, network.json."""
-        return self._index.attachments
+        return {name: data for part in self.parts for name, data in part.attachments.items()}
+
+    @property
+    def notes(self) -> dict[str, dict[str, str]]:
+        """Metadata by name, as the last part has them."""
+        return {name: values for part in self.parts for name, values in part.metadata.items()}
 
     @property
     def site_text(self) -> str:
@@ -64,12 +81,15 @@ class Recording:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many messages each key has, in the order in which the keys came."""
+        """How many messages each key has, in the order in which the keys came; what a later part
+        repeats of an earlier one included."""
         counts: dict[str, int] = {}
-        for span in self._index.chunks:
-            for channel, count in span.counts.items():
-                key = _key(self._index.channels[channel].topic)
-                counts[key] = counts.get(key, 0) + count
+        for part in self.parts:
+            for span in part.chunks:
+                for channel, count in span.counts.items():
+                    key = key_of(part, channel)
+                    if not attached_to(key):
+                        counts[key] = counts.get(key, 0) + count
         return counts
 
     @property
@@ -80,52 +100,105 @@ class Recording:
     @property
     def start_ns(self) -> int:
         """The first log time."""
-        return min(span.start_ns for span in self._index.chunks)
+        return min(span.start_ns for part in self.parts for span in part.chunks)
 
     @property
     def end_ns(self) -> int:
         """The last log time."""
-        return max(span.end_ns for span in self._index.chunks)
+        return max(span.end_ns for part in self.parts for span in part.chunks)
 
-    def samples(self, topics: Collection[Topic] | None = None) -> Iterator[RecordedSample]:
-        """The messages of these topics (None: of all that the contract has) in log-time order.
+    def samples(
+        self, topics: Collection[Topic] | None = None, *, from_ns: int = 0, to_ns: int = LAST_NS
+    ) -> Iterator[RecordedSample]:
+        """The messages of these topics (None: of all that the contract has) in log-time order,
+        from one log time to another, both included.
 
         Messages of one log time come in the file's order. What lies in a damaged chunk (half a
         second of a session) is left out; the log says so as an error.
         """
-        channels = {
-            channel: (_key(self._index.channels[channel].topic), topic)
-            for channel, topic in self._topics.items()
-            if topics is None or topic in topics
-        }
-        for log_ns, published_ns, channel, payload in self._messages(set(channels)):
-            key, topic = channels[channel]
-            yield RecordedSample(key, topic, payload, log_ns, published_ns)
+        for number, part in enumerate(self.parts):
+            wanted: dict[int, tuple[str, Topic]] = {}
+            attached: dict[int, str] = {}
+            for channel in part.channels:
+                key = key_of(part, channel)
+                topic = topic_of(attached_to(key) or key)
+                if topic is None or (topics is not None and topic not in topics):
+                    continue
+                if owner := attached_to(key):
+                    attached[channel] = owner
+                else:
+                    wanted[channel] = key, topic
+            repeated = repeated_keys(part) if number else set()
+            messages = self.messages(part, {*wanted, *attached}, from_ns, to_ns)
+            yield from _joined(messages, wanted, attached, repeated)
 
-    def _messages(self, channels: set[int]) -> Iterator[RawMessage]:
-        """Merge the chunks, whose times may overlap: a message waits for the next chunk's start."""
+    def messages(
+        self, part: McapIndex, channels: set[int], from_ns: int = 0, to_ns: int = LAST_NS
+    ) -> Iterator[RawMessage]:
+        """A part's messages of these channels. Chunks, whose times may overlap, are merged: a
+        message waits for the next chunk's start."""
         waiting: list[RawMessage] = []
-        wanted = [span for span in self._index.chunks if channels & span.counts.keys()]
+        wanted = [
+            span
+            for span in part.chunks
+            if channels & span.counts.keys() and span.end_ns >= from_ns and span.start_ns <= to_ns
+        ]
         wanted.sort(key=lambda span: (span.start_ns, span.offset))
-        with self.path.open("rb") as file:
+        with part.path.open("rb") as file:
             for span in wanted:
                 ready = bisect_left(waiting, span.start_ns, key=_log_time)
-                yield from waiting[:ready]
+                yield from _between(waiting[:ready], from_ns, to_ns)
                 waiting = waiting[ready:]
-                waiting.extend(chunk_messages(self._read(file, span), channels))
+                waiting.extend(chunk_messages(self._read(part, file, span), channels))
                 waiting.sort(key=_log_time)
-        yield from waiting
+        yield from _between(waiting, from_ns, to_ns)
 
-    def _read(self, file, span: ChunkSpan) -> bytes:
+    def _read(self, part: McapIndex, file: IO[bytes], span: ChunkSpan) -> bytes:
         try:
             return read_chunk(file, span)
         except ValueError as reason:
-            if span.offset not in self._damaged:
-                self._damaged.add(span.offset)
+            if (part.path, span.offset) not in self._damaged:
+                self._damaged.add((part.path, span.offset))
                 lost = sum(span.counts.values())
                 text = "%s: %s; its %d messages are left out: copy the file again if you can"
-                _LOG.error(text, self.path, reason, lost)
+                _LOG.error(text, part.path, reason, lost)
             return b""
+
+
+def _joined(
+    messages: Iterator[RawMessage],
+    wanted: dict[int, tuple[str, Topic]],
+    attached: dict[int, str],
+    repeated: set[str],
+) -> Iterator[RecordedSample]:
+    """Messages with what was attached to them, which stands just before with the same times."""
+    held: dict[str, RawMessage] = {}
+    for message in messages:
+        log_ns, published_ns, channel, payload, _ = message
+        if channel in attached:
+            held[attached[channel]] = message
+            continue
+        key, topic = wanted[channel]
+        beside = held.pop(key, None) if held else None
+        if key in repeated:
+            repeated.discard(key)
+            continue
+        if beside is not None and (beside.log_ns, beside.published_ns) == (log_ns, published_ns):
+            attachment = attachment_in(beside.payload)
+            yield RecordedSample(key, topic, payload, log_ns, published_ns, attachment)
+        else:
+            yield RecordedSample(key, topic, payload, log_ns, published_ns)
+
+
+def _between(messages: list[RawMessage], from_ns: int, to_ns: int) -> list[RawMessage]:
+    if from_ns == 0 and to_ns == LAST_NS:
+        return messages
+    return [message for message in messages if from_ns <= message.log_ns <= to_ns]
+
+
+def key_of(part: McapIndex, channel: int) -> str:
+    """The key of a channel."""
+    return part.channels[channel].topic.removeprefix("/")
 
 
 def open_recording(path: Path) -> Recording:
@@ -134,36 +207,21 @@ def open_recording(path: Path) -> Recording:
     Raises RecordingError where it is missing, foreign or holds no complete message. A file whose
     recorder was killed is opened as far as it is complete, and a warning says so.
     """
-    recording = Recording(read_index(_file(path)))
+    recording = Recording([read_index(file) for file in session_files(path)])
     file, problem = recording.path, recording.problem
     if not recording.counts:
         why = f"{problem} before its first message was complete" if problem else "has no messages"
         raise RecordingError(f"{file}: the session is empty ({why}); record while the site runs")
     if problem:
         total = sum(recording.counts.values())
-        _LOG.warning("%s: not complete: %s; the %d messages before are read", file, problem, total)
+        _LOG.warning("%s: not complete: %s; its %d sound messages are read", file, problem, total)
     return recording
 
 
-def _file(path: Path) -> Path:
-    if path.is_dir():
-        files = sorted(path.glob("*.mcap"))
-        if not files:
-            raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
-        if len(files) > 1:
-            names = ", ".join(file.name for file in files)
-            raise RecordingError(f"{path}: several sessions in this folder ({names}); name one")
-        return files[0]
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such session; check the path")
-    return path
-
-
-def _topics_of(index: McapIndex) -> dict[int, Topic]:
-    """The contract's topic of each channel; raise RecordingError where its type is another."""
-    topics = {}
+def check_types(index: McapIndex) -> None:
+    """Raise RecordingError where a key of the contract has another type than the contract's."""
     for channel in index.channels.values():
-        topic = topic_of(_key(channel.topic))
+        topic = topic_of(channel.topic.removeprefix("/"))
         if topic is None:
             continue
         schema = index.schemas.get(channel.schema_id)
@@ -173,12 +231,6 @@ def _topics_of(index: McapIndex) -> dict[int, Topic]:
                 f"{index.path}: {channel.topic} holds {found} in {channel.message_encoding}, not "
                 f"{topic.type_name} in cdr; record it with Trigpoint"
             )
-        topics[channel.id] = topic
-    return topics
-
-
-def _key(topic: str) -> str:
-    return topic.removeprefix("/")
 
 
 def _log_time(message: RawMessage) -> int:

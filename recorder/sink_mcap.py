@@ -1,13 +1,15 @@
-"""Records into an MCAP file on a thread of its own.
+"""Records into MCAP files on a thread of its own.
 
 A chunk is closed when it is full or half a second old and goes to the operating system at once, so
 a recorder that is killed loses no more than that. Every five seconds the file is synchronised with
-the disk, which bounds what a power cut takes and spares SD cards.
+the disk, which bounds what a power cut takes and spares SD cards. A disk that refuses (it is full)
+does not end the recording: it is tried again, ever more seldom, in a new part.
 """
 
 import logging
 import threading
-from collections import deque
+import uuid
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,52 +17,80 @@ from typing import Self
 
 from trigpoint.clock import Clock, to_ns
 from trigpoint.errors import OperationError
-from trigpoint.topics import Topic
+from trigpoint.topics import Delivery, Topic
 from trigpoint.watchdog import Pulse
 
-from .mcap_writer import McapWriter
+from .log_times import LogTimes
+from .mcap_chunk import Compression
+from .room import Room
+from .rosbag_metadata import PartFacts, write_metadata
+from .session_files import part_path
+from .session_part import AttachedFile, Part
+from .sink_queue import Message, SinkQueue
 
 CHUNK_AGE_S = 0.5
-SYNCHRONISE_S = 5.0
 QUEUE_BYTES = 64 * 2**20
 CLOSE_TIMEOUT_S = 10.0
 _TICK_S = 0.1
+_HOLD_S = 0.05
+"""How long a message waits for those before it that come by another of the bus's threads."""
+_ROOM_S = 1.0
+_FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 60.0
 
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class _Message:
-    topic: Topic
-    key: str
-    data: bytes
-    log_ns: int
-    published_ns: int
+class SinkSettings:
+    """How a session is written. `split_bytes`, `split_s`: a part's largest size and duration, 0
+    where there is none; `room`: None where the disk is not looked after."""
 
-
-@dataclass(frozen=True, slots=True)
-class _Attachment:
-    name: str
-    data: bytes
-    media_type: str
-    time_ns: int
+    compression: Compression = Compression.ZSTD
+    synchronise_s: float = 5.0
+    split_bytes: float = 0.0
+    split_s: float = 0.0
+    room: Room | None = None
 
 
 class McapSink:
-    """One session file; the methods may be called from any thread and do not wait for the disk."""
+    """One session; the methods may be called from any thread and do not wait for the disk."""
 
-    def __init__(self, path: Path, *, clock: Clock) -> None:
-        """Create the file; raise OperationError where it cannot be or is there already."""
-        self._clock = clock
-        self._writer = McapWriter(path)
-        self._queue: deque[_Message | _Attachment] = deque()
-        self._queued_bytes = 0
-        self._lost = 0
+    def __init__(
+        self,
+        path: Path,
+        *,
+        clock: Clock,
+        settings: SinkSettings = SinkSettings(),
+        complain: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """Create the first part; raise OperationError where it cannot be or is there already.
+
+        `complain` is told, on the writing thread, why the recording is interrupted, and "" when it
+        goes on.
+        """
+        self._clock, self._settings, self._complain = clock, settings, complain
+        self._first_path = path
+        self._times = LogTimes(clock)
+        self._session = uuid.uuid4().hex
+        self._queue = SinkQueue(QUEUE_BYTES)
+        self._files: list[AttachedFile] = []
+        self._new_files: list[AttachedFile] = []
+        self._latched: dict[str, Message] = {}
+        self._held: list[Message] = []
+        self._facts: list[PartFacts] = []
+        self._counts: dict[str, int] = {}
+        self._last_ns = 0
+        self._problem = ""
+        self._retry_s = _FIRST_RETRY_S
+        self._retry_ns = 0
+        self._noted: tuple[int, int] = (0, 0)
         self._is_closing = False
-        self._error: OperationError | None = None
-        self._condition = threading.Condition()
+        self._wants_split = False
+        self._lock = threading.Lock()
         self._pulse: Pulse | None = None
-        self._flushed_ns = self._synchronised_ns = clock.elapsed_ns()
+        self._flushed_ns = self._synchronised_ns = self._looked_ns = clock.elapsed_ns()
+        self._part_ns = self._flushed_ns
+        self._part: Part | None = self._open_part(1)
         self._thread = threading.Thread(target=self._run, name="mcap", daemon=True)
         self._thread.start()
 
@@ -70,46 +100,84 @@ class McapSink:
 
     @property
     def path(self) -> Path:
-        return self._writer.path
+        """The session's first file."""
+        return self._first_path
+
+    @property
+    def part(self) -> int:
+        """The number of the part that is or was written last, counted from 1."""
+        return self._number
 
     @property
     def depth(self) -> int:
         """How many messages wait for the disk."""
-        return len(self._queue)
+        return self._queue.depth
 
     @property
     def lost(self) -> int:
-        """How many messages were not recorded since the disk was too slow."""
-        return self._lost
+        """How many messages were not recorded since the disk was too slow, or full."""
+        return sum(self._queue.lost.values())
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """`lost`, by key."""
+        return self._queue.lost
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is written now, "" where all is well."""
+        return self._problem
 
     @property
     def counts(self) -> dict[str, int]:
         """How many messages of each key were written; complete after `close`."""
-        return dict(self._writer.counts)
+        counts = dict(self._counts)
+        part = self._part
+        if part is not None:
+            for key, count in part.writer.counts.items():
+                counts[key] = counts.get(key, 0) + count
+        return counts
+
+    @property
+    def size(self) -> int:
+        """The bytes of the part being written, 0 between parts."""
+        part = self._part
+        return part.writer.size if part is not None else 0
 
     def write(
-        self, topic: Topic, key: str, payload: bytes, *, log_ns: int, published_ns: int
+        self,
+        topic: Topic,
+        key: str,
+        payload: bytes,
+        *,
+        log_ns: int,
+        published_ns: int,
+        attachment: bytes = b"",
     ) -> bool:
-        """Queue one message; False where 64 MiB wait already and it is lost.
-
-        Raises OperationError once the file cannot be written any more.
-        """
-        return self._put(_Message(topic, key, payload, log_ns, published_ns))
+        """Queue one message; False where its queue is full and it is lost."""
+        if self._is_closing:
+            self._queue.lose(key)
+            return False
+        return self._queue.put(Message(log_ns, published_ns, topic, key, payload, attachment))
 
     def attach(self, name: str, data: bytes, media_type: str) -> None:
-        """Queue a file to attach."""
-        self._put(_Attachment(name, data, media_type, self._clock.now_ns()))
+        """Attach a file, to this part and to those that follow."""
+        with self._lock:
+            self._new_files.append(AttachedFile(name, data, media_type, self._clock.now_ns()))
+
+    def split(self) -> None:
+        """Begin a new part soon."""
+        self._wants_split = True
 
     def close(self) -> None:
         """Write what waits and finish the file; raise OperationError where that failed."""
-        with self._condition:
-            self._is_closing = True
-            self._condition.notify()
+        self._is_closing = True
+        self._queue.is_urgent.set()
         self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
             raise OperationError(f"{self.path}: the disk does not answer, so its end is missing")
-        if self._error:
-            raise self._error
+        if self._problem:
+            raise OperationError(self._problem)
 
     def __enter__(self) -> Self:
         return self
@@ -128,64 +196,166 @@ class McapSink:
             if reason is not error:
                 _LOG.error("%s", reason)
 
-    def _put(self, item: _Message | _Attachment) -> bool:
-        with self._condition:
-            if self._error:
-                raise self._error
-            if self._is_closing or self._queued_bytes + len(item.data) > QUEUE_BYTES:
-                self._lost += 1
-                return False
-            self._queue.append(item)
-            self._queued_bytes += len(item.data)
-            return True
-
     def _run(self) -> None:
+        is_last = False
+        while not is_last:
+            if self._pulse is not None:
+                self._pulse.beat()
+            self._queue.is_urgent.wait(_TICK_S)
+            is_last = self._is_closing
+            try:
+                self._turn(is_last=is_last)
+            except OperationError as reason:
+                self._interrupt(str(reason))
+            except Exception as reason:  # noqa: BLE001 - whatever a library raises must be told
+                _LOG.exception("recording broke off")
+                self._interrupt(f"{self.path}: the recording broke off: {reason!r}")
+        self._lose_rest()
+
+    def _turn(self, *, is_last: bool) -> None:
+        self._times.look()
+        self._look_for_room(is_last=is_last)
+        if self._part is None:
+            if not is_last and self._clock.elapsed_ns() < self._retry_ns:
+                return
+            self._part = self._open_part(self._number + 1)
+            self._problem, self._retry_s = "", _FIRST_RETRY_S
+            self._complain("")
+        self._attach_new(self._part)
+        self._write_waiting(self._part, is_last=is_last)
+        self._keep(self._part)
+        if is_last:
+            self._finish_part(self._part)
+
+    def _write_waiting(self, part: Part, *, is_last: bool) -> None:
+        now_ns = self._times.now_ns()
+        self._held += self._times.of_all(self._queue.take(), now_ns)
+        self._held.sort(key=_log_time)
+        ready = len(self._held) if is_last else _count_until(self._held, now_ns - to_ns(_HOLD_S))
+        messages, self._held = self._held[:ready], self._held[ready:]
+        for message in messages:
+            if message.topic.delivery is Delivery.LAST_VALUE:
+                self._latched[message.key] = message
         try:
-            while not self._is_closing:
-                if self._pulse is not None:
-                    self._pulse.beat()
-                with self._condition:
-                    self._condition.wait_for(lambda: self._is_closing, _TICK_S)
-                self._write_all()
-                self._keep()
-            self._write_all()
-            self._writer.finish()
-        except OperationError as reason:
-            self._writer.abandon()
-            with self._condition:
-                self._error = reason
-        except Exception as reason:  # noqa: BLE001 - whatever a library raises must be told
-            self._writer.abandon()
-            with self._condition:
-                self._error = OperationError(f"the recording broke off: {reason!r}")
+            part.add(messages)
+        finally:
+            self._last_ns = part.last_ns
+        self._queue.release()
 
-    def _write_all(self) -> None:
-        while items := self._take():
-            for item in items:
-                if isinstance(item, _Attachment):
-                    self._writer.attach(item.name, item.data, item.media_type, time_ns=item.time_ns)
-                else:
-                    self._writer.add(
-                        item.topic,
-                        item.key,
-                        item.data,
-                        log_ns=item.log_ns,
-                        published_ns=item.published_ns,
-                    )
-
-    def _take(self) -> list[_Message | _Attachment]:
-        with self._condition:
-            items = list(self._queue)
-            self._queue.clear()
-            self._queued_bytes = 0
-        return items
-
-    def _keep(self) -> None:
-        """Close the chunk by its age; synchronise from time to time."""
+    def _keep(self, part: Part) -> None:
+        """Close the chunk by its age; synchronise from time to time; begin a new part."""
         now_ns = self._clock.elapsed_ns()
         if now_ns - self._flushed_ns >= to_ns(CHUNK_AGE_S):
-            self._writer.flush()
+            part.writer.flush()
             self._flushed_ns = now_ns
-        if now_ns - self._synchronised_ns >= to_ns(SYNCHRONISE_S):
-            self._writer.synchronise()
+        if now_ns - self._synchronised_ns >= to_ns(self._settings.synchronise_s):
+            self._note(part)
+            part.writer.synchronise()
             self._synchronised_ns = now_ns
+        if self._is_split_due(part, now_ns):
+            self._wants_split = False
+            self._finish_part(part)
+            self._part = self._open_part(self._number + 1)
+
+    def _is_split_due(self, part: Part, now_ns: int) -> bool:
+        settings = self._settings
+        is_large = settings.split_bytes and part.writer.size >= settings.split_bytes
+        is_long = settings.split_s and now_ns - self._part_ns >= to_ns(settings.split_s)
+        return bool(self._wants_split or is_large or is_long)
+
+    def _note(self, part: Part) -> None:
+        """Write losses and clock jumps where there are more than were written."""
+        state = self.lost, len(self._times.jumps)
+        if state != self._noted:
+            self._noted = state
+            part.note(self.losses, self._times.jumps)
+
+    def _open_part(self, number: int) -> Part:
+        path = part_path(self._first_path, number)
+        latched = self._latched if number > 1 else {}
+        part = Part(
+            path,
+            session=self._session,
+            number=number,
+            files=self._files,
+            latched={key: m._replace(log_ns=self._last_ns) for key, m in latched.items()},
+            start_ns=self._last_ns,
+            compression=self._settings.compression,
+        )
+        self._number = number
+        self._part_ns = self._clock.elapsed_ns()
+        self._write_metadata(PartFacts(path.name, (0, 0), {}))
+        return part
+
+    def _finish_part(self, part: Part) -> None:
+        part.finish(self.losses, self._times.jumps)
+        self._put_away(part)
+        self._write_metadata()
+
+    def _put_away(self, part: Part) -> None:
+        self._part = None
+        counts = part.writer.counts
+        self._facts.append(PartFacts(part.path.name, part.writer.times_ns, counts))
+        for key, count in counts.items():
+            self._counts[key] = self._counts.get(key, 0) + count
+
+    def _write_metadata(self, *more: PartFacts) -> None:
+        try:
+            write_metadata(self._first_path.parent, [*self._facts, *more])
+        except OSError as reason:
+            raise OperationError(
+                f"{self._first_path.parent}: metadata.yaml cannot be written ({reason.strerror})"
+            ) from None
+
+    def _attach_new(self, part: Part) -> None:
+        with self._lock:
+            new, self._new_files = self._new_files, []
+        for file in new:
+            self._files = [*(f for f in self._files if f.name != file.name), file]
+            part.attach(file)
+
+    def _look_for_room(self, *, is_last: bool) -> None:
+        now_ns = self._clock.elapsed_ns()
+        room, part = self._settings.room, self._part
+        if room is None or is_last or now_ns - self._looked_ns < to_ns(_ROOM_S):
+            return
+        self._looked_ns = now_ns
+        if problem := room.problem(self._first_path.parent):
+            if part is not None:
+                self._finish_part(part)
+            self._say(problem)
+            self._retry_ns = now_ns + to_ns(_ROOM_S)  # until the next look
+
+    def _interrupt(self, problem: str) -> None:
+        """After an error: try again later, ever more seldom, with what is in no chunk yet."""
+        part, self._part = self._part, None
+        if part is not None:
+            part.abandon()
+            self._held = [*part.writer.unwritten(), *self._held]
+            self._last_ns = part.writer.times_ns[1]
+            self._put_away(part)
+        self._say(problem)
+        self._retry_ns = self._clock.elapsed_ns() + to_ns(self._retry_s)
+        self._retry_s = min(2 * self._retry_s, _LONGEST_RETRY_S)
+
+    def _say(self, problem: str) -> None:
+        if problem != self._problem:
+            _LOG.error("%s", problem)
+        self._problem = problem
+        self._complain(problem)
+
+    def _lose_rest(self) -> None:
+        for message in [*self._held, *self._queue.take()]:
+            self._queue.lose(message.key)
+
+
+def _count_until(messages: list[Message], until_ns: int) -> int:
+    """How many of the sorted messages are not after a log time."""
+    count = len(messages)
+    while count and messages[count - 1].log_ns > until_ns:
+        count -= 1
+    return count
+
+
+def _log_time(message: Message) -> int:
+    return message.log_ns

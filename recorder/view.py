@@ -10,9 +10,9 @@ from trigpoint.config import Site
 from trigpoint.messages import Message
 from trigpoint.node import Node
 from trigpoint.target import Target
-from trigpoint.topics import Topic, node_of
+from trigpoint.topics import TOPICS, Topic, node_of
 
-from .intake import Intake, recorded_topics
+from .intake import Intake
 from .rerun_blueprint import blueprint
 from .rerun_columns import Columns
 from .rerun_scene import Scene
@@ -41,7 +41,7 @@ class LiveView:
         self._node = node
         node.health.gauge("drawing.depth", lambda: len(self._queue))
         node.thread("draw", self._draw)
-        Intake(bus, node, self._site, recorded_topics(pictures=True), self._put)
+        Intake(bus, node, self._site, list(TOPICS), self._put)
 
     def _put(self, topic: Topic, sample: Sample, message: Message) -> None:
         with self._lock:

@@ -88,6 +88,14 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (FusionConfig, "target_rotation"): "rad; the same",
     (RecorderConfig, "directory"): "where recordings go",
     (RecorderConfig, "pictures"): "true: pictures are recorded too (then they leave the cameras)",
+    (RecorderConfig, "keys"): "only keys that match, like camera/*/sightings; none: all",
+    (RecorderConfig, "compression"): "or lz4, none",
+    (RecorderConfig, "synchronise"): "s; what a power cut may take",
+    (RecorderConfig, "split_bytes"): "a new file at this size; 0: never",
+    (RecorderConfig, "split_time"): "s; a new file after this time; 0: never",
+    (RecorderConfig, "minimum_free"): "bytes that stay free on the disk",
+    (RecorderConfig, "when_full"): "or free: then the oldest finished recording is removed",
+    (RecorderConfig, "ring_bytes"): "most that `record --ring` holds in memory",
 }
 
 _EXAMPLES = {

@@ -135,28 +135,14 @@ class MemoryBus:
     def unreached(self) -> tuple[str, ...]:
         return ()
 
-    @property
-    def unsent(self) -> int:
-        return 0
-
-    def flush(self, timeout_s: float) -> bool:
-        del timeout_s  # nothing waits
-        return True
-
     def publisher(self, topic: Topic, key: str) -> MemoryPublisher:
         publisher = MemoryPublisher(self._broker, topic, key, self._identity)
         self._declared.append(publisher)
         return publisher
 
-    def subscribe(
-        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
-    ) -> SampleQueue[Sample]:
+    def subscribe(self, topic: Topic, expression: str) -> SampleQueue[Sample]:
         queue: SampleQueue[Sample] = SampleQueue(
-            topic.queue,
-            lambda sample: sample,
-            lambda: self._unsubscribe(queue),
-            key_of=lambda sample: sample.key,
-            wanted=wanted,
+            topic.queue, lambda sample: sample, lambda: self._unsubscribe(queue)
         )
         with self._broker.lock:
             if topic.cache:

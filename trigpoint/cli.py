@@ -63,6 +63,17 @@ COMMANDS: dict[str, Command] = {
     "replay": Command(
         "trigpoint.recorder.commands:replay", "Put a session back on the bus.", "recorder"
     ),
+    "info": Command(
+        "trigpoint.recorder.commands_files:info", "What is in a recording.", "recorder"
+    ),
+    "check": Command(
+        "trigpoint.recorder.commands_files:check", "Is a recording sound?", "recorder"
+    ),
+    "recover": Command(
+        "trigpoint.recorder.commands_files:recover",
+        "Save what is sound of a damaged recording.",
+        "recorder",
+    ),
     "calibrate": Command(
         "trigpoint.tools.calibrate:main", "The estimator over a session.", "fusion,recorder"
     ),

@@ -51,8 +51,9 @@ def test_an_unknown_camera_is_refused() -> None:
 
 
 def test_pictures_are_recorded_only_where_they_are_wanted() -> None:
-    assert set(TOPICS) - set(recorded_topics(pictures=False)) == {IMAGE}
-    assert set(recorded_topics(pictures=True)) == set(TOPICS)
+    wanting = make_site(more="[recorder]\npictures = true")
+    assert set(TOPICS) - set(recorded_topics(SITE)) == {IMAGE}
+    assert set(recorded_topics(wanting)) == set(TOPICS)
 
 
 def test_garbage_is_counted_and_its_sender_named() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from trigpoint import cdr
 from trigpoint.errors import RecordingError
-from trigpoint.recorder.mcap_file import read_index
+from trigpoint.recorder.mcap_index import read_index
 from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.topics import ODOMETRY, SIGHTINGS, Topic

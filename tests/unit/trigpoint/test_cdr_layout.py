@@ -10,7 +10,7 @@ from trigpoint import cdr_layout
 from trigpoint.cdr import decode, decode_by_definition, encode, type_name
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
-from trigpoint.messages import SIGHTINGS, FaceSighting, Odometry, Sightings
+from trigpoint.messages import FaceSighting, Odometry, Sightings
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
@@ -78,10 +78,7 @@ def test_damaged_message_is_refused_or_read_as_by_its_definition(
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     length = len(payload) + data.draw(st.integers(-5, 5))
     damaged = bytes(payload[:length]) + bytes(max(0, length - len(payload)))
-    try:
-        read = by_layout(type_name(message), damaged)
-    except MessageError:  # beyond all measure, which its definition is not asked about any more
-        read = None
+    read = by_layout(type_name(message), damaged)
     try:
         expected = decode_by_definition(type_name(message), damaged)
     except MessageError:
@@ -104,15 +101,3 @@ def test_odometry_with_a_number_that_is_not_finite_is_refused(number: float, fie
 def test_big_endian_message_is_left_to_the_definition() -> None:
     message = Odometry(7, "r1/odom", "r1/base", Pose.identity())
     assert cdr_layout.odometry(b"\x00\x00" + encode(message)[2:]) is None
-
-
-def test_too_many_faces_are_refused_before_one_is_read() -> None:
-    face = FaceSighting("t", 1, np.arange(4, dtype=np.uint16), np.zeros((4, 2), np.float32), 0.2)
-    payload = encode(Sightings(1, "c1/optical", 640, 480, (face,) * 5000))
-    with pytest.raises(MessageError, match="5000 faces, of which 256"):
-        decode(SIGHTINGS, payload)
-
-
-def test_name_of_a_megabyte_is_refused() -> None:
-    with pytest.raises(MessageError, match="bytes of a name"):
-        decode(SIGHTINGS, encode(Sightings(1, "x" * 1_000_000, 640, 480, ())))

@@ -13,7 +13,7 @@ from trigpoint import __version__
 from trigpoint.cli import COMMANDS, EXTRAS, GROUPS, Command, chosen_command, run
 from trigpoint.errors import BusError, ConfigError
 
-ABSENT = ("recover", "info", "check", "export")
+ABSENT = ("export",)
 
 
 def put_command(monkeypatch: pytest.MonkeyPatch, function: object) -> None:

@@ -1,0 +1,81 @@
+"""The commands `info`, `check` and `recover`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.errors import InputError
+
+from .mcap_check import check as check_file
+from .recording import open_recording
+from .recover import recover as save_sound
+from .session_files import session_files
+from .session_info import KeyInfo, info_json, info_lines, session_info
+
+Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with a session.")]
+
+_SHOWN = 20
+
+
+def info(
+    session: Session,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """What is in a recording: keys with their types, rates, gaps and losses."""
+    found = session_info(open_recording(session))
+    if json:
+        typer.echo(info_json(found))
+        return
+    for line in info_lines(found):
+        typer.echo(line)
+    width = max(len(key) for key in found.keys)
+    typer.echo(f"{'key':<{width}}  messages      Hz   gap s   lost  breaks  type")
+    for key, one in sorted(found.keys.items()):
+        typer.echo(f"{key:<{width}}{_row(one)}")
+
+
+def check(session: Session) -> None:
+    """Is a recording sound? Every rule of the MCAP format, strict order of log times included.
+
+    Ends with status 1 where it is not.
+    """
+    is_sound = True
+    for file in session_files(session):
+        verdict = check_file(file)
+        is_sound = is_sound and verdict.is_sound
+        for kind, texts in (("error", verdict.errors), ("warning", verdict.warnings)):
+            for text in texts[:_SHOWN]:
+                typer.echo(f"{file}: {kind}: {text}")
+            if len(texts) > _SHOWN:
+                typer.echo(f"{file}: and {len(texts) - _SHOWN} more {kind}s")
+        if verdict.is_sound:
+            typer.echo(f"{file}: sound")
+    if not is_sound:
+        typer.echo("`trigpoint recover` saves what is sound of a damaged recording", err=True)
+        raise typer.Exit(1)
+
+
+def recover(
+    session: Session,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Without it: beside the file, in recovered/."),
+    ] = None,
+) -> None:
+    """Save what is sound of a damaged recording into a new file; it also makes one of parts."""
+    recording = open_recording(session)
+    file = out or recording.path.parent / "recovered" / recording.path.name
+    if file.suffix != ".mcap":
+        raise InputError(f"{file}: a recording's name ends in .mcap; write another --out")
+    counts = save_sound(recording, file)
+    for key, count in counts.items():
+        typer.echo(f"{count:8d}  {key}")
+    typer.echo(f"{sum(counts.values()):8d}  messages saved: {file}")
+
+
+def _row(one: KeyInfo) -> str:
+    return (
+        f"  {one.messages:8d} {one.rate_hz:7.1f} {one.longest_gap_s:7.2f} {one.lost:6d} "
+        f"{one.sequence_breaks:7d}  {one.type}"
+    )

@@ -1,0 +1,58 @@
+"""A file that is written without a buffer of Python's: what is written is with the system."""
+
+import os
+from pathlib import Path
+
+from trigpoint.errors import OperationError
+
+_MOST_PIECES = 1024  # IOV_MAX of Linux
+
+
+class Output:
+    """A new file. Methods raise OperationError where the disk does not take the bytes."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file and its folder; what is there already is never written over."""
+        self._path = path
+        if path.exists():
+            raise OperationError(f"{path}: is there already; give another folder")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("xb", buffering=0)
+        except OSError as reason:
+            raise OperationError(
+                f"{path}: cannot be created ({reason.strerror}); give another folder with --out"
+            ) from None
+        self.position = 0
+
+    def write(self, *pieces: bytes) -> None:
+        """Append the pieces, in one call to the system as far as it takes them."""
+        rest = sum(len(piece) for piece in pieces)
+        size = rest
+        waiting = [memoryview(piece) for piece in pieces if piece]
+        try:
+            while rest:
+                written = os.writev(self._file.fileno(), waiting[:_MOST_PIECES])
+                rest -= written
+                while waiting and written >= len(waiting[0]):
+                    written -= len(waiting.pop(0))
+                if waiting:
+                    waiting[0] = waiting[0][written:]
+        except OSError as reason:
+            raise OperationError(
+                f"{self._path}: writing failed ({reason.strerror}) after "
+                f"{self.position / 1e6:.1f} MB, which are kept; make room on the disk"
+            ) from None
+        self.position += size
+
+    def synchronise(self) -> None:
+        """Wait until the disk has it."""
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as reason:
+            raise OperationError(
+                f"{self._path}: the disk refuses to synchronise ({reason.strerror}); check it"
+            ) from None
+
+    def close(self) -> None:
+        self._file.close()

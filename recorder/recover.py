@@ -1,0 +1,79 @@
+"""Saves what is sound of a damaged recording into a new file; merges a session's parts."""
+
+import logging
+from pathlib import Path
+
+from trigpoint.errors import OperationError
+from trigpoint.topics import topic_of
+
+from .mcap_channels import quality_of_service
+from .mcap_file import McapIndex, RawMessage
+from .mcap_writer import McapWriter
+from .recording import Recording, key_of
+from .rosbag_metadata import PartFacts, write_metadata
+from .session_files import PART, repeated_keys
+
+_LOG = logging.getLogger(__name__)
+
+
+def recover(recording: Recording, out: Path) -> dict[str, int]:
+    """Write every sound message, in the order of log time, with attachments and metadata, into a
+    new file, whose chunks are full ones; return how many messages each key has.
+
+    Raises OperationError where the file is there already or cannot be written.
+    """
+    writer = McapWriter(out)
+    try:
+        for name, data in recording.attachments.items():
+            writer.attach(name, data, _media_type(name), time_ns=recording.start_ns)
+        for name, values in recording.notes.items():
+            if name != PART:
+                writer.note(name, values)
+        for number, part in enumerate(recording.parts):
+            _copy(recording, part, writer, repeated_keys(part) if number else set())
+    except BaseException:
+        writer.abandon()
+        raise
+    writer.finish()
+    try:
+        write_metadata(out.parent, [PartFacts(out.name, writer.times_ns, writer.counts)])
+    except OSError as reason:
+        raise OperationError(f"{out.parent}: metadata.yaml: {reason.strerror}") from None
+    return writer.counts
+
+
+def _copy(recording: Recording, part: McapIndex, writer: McapWriter, repeated: set[str]) -> None:
+    channels = {number for number in part.channels if _counted(part, number)}
+    numbers = {number: _defined(part, number, writer) for number in channels}
+    keys = {number: key_of(part, number) for number in channels}
+    for message in recording.messages(part, channels):
+        if repeated and keys[message.channel] in repeated:
+            repeated.discard(keys[message.channel])
+            continue
+        writer.append([_row(message, numbers[message.channel])])
+
+
+def _counted(part: McapIndex, channel: int) -> bool:
+    return any(channel in span.counts for span in part.chunks)
+
+
+def _row(message: RawMessage, channel: int) -> tuple[int, int, int, bytes]:
+    return message.log_ns, message.published_ns, channel, message.payload
+
+
+def _defined(part: McapIndex, number: int, writer: McapWriter) -> int:
+    channel = part.channels[number]
+    key = key_of(part, number)
+    if (known := writer.channel_of(key)) is not None:
+        return known
+    schema = part.schemas.get(channel.schema_id)
+    metadata = dict(channel.metadata)
+    if not metadata and (topic := topic_of(key)):
+        metadata["offered_qos_profiles"] = quality_of_service(topic)
+    name, encoding, data = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    return writer.define(key, name, encoding, data, metadata, encoding=channel.message_encoding)
+
+
+def _media_type(name: str) -> str:
+    kinds = {".toml": "application/toml", ".json": "application/json", ".yaml": "application/yaml"}
+    return kinds.get(Path(name).suffix, "application/octet-stream")

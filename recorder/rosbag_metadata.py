@@ -1,0 +1,84 @@
+"""metadata.yaml beside a recording: what makes its folder a bag that `ros2 bag` opens."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.scalarstring import LiteralScalarString
+
+from trigpoint import cdr
+from trigpoint.topics import topic_of
+
+from .mcap_channels import quality_of_service
+
+FILE = "metadata.yaml"
+_VERSION = 9  # rosbag2's of Jazzy
+
+
+@dataclass(frozen=True, slots=True)
+class PartFacts:
+    """One file of the bag: its name, first and last log time, messages of each key."""
+
+    name: str
+    times_ns: tuple[int, int]
+    counts: Mapping[str, int]
+
+
+def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
+    """Write the file anew, in one step."""
+    new = folder / f".{FILE}"
+    new.write_text(metadata_text(parts), encoding="utf-8")
+    new.replace(folder / FILE)
+
+
+def metadata_text(parts: Sequence[PartFacts]) -> str:
+    """The file's text, as rosbag2 of Jazzy writes it."""
+    counts: dict[str, int] = {}
+    for part in parts:
+        for key, count in part.counts.items():
+            counts[key] = counts.get(key, 0) + count
+    started = [part.times_ns[0] for part in parts if part.counts]
+    start_ns = min(started, default=0)
+    end_ns = max((part.times_ns[1] for part in parts if part.counts), default=0)
+    information = {
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": end_ns - start_ns},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": sum(counts.values()),
+        "topics_with_message_count": [_topic(key, count) for key, count in counts.items()],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [part.name for part in parts],
+        "files": [_file(part) for part in parts],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
+    text = StringIO()
+    YAML().dump({"rosbag2_bagfile_information": information}, text)
+    return text.getvalue()
+
+
+def _topic(key: str, count: int) -> dict[str, object]:
+    topic = topic_of(key)
+    name = topic.type_name if topic else "std_msgs/msg/UInt8MultiArray"
+    metadata = {
+        "name": "/" + key,
+        "type": name,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": LiteralScalarString(quality_of_service(topic)) if topic else "",
+        "type_description_hash": cdr.type_hash(name),
+    }
+    return {"topic_metadata": metadata, "message_count": count}
+
+
+def _file(part: PartFacts) -> dict[str, object]:
+    start_ns, end_ns = part.times_ns
+    return {
+        "path": part.name,
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "duration": {"nanoseconds": end_ns - start_ns},
+        "message_count": sum(part.counts.values()),
+    }

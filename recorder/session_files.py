@@ -1,0 +1,66 @@
+"""The files of a session: where it is written, and which files in a folder are its parts."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.config import Site
+from trigpoint.errors import RecordingError
+
+from .mcap_file import McapIndex
+from .mcap_index import read_index
+
+FILE = "session.mcap"
+PART = "trigpoint.part"
+"""Metadata of each part: `session`, an identity that all parts have, `part`, counted from 1, and
+`repeated`, the keys whose first message here is the last one of the part before."""
+
+
+def session_folder(site: Site, *, now_ns: int) -> Path:
+    """A new folder for a session, named by the site and the time, in the recorder's directory."""
+    time = datetime.fromtimestamp(now_ns // NANOSECONDS, UTC).strftime("%Y%m%dT%H%M%SZ")
+    return site.path(site.recorder.directory) / f"{site.name}_{time}"
+
+
+def session_path(site: Site, out: Path | None, *, now_ns: int) -> Path:
+    """Where to record: `session.mcap` in `out`, or in a new folder of the recorder's directory.
+
+    Where `out` has a session already (a recorder that was killed and started again), the next free
+    name is taken: nothing is ever written over.
+    """
+    folder = out if out is not None else session_folder(site, now_ns=now_ns)
+    taken = {file.name for file in folder.glob("*.mcap")}
+    number = 1
+    while (name := FILE if number == 1 else f"session_{number}.mcap") in taken:
+        number += 1
+    return folder / name
+
+
+def part_path(first: Path, part: int) -> Path:
+    """The file of a session's part, counted from 1."""
+    return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
+
+
+def session_files(path: Path) -> list[Path]:
+    """The file, or the session's parts in a folder in their order; raise RecordingError where
+    there is none, or there are several sessions."""
+    if not path.is_dir():
+        if not path.exists():
+            raise RecordingError(f"{path}: there is no such session; check the path")
+        return [path]
+    files = sorted(path.glob("*.mcap"))
+    if not files:
+        raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
+    if len(files) == 1:
+        return files
+    parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
+    sessions = {part.get("session", str(file)) for file, part in parts.items()}
+    if len(sessions) > 1:
+        names = ", ".join(file.name for file in files)
+        raise RecordingError(f"{path}: several sessions in this folder ({names}); name one")
+    return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
+
+
+def repeated_keys(part: McapIndex) -> set[str]:
+    """Keys whose first message in this part repeats the part before."""
+    return set(filter(None, part.metadata.get(PART, {}).get("repeated", "").split(",")))

@@ -1,0 +1,183 @@
+"""Ring, remote commands, masked passwords, key filters, and the commands on files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import eventually, make_odometry
+
+from trigpoint import cdr
+from trigpoint.bus import Bus
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.cli import run
+from trigpoint.config import Site, load_site, parse_site
+from trigpoint.geometry import Pose
+from trigpoint.messages import PoseEstimate
+from trigpoint.node import Node
+from trigpoint.recorder.mcap_check import check
+from trigpoint.recorder.node import Recorder, settings_of
+from trigpoint.recorder.recording import open_recording
+from trigpoint.recorder.ring import MovedCameras, Ring
+from trigpoint.recorder.site_attachments import without_passwords
+from trigpoint.topics import CAMERA_INFO, CAMERA_POSE, ODOMETRY, SIGHTINGS
+
+KEY = ODOMETRY.key("lab", "r1")
+PAYLOAD = cdr.encode(make_odometry(1))
+SECOND_NS = 10**9
+
+
+def ask(bus: Bus, command: str) -> dict:
+    (reply,) = bus.query(f"lab/recorder/{command}")
+    assert not reply.error, reply.error
+    return json.loads(reply.payload)
+
+
+def refusal(bus: Bus, command: str) -> str:
+    (reply,) = bus.query(f"lab/recorder/{command}")
+    return reply.error
+
+
+def test_a_recorder_is_stopped_started_and_split_from_elsewhere(site_folder: Path) -> None:
+    site = load_site(site_folder / "site.toml")
+    broker = MemoryBroker()
+    path = site_folder / "out" / "session.mcap"
+    with (
+        broker.session() as bus,
+        broker.session() as remote,
+        Recorder(site, path, out=path.parent) as recorder,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        recorder.start(bus, node)
+        publisher = remote.publisher(ODOMETRY, KEY)
+        publisher.put(PAYLOAD)
+        assert eventually(lambda: ask(remote, "status")["messages"] >= 1)
+        ask(remote, "split")
+        assert eventually(lambda: ask(remote, "status")["part"] == 2)
+        assert "already" in refusal(remote, "start")
+        assert "--ring" in refusal(remote, "save")
+        assert ask(remote, "stop")["state"] == "stopped"
+        assert "nothing is being recorded" in refusal(remote, "split")
+        publisher.put(PAYLOAD)
+        status = ask(remote, "start")
+        assert status["state"] == "recording"
+        assert status["file"].endswith("session_2.mcap")
+        node.stop()
+    assert KEY in open_recording(path).counts
+    assert check(path.with_name("session_part2.mcap")).is_sound
+
+
+def test_a_ring_is_saved_from_elsewhere_and_when_a_camera_moved(site_folder: Path) -> None:
+    site = load_site(site_folder / "site.toml")
+    broker = MemoryBroker()
+    path = site_folder / "out" / "session.mcap"
+    with (
+        broker.session() as bus,
+        broker.session() as remote,
+        Recorder(site, path, out=path.parent, ring_s=60) as recorder,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        recorder.start(bus, node)
+        publisher = remote.publisher(ODOMETRY, KEY)
+        publisher.put(PAYLOAD)
+        assert eventually(lambda: ask(remote, "status")["depth"] >= 1)
+        assert not path.exists()
+        assert ask(remote, "save")["saved"] == str(path)
+        assert open_recording(path).counts[KEY] == 1
+        cameras = remote.publisher(CAMERA_POSE, CAMERA_POSE.key("lab", "c1"))
+        for x in (1.0, 1.001, 1.5):
+            cameras.put(cdr.encode(estimate(x)))
+        moved = path.with_name("session_2.mcap")
+        assert eventually(moved.exists)
+        node.stop()
+    assert CAMERA_POSE.key("lab", "c1") in open_recording(moved).counts
+
+
+def estimate(x: float) -> PoseEstimate:
+    covariance = np.diag([1e-4, 1e-4, 0, 0, 0, 1e-5])
+    return PoseEstimate(1, "map", Pose.planar(x, 0.0, 0.0), covariance)
+
+
+def test_a_pose_that_is_refined_is_no_camera_that_moved() -> None:
+    moved = MovedCameras()
+    assert not any(moved.add("c1", estimate(1 + 0.01 * i)) for i in range(10))
+    assert moved.add("c1", estimate(2.0))
+
+
+def test_a_ring_forgets_what_is_old_but_for_the_last_values(tmp_path: Path) -> None:
+    ring = Ring(10.0, capacity=1e6)
+    info = CAMERA_INFO.key("lab", "c1")
+    ring.write(CAMERA_INFO, info, b"lens", log_ns=0, published_ns=0)
+    for second in range(30):
+        ring.write(ODOMETRY, KEY, PAYLOAD, log_ns=second * SECOND_NS, published_ns=0)
+    ring.save(tmp_path / "s.mcap", [], settings_of(parse_site(SITE, directory=Path())).compression)
+    samples = list(open_recording(tmp_path / "s.mcap").samples())
+    assert [s.key for s in samples if s.topic is CAMERA_INFO] == [info]
+    times = [s.log_ns // SECOND_NS for s in samples if s.topic is ODOMETRY]
+    assert times == list(range(19, 30))
+
+
+SITE = """site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "rtsp://admin:se/cr@et@10.0.0.5/stream?channel=1&password=hunter2"
+[cameras.c2]
+source = "v4l2:///dev/video0?exposure_ms=5"
+[robots.r1]
+port = "socket://bob:pw@10.0.0.6:4000"
+"""
+
+
+def test_passwords_do_not_get_into_a_recording() -> None:
+    masked = without_passwords(SITE)
+    for secret in ("se/cr", "et@", "hunter2", ":pw@"):
+        assert secret not in masked
+    site = parse_site(masked, directory=Path())
+    assert site.camera("c1").source == "rtsp://admin:***@10.0.0.5/stream?channel=1&password=***"
+    assert site.camera("c2").source == "v4l2:///dev/video0?exposure_ms=5"
+
+
+def test_only_keys_that_match_the_filter_are_recorded(site_folder: Path, story: list) -> None:
+    with (site_folder / "site.toml").open("a") as file:
+        file.write('\n[recorder]\nkeys = ["camera/*/sightings"]\n')
+    site: Site = load_site(site_folder / "site.toml")
+    broker, path = MemoryBroker(), site_folder / "s.mcap"
+    with (
+        broker.session() as bus,
+        broker.session() as sender,
+        Recorder(site, path) as recorder,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        recorder.start(bus, node)
+        sent = [one for one in story if one.topic in (SIGHTINGS, ODOMETRY)][:20]
+        for one in sent:
+            sender.publisher(one.topic, one.key).put(one.payload)
+        wanted = sum(one.topic is SIGHTINGS for one in sent)
+        assert eventually(lambda: sum(recorder.sink.counts.values()) == wanted)
+        node.stop()
+    assert {sample.topic for sample in open_recording(path).samples()} == {SIGHTINGS}
+
+
+def test_info_tells_rates_and_gaps(session_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", "--json", str(session_file)]) == 0
+    info = json.loads(capsys.readouterr().out)
+    odometry = info["keys"][KEY]
+    assert odometry["type"] == ODOMETRY.type_name
+    assert odometry["rate_hz"] == pytest.approx(20.0)
+    assert odometry["longest_gap_s"] == pytest.approx(0.05)
+    assert odometry["sequence_breaks"] == 0
+    assert run(["info", str(session_file)]) == 0
+    assert KEY in capsys.readouterr().out
+
+
+def test_check_and_recover_as_commands(
+    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check", str(session_file)]) == 0
+    assert "sound" in capsys.readouterr().out
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(session_file.read_bytes()[:-2000])
+    assert run(["check", str(cut)]) == 1
+    capsys.readouterr()
+    assert run(["recover", str(cut)]) == 0
+    assert run(["check", str(tmp_path / "recovered")]) == 0
