@@ -8,8 +8,10 @@ import msgspec
 import typer
 
 from trigpoint import cdr, topics
+from trigpoint.config import load_site
 from trigpoint.errors import InputError, MessageError, writing
 from trigpoint.fusion.estimators import check_estimator
+from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
@@ -39,6 +41,14 @@ def main(
         Path | None,
         typer.Option(help="Folder to write to; «calibration» beside the session.", file_okay=False),
     ] = None,
+    topic: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=TOPIC",
+            help="For anybody's bag (MCAP, rosbag2, ROS 1), with --site: which camera's pictures, "
+            "or robot's odometry, a topic is, like c1=/front/image_raw. Give several.",
+        ),
+    ] = [],  # noqa: B006 - typer makes a list of it anew
     json: Annotated[bool, typer.Option("--json", help="Print the network file instead.")] = False,
 ) -> None:
     """Work out the network of a recorded session, faster than it took.
@@ -46,20 +56,26 @@ def main(
     Writes network.json, covariance.npz, each robot's trajectory, and report.html with all of it on
     a page. Where a truth.json lies beside the session, the errors against it are stated too.
     """
-    recording = open_recording(session)
-    inputs = session_inputs(recording, site=site, network=network)
+    beside = session if session.is_dir() else session.parent
+    recording = None if topic else open_recording(session)
+    inputs = (
+        session_inputs(recording, site=site, network=network)
+        if recording
+        else _bag_inputs(site, network)
+    )
     if estimator is not None:
         fusion = msgspec.structs.replace(inputs.site.fusion, estimator=estimator)
         chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
         check_estimator(chosen)
         inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
-    folder = out if out is not None else recording.path.parent / "calibration"
+    folder = out if out is not None else beside / "calibration"
     with writing(folder):  # now, not after all the work
         folder.mkdir(parents=True, exist_ok=True)
-    pipeline = worked_out(recording, inputs)
+    messages = messages_of(recording) if recording else _bag_messages(session, topic, inputs)
+    pipeline = work_out(messages, inputs, source=session)
     results = pipeline.results()
     results.save(folder)
-    error = _error(recording, results)
+    error = _error(beside, results)
     write_report(pipeline, results, error, session=session, folder=folder)
     if json:
         typer.echo(encode_network(results.network).decode(), nl=False)
@@ -75,10 +91,14 @@ def calibrated(recording: Recording, inputs: Inputs) -> Results:
 
 def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
     """A pipeline after a whole session; raise InputError where nothing in it can be used."""
+    return work_out(messages_of(recording), inputs, source=recording.path)
+
+
+def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Path) -> Pipeline:
+    """A pipeline after the messages, which come in the order of their stamps, lenses first."""
     pipeline = Pipeline(inputs, is_live=False)
-    messages = messages_of(recording)
     if not any(isinstance(message, Odometry) for _, message in messages):
-        raise InputError(f"{recording.path}: no odometry of a robot is in it; record a drive")
+        raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
     for node, message in messages:
         pipeline.push(node, message)
         if isinstance(message, Odometry):
@@ -113,8 +133,20 @@ def messages_of(recording: Recording) -> list[tuple[str, Message]]:
     return [(node, message) for *_, node, message in found]
 
 
-def _error(recording: Recording, results: Results) -> NetworkError | None:
-    path = recording.path.parent / "truth.json"
+def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
+    if site is None:
+        raise InputError("--topic: a bag has no site file; give it with --site")
+    return load_inputs(load_site(site), network=network)
+
+
+def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> list[tuple[str, Message]]:
+    from .bag_session import bag_messages, parse_roles  # OpenCV and bags, which sessions need not
+
+    return bag_messages(bag, parse_roles(topics), inputs)
+
+
+def _error(folder: Path, results: Results) -> NetworkError | None:
+    path = folder / "truth.json"
     if not path.exists():
         return None
     return network_error(results.network, results.covariance, load_truth(path))

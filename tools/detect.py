@@ -32,7 +32,9 @@ class Still:
 
 
 def main(
-    pictures: Annotated[list[Path], typer.Argument(help="Pictures, folders of them, or videos.")],
+    pictures: Annotated[
+        list[Path], typer.Argument(help="Pictures, folders of them, videos, or bags.")
+    ],
     target: Annotated[Path, typer.Option(help="The target file.")],
     json_lines: Annotated[
         bool, typer.Option("--json", help="One JSON object a line for each picture.")
@@ -40,6 +42,9 @@ def main(
     draw: Annotated[
         Path | None, typer.Option(help="Folder for the pictures with what was found drawn in.")
     ] = None,
+    topic: Annotated[
+        list[str], typer.Option(help="Of a bag (MCAP, rosbag2, ROS 1): the pictures' topic.")
+    ] = [],  # noqa: B006 - typer makes a list of it anew
     sequence: Annotated[
         bool, typer.Option("--sequence", help="They are one camera's, in order, of one size.")
     ] = False,
@@ -52,7 +57,7 @@ def main(
     if draw is not None:
         _make_folder(draw)
     first: Still | None = None
-    for still in stills(pictures):
+    for still in stills(pictures, topic):
         first = first or still
         if sequence and still.picture.shape != first.picture.shape:
             raise InputError(f"{still.name}: not of the size of {first.name}; leave --sequence out")
@@ -65,24 +70,36 @@ def main(
             cv2.imwrite(str(file), draw_faces(still.picture, faces))
 
 
-def stills(paths: Sequence[Path]) -> Iterator[Still]:
-    """Every picture of files, folders and videos, in order; raises InputError."""
+def stills(paths: Sequence[Path], topics: Sequence[str] = ()) -> Iterator[Still]:
+    """Every picture of files, folders, videos and bags, in order; raises InputError.
+
+    `topics`: of bags, those with the pictures; none: the only one that has some.
+    """
     names: dict[str, int] = {}
     for path in paths:
-        for name, stem, picture in _opened(path):
+        for name, stem, picture in _opened(path, topics):
             names[stem] = names.get(stem, 0) + 1
             unique = stem if names[stem] == 1 else f"{stem}_{names[stem]}"
             yield Still(name, unique, picture)
 
 
-def _opened(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
-    if path.is_dir():
+def _opened(path: Path, topics: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
+    if _is_bag(path):
+        from .bag_pictures import bag_pictures  # the readers of bags take half a second to import
+
+        yield from bag_pictures(path, topics)
+    elif path.is_dir():
         for file in pictures_in(path):
             yield str(file), file.stem, read_picture(file)
     elif is_picture(path):
         yield str(path), path.stem, read_picture(path)
     else:
         yield from _frames(path)
+
+
+def _is_bag(path: Path) -> bool:
+    suffixes = {file.suffix for file in path.iterdir()} if path.is_dir() else {path.suffix}
+    return bool(suffixes & {".mcap", ".db3", ".bag"})
 
 
 def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -22,9 +22,14 @@ from .intrinsics_page import intrinsics_page
 
 
 def main(
-    pictures: Annotated[list[Path], typer.Argument(help="Pictures, folders of them, or videos.")],
+    pictures: Annotated[
+        list[Path], typer.Argument(help="Pictures, folders of them, videos, or bags.")
+    ],
     target: Annotated[Path | None, typer.Option(help="The target file.")] = None,
     site: Annotated[Path | None, typer.Option(help="Or the site file that names targets.")] = None,
+    topic: Annotated[
+        list[str], typer.Option(help="Of a bag (MCAP, rosbag2, ROS 1): the pictures' topic.")
+    ] = [],  # noqa: B006 - typer makes a list of it anew
     out: Annotated[
         Path | None, typer.Option(help="Write ROS camera_info YAML here, and a page beside it.")
     ] = None,
@@ -37,7 +42,7 @@ def main(
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
     check_all(pictures)
-    count, size, views = _views(pictures, targets)
+    count, size, views = _views(pictures, targets, topic)
     found = calibrate(views, size)
     if json_text:
         typer.echo(json.dumps(calibration_record(found)))
@@ -60,12 +65,12 @@ def _targets(target: Path | None, site: Path | None) -> list[Target]:
 
 
 def _views(
-    pictures: Sequence[Path], targets: Sequence[Target]
+    pictures: Sequence[Path], targets: Sequence[Target], topics: Sequence[str]
 ) -> tuple[int, tuple[int, int], list[View]]:
     """How many pictures there are, their width and height, and the views in them."""
     detector = detector_for(targets)
     count, size, views = 0, (0, 0), []
-    for still in stills(pictures):
+    for still in stills(pictures, topics):
         height, width = still.picture.shape
         if count and (width, height) != size:
             raise InputError(

@@ -1,0 +1,104 @@
+"""Anybody's bag as a session for `calibrate`: which topic is which camera or robot."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from trigpoint.edge.detector import TargetDetector, detector_for
+from trigpoint.errors import InputError
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.messages import (
+    CAMERA_INFO,
+    ODOMETRY,
+    SIGHTINGS,
+    CameraInfo,
+    Message,
+    Odometry,
+    Picture,
+    Sightings,
+)
+from trigpoint.recorder.bag import PICTURES, Bag, BagMessage, RawImage
+
+from .bag_pictures import grey_of
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What a topic is: of the camera or robot `name`."""
+
+    name: str
+    topic: str
+
+
+def parse_roles(texts: Sequence[str]) -> list[Role]:
+    """«c1=/front/image_raw» …; raise InputError for anything else."""
+    roles = []
+    for text in texts:
+        name, separator, topic = text.partition("=")
+        if not separator or not name or not topic:
+            raise InputError(
+                f"--topic {text}: say whose it is, like c1=/front/image_raw or r1=/odom"
+            )
+        roles.append(Role(name.strip(), topic.strip()))
+    return roles
+
+
+def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> list[tuple[str, Message]]:
+    """(camera or robot, message) in the order of stamps, lenses first; pictures are searched for
+    the site's targets.
+
+    The camera_info beside a camera's pictures is taken by itself. Raises InputError where a role
+    or a topic does not fit.
+    """
+    bag = Bag(path)
+    names = _names(bag, roles, inputs)
+    detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
+    found = []
+    for one in bag.messages(list(names)):
+        message = _as_message(path, one, names[one.topic], detector)
+        stamp_ns = 0 if isinstance(message, CameraInfo) else _stamp(message)
+        found.append(
+            (stamp_ns, isinstance(message, Sightings), len(found), names[one.topic], message)
+        )
+    found.sort(key=lambda item: item[:3])
+    return [(name, message) for *_, name, message in found]
+
+
+def _stamp(message: Message) -> int:
+    assert isinstance(message, (Odometry, Sightings))
+    return message.stamp_ns
+
+
+def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]:
+    """Topic -> camera or robot, each fitting its type."""
+    names: dict[str, str] = {}
+    site = inputs.site
+    for role in roles:
+        kind = bag.topics.get(role.topic)
+        of_camera = kind in (*PICTURES, CAMERA_INFO, SIGHTINGS)
+        if kind is not None and (of_camera or kind == ODOMETRY):
+            (site.camera if of_camera else site.robot)(role.name)
+        names[role.topic] = role.name
+        if kind in PICTURES:
+            for beside in _infos_beside(role.topic):
+                if bag.topics.get(beside) == CAMERA_INFO:
+                    names.setdefault(beside, role.name)
+    return names
+
+
+def _infos_beside(topic: str) -> Iterator[str]:
+    """Where ROS puts the camera_info of pictures: beside the topic, without its transport."""
+    parent = topic
+    for _ in range(2):
+        parent = parent.rpartition("/")[0]
+        yield f"{parent}/camera_info"
+
+
+def _as_message(path: Path, one: BagMessage, name: str, detector: TargetDetector) -> Message:
+    message = one.message
+    if not isinstance(message, (Picture, RawImage)):
+        return message
+    grey = grey_of(path, one)
+    height, width = grey.shape
+    stamp_ns = message.stamp_ns or one.log_ns
+    return Sightings(stamp_ns, f"{name}/optical", width, height, detector.detect(grey))
