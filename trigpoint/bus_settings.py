@@ -28,6 +28,12 @@ MESSAGE_LIMIT_BYTES = 16 << 20
 BLOCK_LIMIT_US = 2_000_000
 """How long a put waits for a peer that does not read, before the peer is cut off."""
 
+QUEUE_BATCHES = 16
+"""Batches of 64 kB that may wait for a link, by priority; Zenoh takes no more. A publisher's whole
+cache (1024 odometry messages, 717 kB) is asked for at once after a break. With the two batches that
+are usual, a slow link (5 % of loss, 100 ms) let that wait so long that it was cut off, came back, was
+asked again, and never recovered."""
+
 
 @dataclass(frozen=True, slots=True)
 class Multicast:
@@ -101,6 +107,8 @@ class Settings:
             "transport/shared_memory/enabled": False,
             "transport/link/rx/max_message_size": MESSAGE_LIMIT_BYTES,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_LIMIT_US,
+            "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
+            "transport/link/tx/queue/size/data": QUEUE_BATCHES,
         }
         if self.multicast is not None:
             values["scouting/multicast/interface"] = self.multicast.interface

@@ -1,0 +1,68 @@
+"""A secured site across networks that lose, delay and break, in namespaces made by the test."""
+
+import pytest
+
+from benchmarks.impairment import Namespace, NoNamespacesError
+from benchmarks.network import (
+    BAD,
+    FAIR,
+    WITH_VIEWER,
+    Key,
+    Scenario,
+    coming_late,
+    flapping,
+    killing,
+    run,
+)
+
+
+@pytest.fixture(autouse=True)
+def namespaces() -> None:
+    """Skip where this user or kernel makes none."""
+    try:
+        space = Namespace()
+        space.tun("tptry")
+    except (NoNamespacesError, FileNotFoundError) as reason:
+        pytest.skip(f"no network namespaces here: {reason}")
+    space.close()
+
+
+def assert_recovered(key: Key, *, at_least: int) -> None:
+    """Nothing twice, in order, what is missing was counted, and it went on after the break."""
+    assert key.twice == 0
+    assert key.numbers == sorted(key.numbers)
+    assert key.uncounted == 0
+    assert key.sent >= at_least
+    assert key.last == key.sent - 1
+
+
+def test_router_dies_on_a_network_that_loses_and_delays() -> None:
+    """What its break held up comes at once over a slow link, which must not be cut off for that."""
+    found = run(Scenario(BAD, seconds=12.0, action=killing(2.0, 5.0)))
+    assert_recovered(found["odom"], at_least=500)
+    assert_recovered(found["sightings"], at_least=100)
+    assert (found["odom"].lost, found["sightings"].lost) == (0, 0)
+    assert found["correction"].last >= found["correction"].sent - 10
+    assert found["correction"].twice == 0
+
+
+def test_links_flap_while_somebody_looks_at_pictures() -> None:
+    found = run(Scenario(FAIR, seconds=13.0, action=flapping(2), roles=WITH_VIEWER))
+    assert_recovered(found["odom"], at_least=500)
+    assert_recovered(found["sightings"], at_least=100)
+    assert (found["odom"].lost, found["sightings"].lost) == (0, 0)
+    assert found["image"].numbers
+
+
+def test_everyone_waits_for_a_router_that_comes_late() -> None:
+    found = run(
+        Scenario(FAIR, seconds=6.0, action=coming_late(3.0), late_router=True, linger_s=4.0)
+    )
+    for name, at_least in (("odom", 150), ("sightings", 30)):
+        key = found[name]
+        assert key.twice == 0
+        assert key.sent >= at_least
+        # From the first that came on; what a publisher says before its token has got round is not
+        # asked for.
+        assert key.numbers == list(range(key.numbers[0], key.sent))
+    assert found["correction"].numbers
