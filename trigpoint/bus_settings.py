@@ -31,8 +31,8 @@ BLOCK_LIMIT_US = 2_000_000
 QUEUE_BATCHES = 16
 """Batches of 64 kB that may wait for a link, by priority; Zenoh takes no more. A publisher's whole
 cache (1024 odometry messages, 717 kB) is asked for at once after a break. With the two batches that
-are usual, a slow link (5 % of loss, 100 ms) let that wait so long that it was cut off, came back, was
-asked again, and never recovered."""
+are usual, a slow link (5 % of loss, 100 ms) let that wait so long that it was cut off, came back,
+was asked again, and never recovered."""
 
 
 @dataclass(frozen=True, slots=True)
