@@ -35,6 +35,7 @@ class Stamp(StrEnum):
     MONOTONIC = "by the kernel's monotonic clock"
     REALTIME = "by the kernel's real-time clock"
     ARRIVAL = "on arrival"
+    SENDER = "by the sender's clock"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,20 +1,26 @@
-"""`file://VIDEO`: a video by OpenCV and FFmpeg, at its own rate."""
+"""`file://VIDEO`: a video by PyAV and FFmpeg, by its presentation times."""
 
+import logging
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
+import av
+import av.error
 import numpy as np
+from av.logging import set_level
 
-from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.clock import NANOSECONDS, Clock, to_ns, to_seconds
 from trigpoint.config import CameraConfig
 from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel
 
 from .frames import Frame, local_path
 
+_log = logging.getLogger(__name__)
+
 _USUAL_RATE = 30.0
+_NO_VIDEO = "{}: this is no video that can be read; check the file"
 
 
 class VideoFrames:
@@ -39,7 +45,7 @@ class VideoFrames:
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
         """Pictures until the video's end, each at its own time."""
         start_ns, started_ns = self._clock.now_ns(), self._clock.elapsed_ns()
-        period_ns = to_ns(1 / self._video.rate)
+        period_ns, unreadable = to_ns(1 / self._video.rate), 0
         while (position_ns := self._video.advance()) is not None:
             early_ns = started_ns + position_ns - self._clock.elapsed_ns()
             if early_ns < -period_ns:
@@ -48,8 +54,11 @@ class VideoFrames:
             if self._clock.wait(stopping, max(0.0, to_seconds(early_ns))):
                 return
             picture = self._video.picture()
-            if picture is not None:
-                yield Frame(picture, start_ns + position_ns)
+            if picture is None:
+                unreadable += 1
+                continue
+            yield Frame(picture, start_ns + position_ns, unreadable=unreadable)
+            unreadable = 0
 
     def close(self) -> None:
         self._video.close()
@@ -62,30 +71,34 @@ class Video:
         """Raises InputError for a missing file or one that is no video."""
         if not file.is_file():
             raise InputError(f"{file}: there is no such video; check the path")
-        self._capture = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
-        if not self._capture.isOpened() or not self._capture.grab():
-            self._capture.release()
-            raise InputError(f"{file}: this is no video that can be read; check the file")
-        self._is_ahead = True
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        self.rate = rate if np.isfinite(rate) and 0.1 < rate < 1000 else _USUAL_RATE
-        self._index = -1
-        self._first_ms: float | None = None
-        self._last_ns = -1
+        set_level(None)
+        try:
+            self._container = av.open(str(file), metadata_errors="ignore")
+        except (av.error.FFmpegError, ValueError):
+            raise InputError(_NO_VIDEO.format(file)) from None
+        self._frames = self._decoded()
+        self._first = next(self._frames, None) if self._container.streams.video else None
+        if self._first is None:
+            self._container.close()
+            raise InputError(_NO_VIDEO.format(file))
+        rate = float(self._container.streams.video[0].average_rate or 0.0)
+        self.rate = rate if 0.1 < rate < 1000 else _USUAL_RATE
+        self._index, self._last_ns, self._start_ns = -1, -1, _time_ns(self._first)
+        self._frame: av.VideoFrame | None = None
 
     def advance(self) -> int | None:
         """Go to the next picture; its time since the first one, ns, or None at the end.
 
-        The container's time stamp where it rises, else the count of pictures at the video's rate.
+        Its presentation time where that rises, else the count of pictures at the video's rate.
         """
-        if not self._is_ahead and not self._capture.grab():
+        self._frame, self._first = self._first or next(self._frames, None), None
+        if self._frame is None:
             return None
-        self._is_ahead = False
         self._index += 1
-        stamp_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC)
-        if self._first_ms is None:
-            self._first_ms = stamp_ms
-        position_ns = to_ns((stamp_ms - self._first_ms) / 1e3)
+        position_ns = to_ns(self._index / self.rate)
+        time_ns = _time_ns(self._frame)
+        if time_ns is not None and self._start_ns is not None:
+            position_ns = time_ns - self._start_ns
         if position_ns <= self._last_ns:
             position_ns = max(to_ns(self._index / self.rate), self._last_ns + 1)
         self._last_ns = position_ns
@@ -93,8 +106,27 @@ class Video:
 
     def picture(self) -> np.ndarray | None:
         """The picture that `advance` came to, (height, width, 3) BGR; None where it is damaged."""
-        is_read, picture = self._capture.retrieve()
-        return picture if is_read else None
+        if self._frame is None or self._frame.is_corrupt:
+            return None
+        return self._frame.to_ndarray(format="bgr24")
 
     def close(self) -> None:
-        self._capture.release()
+        self._container.close()
+
+    def _decoded(self) -> Iterator[av.VideoFrame]:
+        """Every picture; what cannot be decoded is passed over."""
+        try:
+            for packet in self._container.demux(video=0):
+                try:
+                    frames = packet.decode()
+                except av.error.InvalidDataError:
+                    continue
+                yield from (frame for frame in frames if isinstance(frame, av.VideoFrame))
+        except av.error.FFmpegError as reason:
+            _log.warning("the video breaks off here (%s)", reason.strerror)
+
+
+def _time_ns(frame: av.VideoFrame) -> int | None:
+    if frame.pts is None or frame.time_base is None:
+        return None
+    return round(frame.pts * frame.time_base * NANOSECONDS)
