@@ -12,7 +12,7 @@ from trigpoint.health import Health
 
 from .bridge import Bridge
 from .line import Line
-from .node import measured_offset, new_boot, port_url
+from .node import measured_offset, port_url, protocol_setup
 from .port import Port
 from .protocol import Event, Mismatched, make_protocol
 
@@ -48,7 +48,7 @@ class _Session:
     def __init__(self, site: Site, robot: str, clock: Clock) -> None:
         config, url = site.robot(robot), port_url(site, robot)
         self.health = Health(clock)
-        protocol = make_protocol(robot, config, new_boot())
+        protocol = make_protocol(protocol_setup(site, robot, clock))
         offset = measured_offset(clock)
         self.bridge = Bridge(robot, config, self.health, offset, protocol.traits)
         self.stopping = threading.Event()

@@ -2,6 +2,7 @@
 
 import logging
 import os
+from pathlib import Path
 
 from trigpoint.authenticator import correction_verifier
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
@@ -9,7 +10,7 @@ from trigpoint.cdr import decode, encode, warm_up
 from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.config import Site
 from trigpoint.correction import decode_mark
-from trigpoint.errors import MessageError
+from trigpoint.errors import ConfigError, MessageError, read_text
 from trigpoint.messages import PoseEstimate
 from trigpoint.node import Node
 from trigpoint.topics import CORRECTION, ODOMETRY
@@ -19,7 +20,7 @@ from .bridge import Bridge, Offset, first_number
 from .line import Line
 from .places import Places
 from .port import Port, is_device
-from .protocol import Event, Takes, make_protocol
+from .protocol import Event, Setup, Takes, make_protocol
 from .relocation import MapQuestion
 
 _log = logging.getLogger(__name__)
@@ -41,7 +42,7 @@ class RobotNode:
         url = port_url(site, robot)
         self._verifier = correction_verifier(site, self._clock)
         self._offset = measured_offset(self._clock)
-        protocol = make_protocol(robot, config, new_boot())
+        protocol = make_protocol(protocol_setup(site, robot, self._clock))
         self._traits = protocol.traits
         number = first_number(self._clock.now_ns())
         self._bridge = Bridge(
@@ -139,10 +140,19 @@ class RobotNode:
             self._line.correct(handed_on)
 
 
-def new_boot() -> int:
-    """A number that no earlier start of a bridge had, but for one chance in four thousand
-    million."""
-    return int.from_bytes(os.urandom(4))
+def protocol_setup(site: Site, robot: str, clock: Clock) -> Setup:
+    """What a robot's protocol is built from, with a boot number that no earlier start of a bridge
+    had, but for one chance in four thousand million; raise ConfigError where a key is none."""
+    config = site.robot(robot)
+    key = b"" if config.mavlink.key is None else _signing_key(site.path(config.mavlink.key))
+    return Setup(robot, config, int.from_bytes(os.urandom(4)), clock.now_ns(), key)
+
+
+def _signing_key(path: Path) -> bytes:
+    text = read_text(path, "signing key", ConfigError).strip()
+    if len(text) != 64 or set(text.lower()) - set("0123456789abcdef"):
+        raise ConfigError(f"{path} holds no signing key; write 64 hexadecimal digits")
+    return bytes.fromhex(text)
 
 
 def port_url(site: Site, robot: str) -> str:

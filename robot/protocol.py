@@ -5,8 +5,7 @@ the time at which they came, and asks it what to send. Times named `now_ns` are 
 monotonic clock, `firmware_ns` the firmware's own clock.
 
 To add a protocol, add a row to `PROTOCOLS`, or let another package offer an entry point in the
-group `trigpoint.protocols`; both name a class that is built as
-`Class(robot="r1", config=RobotConfig, boot=number)`.
+group `trigpoint.protocols`; both name a class that is built from a `Setup`.
 """
 
 import importlib
@@ -24,8 +23,26 @@ from trigpoint.geometry.rotation import Array
 
 PROTOCOLS = {
     "trigpoint": "trigpoint.robot.protocols.trigpoint_serial:TrigpointSerial",
+    "create2": "trigpoint.robot.protocols.create2:Create2",
+    "mavlink": "trigpoint.robot.protocols.mavlink:Mavlink",
+    "ros_arduino_bridge": "trigpoint.robot.protocols.ros_arduino_bridge:RosArduinoBridge",
 }
 ENTRY_POINTS = "trigpoint.protocols"
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a protocol is built from.
+
+    `boot`: a number that no earlier bridge of this robot had; `unix_ns`: when this one began;
+    `key`: 32 bytes that sign what is sent, b"" where the site file names none.
+    """
+
+    robot: str
+    config: RobotConfig
+    boot: int
+    unix_ns: int = 0
+    key: bytes = b""
 
 
 class Takes(StrEnum):
@@ -230,10 +247,9 @@ def known_protocols() -> list[str]:
     return sorted({*PROTOCOLS, ROS2_PROTOCOL, *others})
 
 
-def make_protocol(robot: str, config: RobotConfig, boot: int) -> Protocol:
-    """The protocol that the site file names for a robot. `boot`: a number that no earlier bridge of
-    this robot had."""
-    return protocol_class(config.protocol_name)(robot=robot, config=config, boot=boot)
+def make_protocol(setup: Setup) -> Protocol:
+    """The protocol that the site file names for a robot."""
+    return protocol_class(setup.config.protocol_name)(setup)
 
 
 def check_protocol(config: RobotConfig) -> None:
@@ -242,7 +258,7 @@ def check_protocol(config: RobotConfig) -> None:
         protocol_class(config.protocol_name)
 
 
-def protocol_class(name: str) -> Callable[..., Protocol]:
+def protocol_class(name: str) -> Callable[[Setup], Protocol]:
     """The protocol's class; raise ConfigError that lists what there is."""
     if name in PROTOCOLS:
         module, _, attribute = PROTOCOLS[name].partition(":")

@@ -25,9 +25,11 @@ from trigpoint.robot.protocols.trigpoint_frames import (
     Ping,
     Pong,
     Result,
+    TicksFrame,
     decode_payload,
     encode_payload,
 )
+from trigpoint.robot.wheels import WheelGeometry
 
 HISTORY_NS = to_ns(3.0)
 HEARTBEAT_EVERY_NS = to_ns(1.0)
@@ -74,10 +76,21 @@ class FirmwareEndpoint:
 
     def odometry(self, stamp_ns: int, pose: Pose, linear: Array, angular: Array) -> bytes:
         """One reading: odom_from_base when the encoders were read."""
+        self._remember(stamp_ns, pose)
+        return self._encode(OdometryFrame(self._hello.boot, stamp_ns, pose, linear, angular))
+
+    def ticks(
+        self, stamp_ns: int, left: int, right: int, geometry: WheelGeometry, pose: Pose
+    ) -> bytes:
+        """The same as raw counters; `pose` is what the firmware itself works out of them, which it
+        needs for corrections."""
+        self._remember(stamp_ns, pose)
+        return self._encode(TicksFrame(self._hello.boot, stamp_ns, left, right, geometry))
+
+    def _remember(self, stamp_ns: int, pose: Pose) -> None:
         self._history.append((stamp_ns, pose))
         while self._history[0][0] < stamp_ns - HISTORY_NS:
             self._history.popleft()
-        return self._encode(OdometryFrame(self._hello.boot, stamp_ns, pose, linear, angular))
 
     def heartbeat(self, now_ns: int) -> bytes:
         """The heartbeat where it is due, else nothing."""

@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.robot.wheels import WheelGeometry
 
 VERSION = 1
 MAXIMUM_TEXT = 64
@@ -34,6 +35,7 @@ class Kind(IntEnum):
     CORRECTION = 5
     ACKNOWLEDGE = 6
     HEARTBEAT = 7
+    TICKS = 8
 
 
 class Result(IntEnum):
@@ -65,6 +67,17 @@ class OdometryFrame:
     pose: Pose
     linear: Array
     angular: Array
+
+
+@dataclass(frozen=True, slots=True)
+class TicksFrame:
+    """One reading of a differential drive's two wheel counters, in place of OdometryFrame."""
+
+    boot: int
+    stamp_ns: int
+    left: int
+    right: int
+    geometry: WheelGeometry
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +129,13 @@ class Heartbeat:
     rejected: int
 
 
-Content = Hello | OdometryFrame | Ping | Pong | CorrectionFrame | Acknowledge | Heartbeat
+Content = (
+    Hello | OdometryFrame | TicksFrame | Ping | Pong | CorrectionFrame | Acknowledge | Heartbeat
+)
 
 _HELLO = struct.Struct("<HI")
 _ODOMETRY = struct.Struct("<IQ7d6f")
+_TICKS = struct.Struct("<IQIIB3f")
 _PING = struct.Struct("<I20x")
 _PONG = struct.Struct("<IIQQ")
 _CORRECTION = struct.Struct("<IBQ16sQ7d6f")
@@ -135,6 +151,8 @@ def encode_payload(content: Content) -> tuple[Kind, bytes]:
             return Kind.HELLO, head + _text(content.name) + _text(content.program)
         case OdometryFrame():
             return Kind.ODOMETRY, _encode_odometry(content)
+        case TicksFrame():
+            return Kind.TICKS, _encode_ticks(content)
         case Ping():
             return Kind.PING, _PING.pack(content.number)
         case Pong():
@@ -175,6 +193,24 @@ def _decode_odometry(payload: bytes) -> OdometryFrame:
     boot, stamp_ns, *numbers = _ODOMETRY.unpack(payload)
     pose, twist = _pose(numbers[:7]), _finite(numbers[7:], "a twist")
     return OdometryFrame(boot, stamp_ns, pose, twist[:3], twist[3:])
+
+
+def _encode_ticks(content: TicksFrame) -> bytes:
+    wheels = content.geometry
+    counters = (content.left % 2**32, content.right % 2**32, wheels.bits)
+    metres = (wheels.left_m, wheels.right_m, wheels.track_m)
+    return _TICKS.pack(content.boot, content.stamp_ns, *counters, *metres)
+
+
+def _decode_ticks(payload: bytes) -> TicksFrame:
+    boot, stamp_ns, left, right, bits, *numbers = _TICKS.unpack(payload)
+    left_m, right_m, track_m = (float(value) for value in _finite(numbers, "a wheel geometry"))
+    if bits not in (16, 32):
+        raise MessageError(f"wheel counters in a serial frame wrap at {bits} bits, not 16 or 32")
+    if not (left_m and right_m and track_m > 0):
+        raise MessageError("a wheel geometry in a serial frame holds a zero")
+    geometry = WheelGeometry(left_m, right_m, track_m, bits)
+    return TicksFrame(boot, stamp_ns, left, right, geometry)
 
 
 def _encode_correction(content: CorrectionFrame) -> bytes:
@@ -240,6 +276,7 @@ _DECODERS: dict[Kind, Callable[[bytes], Content]] = {
     Kind.CORRECTION: _decode_correction,
     Kind.ACKNOWLEDGE: _decode_acknowledge,
     Kind.HEARTBEAT: _decode_heartbeat,
+    Kind.TICKS: _decode_ticks,
 }
 
 

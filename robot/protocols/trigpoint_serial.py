@@ -2,7 +2,6 @@
 
 from trigpoint import __version__
 from trigpoint.clock import to_ns
-from trigpoint.config import RobotConfig
 from trigpoint.errors import MessageError
 from trigpoint.robot.protocol import (
     Acknowledged,
@@ -16,6 +15,7 @@ from trigpoint.robot.protocol import (
     Missing,
     Reading,
     RobotCorrection,
+    Setup,
     Silent,
     StampClock,
     Takes,
@@ -23,6 +23,7 @@ from trigpoint.robot.protocol import (
     Unanswered,
     Vitals,
 )
+from trigpoint.robot.wheels import WheelOdometry, wheel_geometry
 
 from .framing import DELIMITER, Frame, FrameReader, FrameWriter, SequenceCheck
 from .trigpoint_frames import (
@@ -36,6 +37,7 @@ from .trigpoint_frames import (
     Ping,
     Pong,
     Result,
+    TicksFrame,
     decode_payload,
     encode_payload,
     shown_covariance,
@@ -105,14 +107,15 @@ class TrigpointSerial:
 
     traits = Traits(Takes.CORRECTIONS, StampClock.FIRMWARE)
 
-    def __init__(self, *, robot: str, config: RobotConfig, boot: int) -> None:
-        self._robot, self._config = robot, config
-        self._boot = boot
+    def __init__(self, setup: Setup) -> None:
+        self._robot, self._boot = setup.robot, setup.boot
+        self._wheels, self._wheel_config = WheelOdometry(), setup.config.wheels
         self._writer = FrameWriter()
         self._outbox = _Outbox()
         self._received = self._damaged = 0
         self._sequence = SequenceCheck()
         self._sequence_boot: int | None = None
+        self._ticks_boot: int | None = None
         self._ping_number = 0
         self.reset()
 
@@ -169,6 +172,8 @@ class TrigpointSerial:
             self._sequence, self._sequence_boot = SequenceCheck(), hello.boot
         events = self._missing(sequence)
         if self._peer is None or self._peer.boot != hello.boot:
+            if self._ticks_boot != hello.boot:
+                self._wheels, self._ticks_boot = WheelOdometry(), hello.boot
             self._peer = hello
             self._greet()
             self._hello_due_ns = 0  # so that the firmware knows us too, where it spoke first
@@ -198,6 +203,8 @@ class TrigpointSerial:
         match content:
             case OdometryFrame():
                 return self._odometry(content, now_ns)
+            case TicksFrame():
+                return self._ticks(content, now_ns)
             case Pong():
                 return self._pong(content, now_ns)
             case Acknowledge():
@@ -213,6 +220,15 @@ class TrigpointSerial:
             return []
         linear, angular = content.linear, content.angular
         return [Reading(content.stamp_ns, now_ns, content.pose, linear, angular)]
+
+    def _ticks(self, content: TicksFrame, now_ns: int) -> list[Event]:
+        if self._is_of_another_boot(content.boot):
+            return []
+        # The site file's numbers, where it has some, are newer than those in the firmware.
+        geometry = wheel_geometry(self._wheel_config, content.geometry.bits) or content.geometry
+        stamp_ns = content.stamp_ns
+        found = self._wheels.add(content.left, content.right, geometry, stamp_ns)
+        return [Reading(stamp_ns, now_ns, *found)]
 
     def _is_of_another_boot(self, boot: int) -> bool:
         """Whether the firmware was restarted and its hello was lost; asks for it again."""

@@ -12,7 +12,7 @@ from trigpoint.config import RobotConfig
 from trigpoint.errors import PortError
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.line import Line
-from trigpoint.robot.protocol import Connected, Event
+from trigpoint.robot.protocol import Connected, Event, Setup
 from trigpoint.robot.protocols.trigpoint_serial import TrigpointSerial
 
 
@@ -68,7 +68,7 @@ class Desk:
     def line(self, patience_s: float = 5.0) -> Line:
         return Line(
             self.open,
-            TrigpointSerial(robot="r1", config=RobotConfig(port="x"), boot=77),
+            TrigpointSerial(Setup("r1", RobotConfig(port="x"), 77)),
             clock=SystemClock(),
             handle=self.events.append,
             failed=self.troubles.append,

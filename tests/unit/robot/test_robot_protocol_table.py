@@ -4,13 +4,19 @@ import pytest
 
 from trigpoint.config import RobotConfig, WheelConfig
 from trigpoint.errors import ConfigError
-from trigpoint.robot.protocol import PROTOCOLS, known_protocols, make_protocol, protocol_class
+from trigpoint.robot.protocol import (
+    PROTOCOLS,
+    Setup,
+    known_protocols,
+    make_protocol,
+    protocol_class,
+)
 
 
 @pytest.mark.parametrize("name", list(PROTOCOLS))
 def test_every_row_opens(name: str) -> None:
     config = RobotConfig(port="x", protocol=name, wheels=WheelConfig(0.1, 0.3, 1000))
-    protocol = make_protocol("r1", config, boot=1)
+    protocol = make_protocol(Setup("r1", config, 1))
     assert isinstance(protocol.data_to_send(0), bytes)
     assert protocol.traits.takes
 

@@ -24,9 +24,11 @@ from trigpoint.robot.protocols.trigpoint_frames import (
     Ping,
     Pong,
     Result,
+    TicksFrame,
     decode_payload,
     encode_payload,
 )
+from trigpoint.robot.wheels import WheelGeometry
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "serial.md"
 
@@ -167,6 +169,10 @@ def test_documents_examples_say_what_the_document_says() -> None:
     )
     assert odometry.linear.tolist() == [0.5, 0, 0]
     assert odometry.angular.tolist() == [0, 0, -0.25]
+    metres, track = float(np.float32(0.00025)), float(np.float32(0.3))
+    wheels = WheelGeometry(metres, metres, track, 32)
+    ticks = TicksFrame(0x12345678, 2_500_000_000, 1500, 0xFFFFFF00, wheels)
+    assert examples["ticks"] == ticks
     correction = examples["correction"]
     assert isinstance(correction, CorrectionFrame)
     assert correction.establishes

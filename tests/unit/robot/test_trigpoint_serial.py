@@ -19,6 +19,7 @@ from trigpoint.robot.protocol import (
     Missing,
     Reading,
     RobotCorrection,
+    Setup,
     Silent,
     Unanswered,
     Vitals,
@@ -36,7 +37,7 @@ class Conversation:
     def __init__(self, *, version: int = 1, name: str = "r1", way_ns: int = 0) -> None:
         self.now_ns, self.way_ns = to_ns(1.0), way_ns
         self.version, self.name, self.boot = version, name, 100
-        self.bridge = TrigpointSerial(robot="r1", config=RobotConfig(port="x"), boot=77)
+        self.bridge = TrigpointSerial(Setup("r1", RobotConfig(port="x"), 77))
         self.events: list[Event] = []
         self.to_robot: list[tuple[int, bytes]] = []
         self.to_bridge: list[tuple[int, bytes]] = []
