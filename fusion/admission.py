@@ -72,7 +72,7 @@ class Admission:
     """
 
     def __init__(self, site: Site) -> None:
-        self.counts: Counter[str] = Counter()
+        self.counts = Counter(unknown_sender=0)
         self._ahead: dict[str, tuple[int, str]] = {}
         self._shed: dict[str, int] = {}
         self._speakers: dict[str, _Speaker] = {}
@@ -89,15 +89,16 @@ class Admission:
         self._speakers[key] = _Speaker()
 
     def knows(self, key: str) -> bool:
-        """Whether the site file has the camera or robot of a key."""
-        return key in self._budgets
+        """Whether the site file has the camera or robot of a key; counted where not. Any thread."""
+        if key in self._budgets:
+            return True
+        self.counts["unknown_sender"] += 1
+        return False
 
     def admits(self, sample: Sample, at_ns: int) -> bool:
-        """Whether a sample is to be decoded at all, by who sends it. `at_ns`: monotonic time."""
-        speaker = self._speakers.get(sample.key)
-        if speaker is None:
-            self.counts["unknown_sender"] += 1
-            return False
+        """Whether a sample of a known key is to be decoded at all, by who sends it. `at_ns`:
+        monotonic time."""
+        speaker = self._speakers[sample.key]
         if not self._is_alone(speaker, sample.sender, at_ns):
             self.counts["two_senders"] += 1
             return False

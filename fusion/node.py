@@ -91,7 +91,8 @@ class FusionNode:
         """Subscribe, serve the commands, and start the working thread."""
         name = self._site.name
         for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
-            subscription = self._bus.subscribe(topic, topic.expression(name))
+            expression = topic.expression(name)
+            subscription = self._bus.subscribe(topic, expression, wanted=self._admission.knows)
             self._subscriptions.append((topic, subscription))
             self._node.health.watch(topic.name, subscription)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)

@@ -41,7 +41,8 @@ class Reply:
 
 
 class Subscription(Protocol):
-    """Samples of one key expression, in the order in which they came."""
+    """Samples of one key expression. Those of one key and sender come in their order; keys and
+    senders take turns."""
 
     def take(self, timeout_s: float) -> Sample | None:
         """The next sample, or None when the time is over or the subscription is closed."""
@@ -68,7 +69,10 @@ class Subscription(Protocol):
 class Publisher(Protocol):
     """Sends on one key."""
 
-    def put(self, payload: bytes, *, attachment: bytes = b"") -> None: ...
+    def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
+        """Hand it over to be sent; never waits for anybody, so it may be called by what reads a
+        port or a camera."""
+        ...
 
     @property
     def has_listener(self) -> bool:
@@ -112,12 +116,20 @@ class Bus(Protocol):
         """What `bus.connect` names, while the session is connected to nobody."""
         ...
 
+    @property
+    def unsent(self) -> int:
+        """How many samples were not sent, since nobody took those before them in time."""
+        ...
+
     def publisher(self, topic: Topic, key: str) -> Publisher:
         """Declare a publisher with the topic's delivery."""
         ...
 
-    def subscribe(self, topic: Topic, expression: str) -> Subscription:
-        """Subscribe with the topic's delivery and queue."""
+    def subscribe(
+        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
+    ) -> Subscription:
+        """Subscribe with the topic's delivery and queue. `wanted`: whether a key is; the others'
+        samples are not kept. It is called on the bus's thread."""
         ...
 
     def declare_alive(self, key: str) -> Closable:

@@ -135,14 +135,24 @@ class MemoryBus:
     def unreached(self) -> tuple[str, ...]:
         return ()
 
+    @property
+    def unsent(self) -> int:
+        return 0
+
     def publisher(self, topic: Topic, key: str) -> MemoryPublisher:
         publisher = MemoryPublisher(self._broker, topic, key, self._identity)
         self._declared.append(publisher)
         return publisher
 
-    def subscribe(self, topic: Topic, expression: str) -> SampleQueue[Sample]:
+    def subscribe(
+        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
+    ) -> SampleQueue[Sample]:
         queue: SampleQueue[Sample] = SampleQueue(
-            topic.queue, lambda sample: sample, lambda: self._unsubscribe(queue)
+            topic.queue,
+            lambda sample: sample,
+            lambda: self._unsubscribe(queue),
+            key_of=lambda sample: sample.key,
+            wanted=wanted,
         )
         with self._broker.lock:
             if topic.cache:

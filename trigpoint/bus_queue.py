@@ -11,17 +11,30 @@ Item = TypeVar("Item")
 
 
 class SampleQueue(Generic[Item]):
-    """A Subscription over a deque: full, it drops the oldest sample and counts it.
+    """A Subscription that gives every key, and every sender on it, a share.
 
+    Within a share samples come in their order; the shares take turns, so that whoever sends much
+    waits for itself alone. Full, it drops the oldest sample of the largest share, and counts it.
     `push` and `miss` may be called from any thread; they only append and count. What is pushed is
     made a Sample when it is taken: the bus's thread has no time for it.
     """
 
     def __init__(
-        self, capacity: int, sample_of: Callable[[Item], Sample], close: Callable[[], None]
+        self,
+        capacity: int,
+        sample_of: Callable[[Item], Sample],
+        close: Callable[[], None],
+        *,
+        key_of: Callable[[Item], str],
+        share_of: Callable[[Item], str] | None = None,
+        wanted: Callable[[str], bool] | None = None,
     ) -> None:
-        self._items: deque[Item] = deque()
+        """`key_of`: an item's key; `share_of`: who shares with whom, the key where it is None;
+        `wanted`: whether a key's samples are kept at all."""
+        self._shares: dict[str, deque[Item]] = {}  # none is empty; the first is next
+        self._count = 0
         self._capacity, self._sample_of = capacity, sample_of
+        self._key_of, self._share_of, self._wanted = key_of, share_of or key_of, wanted
         self._changed = threading.Condition(threading.Lock())
         self._close = close
         self._is_closed = False
@@ -30,15 +43,33 @@ class SampleQueue(Generic[Item]):
 
     def push(self, item: Item) -> None:
         """Append what came; called on the bus's thread."""
+        if self._wanted is not None and not self._wanted(self._key_of(item)):
+            return
+        share = self._share_of(item)
         with self._changed:
             if self._is_closed:
                 return
             self._received += 1
-            if len(self._items) == self._capacity:
-                self._items.popleft()
-                self._dropped += 1
-            self._items.append(item)
+            if self._count == self._capacity:
+                self._drop()
+            self._shares.setdefault(share, deque()).append(item)
+            self._count += 1
             self._changed.notify()
+
+    def _drop(self) -> None:
+        # Where nearly every share has one sample, there is no use in looking for the fullest.
+        is_spread = 2 * len(self._shares) > self._capacity
+        shares = self._shares
+        self._pop(next(iter(shares)) if is_spread else max(shares, key=lambda s: len(shares[s])))
+        self._dropped += 1
+
+    def _pop(self, share: str) -> Item:
+        items = self._shares[share]
+        item = items.popleft()
+        self._count -= 1
+        if not items:
+            del self._shares[share]
+        return item
 
     def miss(self, count: int) -> None:
         """Count samples that were lost on the way; called on the bus's thread."""
@@ -47,15 +78,19 @@ class SampleQueue(Generic[Item]):
 
     def take(self, timeout_s: float) -> Sample | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._is_closed, timeout_s)
-            if not self._items:
+            if not self._shares and timeout_s > 0:
+                self._changed.wait_for(lambda: self._shares or self._is_closed, timeout_s)
+            if not self._shares:
                 return None
-            item = self._items.popleft()
+            share = next(iter(self._shares))
+            item = self._pop(share)
+            if share in self._shares:  # to the end of the line
+                self._shares[share] = self._shares.pop(share)
         return self._sample_of(item)
 
     @property
     def depth(self) -> int:
-        return len(self._items)
+        return self._count
 
     @property
     def received(self) -> int:

@@ -23,9 +23,10 @@ from .config import BusConfig, endpoint_host, endpoint_port, is_loopback
 from .errors import BusError, ConfigError
 
 CLIENT_TRY_MS = 1500
+ACCEPT_TIMEOUT_MS = 3000
 LOOPBACK = "tcp/127.0.0.1:0"
 MESSAGE_LIMIT_BYTES = 16 << 20
-BLOCK_LIMIT_US = 2_000_000
+BLOCK_LIMIT_US = 1_000_000
 """How long a put waits for a peer that does not read, before the peer is cut off."""
 
 QUEUE_BATCHES = 16
@@ -105,6 +106,8 @@ class Settings:
             "timestamping/enabled": True,
             # A killed process would leave its segments behind; loopback TCP is fast enough.
             "transport/shared_memory/enabled": False,
+            # Whoever connects and says nothing is not waited for; a stop would wait too.
+            "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
             "transport/link/rx/max_message_size": MESSAGE_LIMIT_BYTES,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_LIMIT_US,
             "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,

@@ -43,6 +43,8 @@ _LEAST_JOIN_S = 0.1
 _TAKEOVER_S = 2.0
 _NEWCOMER_S = 5.0
 _PULSE_S = 10.0
+_MOST_HEARD = 256
+"""How much of what others say of themselves is read at once."""
 # What a turn of work takes is far below this, also on a small machine that is busy.
 _WORK_S = 20.0
 
@@ -240,6 +242,8 @@ class Node:
 
     def diagnostics(self) -> Diagnostics:
         """What the node says of itself now. Called on the diagnostics thread."""
+        if (more := self._bus.unsent - self.health.lost("unsent")) > 0:
+            self.health.lose("unsent", more)
         report = self.health.report()
         held = self.health.held
         if self.health.last_error not in ("", self._logged_error):
@@ -305,7 +309,10 @@ class Node:
 
     def _listen(self, others: Subscription) -> None:
         """Read what the others say of themselves."""
-        while (sample := others.take(0.0)) is not None:
+        for _ in range(_MOST_HEARD):
+            sample = others.take(0.0)
+            if sample is None:
+                return
             try:
                 message = decode(DIAGNOSTICS.type_name, sample.payload)
             except MessageError as reason:

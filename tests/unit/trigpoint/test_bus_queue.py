@@ -13,7 +13,7 @@ def sample_of(number: int) -> Sample:
 
 @given(st.integers(1, 5), st.lists(st.booleans(), max_size=40))
 def test_queue_is_a_deque_that_counts_what_falls_out(capacity: int, steps: list[bool]) -> None:
-    queue = SampleQueue(capacity, sample_of, lambda: None)
+    queue = SampleQueue(capacity, sample_of, lambda: None, key_of=lambda _: "a")
     model: deque[int] = deque(maxlen=capacity)
     pushed = dropped = 0
     for is_push in steps:
@@ -29,17 +29,42 @@ def test_queue_is_a_deque_that_counts_what_falls_out(capacity: int, steps: list[
 
 
 def test_missed_samples_are_counted_as_dropped() -> None:
-    queue = SampleQueue(2, sample_of, lambda: None)
+    queue = SampleQueue(2, sample_of, lambda: None, key_of=str)
     queue.miss(3)
     assert (queue.dropped, queue.received) == (3, 0)
 
 
 def test_what_waits_can_be_taken_after_closing_but_nothing_comes_in() -> None:
     closed: list[bool] = []
-    queue = SampleQueue(2, sample_of, lambda: closed.append(True))
+    queue = SampleQueue(2, sample_of, lambda: closed.append(True), key_of=str)
     queue.push(1)
     queue.close()
     queue.close()
     queue.push(2)
     assert closed == [True]
     assert [queue.take(0.0), queue.take(0.0)] == [sample_of(1), None]
+
+
+def test_who_sends_much_pushes_out_nobody_and_others_wait_for_one_sample_of_it() -> None:
+    queue: SampleQueue[tuple[str, int]] = SampleQueue(
+        100,
+        lambda item: Sample(item[0], b"", "", item[1], 0),
+        lambda: None,
+        key_of=lambda item: item[0],
+    )
+    for number in range(3):
+        queue.push(("quiet", number))
+    for number in range(1000):
+        queue.push(("loud", number))
+    taken = [queue.take(0.0) for _ in range(6)]
+    assert [sample.key for sample in taken if sample] == ["quiet", "loud"] * 3
+    quiet = [sample.published_ns for sample in taken if sample and sample.key == "quiet"]
+    assert quiet == [0, 1, 2]
+    assert (queue.received, queue.dropped, queue.depth) == (1003, 903, 94)
+
+
+def test_what_nobody_wants_is_not_kept() -> None:
+    queue = SampleQueue(4, sample_of, lambda: None, key_of=str, wanted=lambda key: key == "1")
+    for number in range(3):
+        queue.push(number)
+    assert (queue.received, queue.depth) == (1, 1)
