@@ -13,7 +13,9 @@ from .cdr_ros import Builder, store
 from .errors import MessageError
 from .geometry import CameraModel, Pose
 from .messages import (
+    CAMERA_INFO,
     ODOMETRY,
+    PICTURE,
     SIGHTINGS,
     CameraInfo,
     Diagnostics,
@@ -39,6 +41,11 @@ _LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
 }
 
 
+_USUAL_MOST_BYTES = 1 << 20
+_MOST_BYTES = {PICTURE: 16 << 20, ODOMETRY: 4 << 10, CAMERA_INFO: 64 << 10}
+"""What is longer is not looked into."""
+
+
 def encode(message: Message) -> bytes:
     """The CDR bytes of a message, with the encapsulation header."""
     codec = _BY_CLASS[type(message)]
@@ -56,6 +63,7 @@ def decode(type_name: str, payload: bytes) -> Message:
 def decode_by_definition(type_name: str, payload: bytes) -> Message:
     """`decode` by the type's definition alone; it says what is wrong where something is."""
     codec = _BY_TYPE[type_name]
+    cdr_layout.check_count("bytes", len(payload), _MOST_BYTES.get(type_name, _USUAL_MOST_BYTES))
     try:
         return codec.from_ros(store().deserialize_cdr(payload, type_name))
     except MessageError:

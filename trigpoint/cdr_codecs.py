@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from .cdr_layout import FURTHEST_PX, LEAST_SIGMA_PX, MOST_SIGMA_PX
+from .cdr_layout import (
+    FURTHEST_PX,
+    LEAST_SIGMA_PX,
+    MOST_CORNERS,
+    MOST_FACES,
+    MOST_SIGMA_PX,
+    MOST_TEXT_BYTES,
+    check_count,
+)
 from .cdr_ros import Builder, finite, pose_of, stamp_of, xyz_of
 from .errors import MessageError
 from .geometry import CameraModel, Pose
@@ -73,11 +81,19 @@ def _sightings_to_ros(ros: Builder, m: Sightings) -> Any:
 
 
 def _sightings_from_ros(ros: Any) -> Sightings:
+    check_count("faces", len(ros.faces), MOST_FACES)
+    _check_name(ros.header.frame_id)
     faces = tuple(_face_from_ros(face) for face in ros.faces)
     return Sightings(stamp_of(ros.header), ros.header.frame_id, ros.width, ros.height, faces)
 
 
+def _check_name(name: str) -> None:
+    check_count("bytes of a name", len(name.encode()) + 1, MOST_TEXT_BYTES)  # its end is one
+
+
 def _face_from_ros(face: Any) -> FaceSighting:
+    check_count("corners of a face", len(face.corners), MOST_CORNERS)
+    _check_name(face.target)
     if len(face.pixels) != 2 * len(face.corners) or len(face.corners) == 0:
         raise MessageError(
             f"a face has {len(face.corners)} corners but {len(face.pixels)} pixel coordinates"
@@ -113,6 +129,8 @@ def _odometry_to_ros(ros: Builder, m: Odometry) -> Any:
 
 
 def _odometry_from_ros(ros: Any) -> Odometry:
+    _check_name(ros.header.frame_id)
+    _check_name(ros.child_frame_id)
     return Odometry(
         stamp_of(ros.header),
         ros.header.frame_id,

@@ -79,7 +79,8 @@ def stamp_of(header: Any) -> int:
 
 def finite(values: Any, what: str) -> Array:
     """Numbers as an array of float; raise MessageError, which says of what, where one is none."""
-    array = np.asarray(values, dtype=float)
+    with np.errstate(invalid="ignore"):  # what is no number is refused below
+        array = np.asarray(values, dtype=float)
     if not np.all(np.isfinite(array)):
         raise MessageError(f"{what} holds a number that is not finite")
     return array

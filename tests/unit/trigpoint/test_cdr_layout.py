@@ -101,3 +101,15 @@ def test_odometry_with_a_number_that_is_not_finite_is_refused(number: float, fie
 def test_big_endian_message_is_left_to_the_definition() -> None:
     message = Odometry(7, "r1/odom", "r1/base", Pose.identity())
     assert cdr_layout.odometry(b"\x00\x00" + encode(message)[2:]) is None
+
+
+def test_too_many_faces_are_refused_before_one_is_read() -> None:
+    face = FaceSighting("t", 1, np.arange(4, dtype=np.uint16), np.zeros((4, 2), np.float32), 0.2)
+    payload = encode(Sightings(1, "c1/optical", 640, 480, (face,) * 5000))
+    with pytest.raises(MessageError, match="5000 faces, of which 256"):
+        decode(SIGHTINGS, payload)
+
+
+def test_name_of_a_megabyte_is_refused() -> None:
+    with pytest.raises(MessageError, match="bytes of a name"):
+        decode(SIGHTINGS, encode(Sightings(1, "x" * 1_000_000, 640, 480, ())))
