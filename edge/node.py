@@ -1,11 +1,12 @@
 """The agent of one camera as a node: source -> tracker -> bus."""
 
+import logging
 import threading
 from collections.abc import Callable, Sequence
 
 from trigpoint.bus import Bus
 from trigpoint.cdr import encode, warm_up
-from trigpoint.clock import Clock, SystemClock, to_seconds
+from trigpoint.clock import Clock, SteadyClock, to_seconds
 from trigpoint.config import Site
 from trigpoint.errors import FrameError
 from trigpoint.geometry import CameraModel
@@ -18,7 +19,10 @@ from .lens.calibration_service import CalibrationService
 from .lens.intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
 from .sources.frames import Frame, FrameSource, open_source
+from .target_watch import TargetWatch
 from .tracker import TargetTracker
+
+_log = logging.getLogger(__name__)
 
 KIND = "edge"
 _FIRST_PAUSE_S = 1.0
@@ -49,7 +53,7 @@ class EdgeNode:
     ) -> None:
         """`targets`: one a robot. Raises InputError where the intrinsics file is wrong."""
         self._bus, self._node, self._site, self._camera = bus, node, site, camera
-        self._clock = clock or SystemClock()
+        self._clock = clock or node.clock
         self._config = site.camera(camera)
         self._tracker = TargetTracker(targets, budget_s=1 / self._config.rate, clock=self._clock)
         self._calibrated = calibrated_lens(site, camera)
@@ -57,6 +61,9 @@ class EdgeNode:
         self._lens: CameraModel | None = None
         self._is_announced = False
         self._last_ns = -1
+        self._followed = 0
+        self._lost_ns: int | None = None
+        self._watch = TargetWatch(camera, self._clock)
         self._pause_s = _FIRST_PAUSE_S
         self._detection_ms = self._delay_ms = 0.0
 
@@ -83,6 +90,9 @@ class EdgeNode:
             self._see(self._node.stopping)
         finally:
             self._node.watchdog.forget(self._pulse)
+            health = self._node.health
+            lost = sum(health.lost(n) for n in ("pictures", "unreadable", "out_of_order", "frozen"))
+            self._watch.sum_up(lost=lost)
 
     def _see(self, stopping: threading.Event) -> None:
         while not stopping.is_set():
@@ -95,16 +105,28 @@ class EdgeNode:
                 self._wait_for_source(reason, stopping)
             else:
                 self._say("ended")
+                if not stopping.is_set():
+                    _log.info("camera %s: its source has come to its end", self._camera)
                 self._node.stop()
 
     def _wait_for_source(self, reason: FrameError, stopping: threading.Event) -> None:
         health = self._node.health
         health.count("source_lost")
-        health.fail(f"{reason} (trying again in {self._pause_s:.0f} s)")
         self._say("lost")
+        self._lost_ns = self._lost_ns or self._clock.elapsed_ns()
+        health.hold("source", f"{reason} (trying again in {self._pause_s:.0f} s)")
         self._pulse.beat(self._pause_s + _PATIENCE_S)
         self._clock.wait(stopping, self._pause_s)
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+
+    def _run_again(self) -> None:
+        """A picture came; what was wrong with the source is over."""
+        self._say("running")
+        self._node.health.release("source")
+        if self._lost_ns is not None:
+            away_s = to_seconds(self._clock.elapsed_ns() - self._lost_ns)
+            _log.info("camera %s gives pictures again, after %.0f s", self._camera, away_s)
+            self._lost_ns = None
 
     def _play(self, stopping: threading.Event) -> None:
         """Handle every picture until the source's end; raises FrameError where it is lost."""
@@ -129,12 +151,15 @@ class EdgeNode:
         health = self._node.health
         health.count("pictures")
         health.count("passed_over", frame.passed_over)
+        health.lose("unreadable", frame.unreadable)
         health.describe("stamps", frame.stamp.value)
         if frame.is_frozen:
             health.lose("frozen")
             self._say("frozen")
+            health.hold("source", f"camera {self._camera} gives the same picture again and again")
             return
-        self._say("running")
+        self._run_again()
+        self._follow_clock()
         if frame.captured_ns <= self._last_ns:
             health.lose("out_of_order")
             return
@@ -145,6 +170,12 @@ class EdgeNode:
         if self._pictures.offer(frame):
             health.count(f"sent {self._key(IMAGE)}")
 
+    def _follow_clock(self) -> None:
+        """Where stamps follow a clock that was set back, what came before is later."""
+        if isinstance(self._clock, SteadyClock) and self._clock.followed != self._followed:
+            self._followed = self._clock.followed
+            self._last_ns = -1
+
     def _announce(self, frame: Frame, source: FrameSource) -> None:
         """Send the lens with the first picture; raises ConfigError where it does not fit one."""
         if not self._is_announced:
@@ -154,7 +185,7 @@ class EdgeNode:
                 info = CameraInfo(frame.captured_ns, self._frame_id, self._lens)
                 self._camera_info.put(encode(info))
                 self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
-        check_size(self._camera, self._lens or self._config.nominal(), frame.picture.shape)
+        check_size(self._camera, self._config, self._lens, frame.picture.shape)
 
     def _publish(self, frame: Frame) -> None:
         """Find the faces and send them, also where there are none."""
@@ -167,6 +198,7 @@ class EdgeNode:
         self._delay_ms = to_seconds(self._clock.now_ns() - frame.captured_ns) * 1e3
         self._node.health.count(f"sent {self._key(SIGHTINGS)}")
         self._node.health.count("faces", len(faces))
+        self._watch.saw(len(faces))
         self._node.health.lose("given_up", self._tracker.given_up - given_up)
         self._calibration.offer(faces, (width, height))
 

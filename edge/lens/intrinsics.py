@@ -3,7 +3,7 @@
 import logging
 
 from trigpoint.camera_info import read_camera_info
-from trigpoint.config import Site
+from trigpoint.config import CameraConfig, Site
 from trigpoint.errors import ConfigError
 from trigpoint.geometry import CameraModel
 
@@ -36,11 +36,20 @@ def known_lens(
     return known
 
 
-def check_size(camera: str, lens: CameraModel, shape: tuple[int, ...]) -> None:
-    """Raise ConfigError where the lens is for pictures of another size; `shape`: rows, columns."""
+def check_size(
+    camera: str, config: CameraConfig, lens: CameraModel | None, shape: tuple[int, ...]
+) -> None:
+    """Raise ConfigError where a picture is not of the size that the camera's lens says, or the site
+    file where there is none; `shape`: rows, columns."""
     height, width = shape[:2]
-    if (width, height) != (lens.width, lens.height):
-        raise ConfigError(
-            f"camera {camera}: its pictures are {width} × {height}, but its intrinsics are for "
-            f"{lens.width} × {lens.height}; correct width and height, or the intrinsics file"
+    whose = lens or config
+    if (width, height) == (whose.width, whose.height):
+        return
+    said = f"{whose.width} × {whose.height}"
+    reason = f"its intrinsics are for {said}; give it those of this size, or set its source to it"
+    if lens is None:
+        reason = (
+            f"the site file says {said}; write width = {width} and height = {height} under "
+            f"[cameras.{camera}]"
         )
+    raise ConfigError(f"camera {camera}: its pictures are {width} × {height}, but {reason}")

@@ -44,8 +44,9 @@ class Frame:
     `captured_ns`: middle of exposure, Unix time on this machine's clock.
 
     `passed_over`: how many pictures before it were left out, since they came faster than the
-    camera's rate in the site file, or were the same again. `is_frozen`: the camera has given this
-    very picture for so long that it says nothing of its time.
+    camera's rate in the site file, or were the same again; `unreadable`: how many could not be
+    read. `is_frozen`: the camera has given this very picture for so long that it says nothing of
+    its time.
     """
 
     picture: np.ndarray
@@ -53,6 +54,7 @@ class Frame:
     stamp: Stamp = Stamp.SOURCE
     passed_over: int = 0
     is_frozen: bool = False
+    unreadable: int = 0
 
 
 class FrameSource(Protocol):

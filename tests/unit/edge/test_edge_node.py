@@ -1,5 +1,6 @@
 """The agent of a camera on a bus in memory: what it sends, when, and how it ends."""
 
+import logging
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -75,7 +76,7 @@ class Desk:
         self,
         *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
-        script: Iterator[tuple[int, np.ndarray]] | None = None,
+        script: Iterator[tuple[int, np.ndarray] | Exception] | None = None,
     ) -> Node:
         """Start the agent on these pictures, or on those of a script."""
         ScriptedFrames.script = script or iter(pictures)
@@ -179,7 +180,9 @@ def test_late_listener_gets_the_lens(desk: Desk) -> None:
 
 def test_lens_for_another_size_ends_the_node_with_one_line(desk: Desk) -> None:
     node = desk.start((1000, np.zeros((720, 1280), np.uint8)))
-    with pytest.raises(ConfigError, match=r"pictures are 1280 × 720.*for 640 × 480"):
+    with pytest.raises(
+        ConfigError, match=r"pictures are 1280 × 720, but the site file says 640 × 480; write width"
+    ):
         node.wait()
 
 
@@ -289,11 +292,45 @@ def test_pauses_grow_while_the_source_stays_lost(
     monkeypatch.setattr("trigpoint.edge.node._FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr("trigpoint.edge.node._LONGEST_PAUSE_S", 0.03)
     said: list[str] = []
-    monkeypatch.setattr(Health, "fail", lambda _health, text: said.append(text))
+    monkeypatch.setattr(Health, "hold", lambda _health, _name, text: said.append(text))
     losses = [FrameError("cam: gone") for _ in range(3)]
     desk.start((1000, EMPTY), *losses, (2000, EMPTY)).wait()
     assert ScriptedFrames.opened == 4
     assert said == ["cam: gone (trying again in 0 s)"] * 3
+
+
+def test_lost_source_stays_said_until_it_is_back(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("trigpoint.edge.node._FIRST_PAUSE_S", 0.3)
+    caplog.set_level(logging.INFO, "trigpoint")
+    is_back, may_end = threading.Event(), threading.Event()
+
+    def script() -> Iterator[tuple[int, np.ndarray] | Exception]:
+        yield FrameError("cam: gone")
+        is_back.wait(10.0)
+        yield 1000, EMPTY
+        may_end.wait(10.0)
+
+    node = desk.start(script=script())
+    assert eventually(lambda: "cam: gone" in node.health.report().message)
+    monkeypatch.setattr("trigpoint.health._MEMORY_NS", 0)
+    assert "cam: gone" in node.health.report().message
+    is_back.set()
+    assert eventually(lambda: node.health.report().message == "running")
+    may_end.set()
+    node.wait()
+    assert "gives pictures again, after" in caplog.text
+
+
+def test_target_is_said_when_it_is_first_seen_and_all_is_summed_up(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "trigpoint")
+    desk.start((1000, EMPTY), (2000, SEEN), (3000, SEEN)).wait()
+    assert caplog.text.count("camera c1 sees the target: 1 face, in picture 2") == 1
+    assert "camera c1: its source has come to its end" in caplog.text
+    assert eventually(lambda: "3 pictures, 2 with the target, 2 faces; " in caplog.text)
 
 
 def test_state_of_the_source_is_in_the_diagnostics(desk: Desk) -> None:

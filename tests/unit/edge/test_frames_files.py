@@ -134,10 +134,21 @@ def test_source_that_cannot_be_is_said_in_one_line(tmp_path: Path, url: str, sai
     assert "\n" not in str(caught.value)
 
 
-def test_damaged_picture_in_a_folder_is_named(tmp_path: Path) -> None:
+def test_damaged_picture_in_a_folder_is_left_out_counted_and_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     write_pictures(tmp_path)
+    whole, _ = frames_of(f"dir://{tmp_path}", clock=ManualClock())
     (tmp_path / "02.png").write_bytes((tmp_path / "02.png").read_bytes()[:40])
-    with pytest.raises(InputError, match=r"02\.png: the picture is cut short"):
+    found, _ = frames_of(f"dir://{tmp_path}", clock=ManualClock())
+    assert len(found) == len(whole) - 1
+    assert sum(frame.unreadable for frame in found) == 1
+    assert "02.png: the picture is cut short" in caplog.text
+
+
+def test_folder_without_a_picture_that_can_be_read_is_said(tmp_path: Path) -> None:
+    (tmp_path / "01.png").write_bytes(b"\x89PNG")
+    with pytest.raises(InputError, match=r"01\.png: the picture is cut short"):
         frames_of(f"dir://{tmp_path}", clock=ManualClock())
 
 

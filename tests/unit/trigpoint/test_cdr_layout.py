@@ -10,7 +10,7 @@ from trigpoint import cdr_layout
 from trigpoint.cdr import decode, decode_by_definition, encode, type_name
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
-from trigpoint.messages import FaceSighting, Odometry, Sightings
+from trigpoint.messages import SIGHTINGS, FaceSighting, Odometry, Sightings
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
@@ -78,7 +78,10 @@ def test_damaged_message_is_refused_or_read_as_by_its_definition(
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     length = len(payload) + data.draw(st.integers(-5, 5))
     damaged = bytes(payload[:length]) + bytes(max(0, length - len(payload)))
-    read = by_layout(type_name(message), damaged)
+    try:
+        read = by_layout(type_name(message), damaged)
+    except MessageError:  # beyond all measure, which its definition is not asked about any more
+        read = None
     try:
         expected = decode_by_definition(type_name(message), damaged)
     except MessageError:
