@@ -121,6 +121,10 @@ class Bus(Protocol):
         """How many samples were not sent, since nobody took those before them in time."""
         ...
 
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until all that was put is sent; whether it is in time."""
+        ...
+
     def publisher(self, topic: Topic, key: str) -> Publisher:
         """Declare a publisher with the topic's delivery."""
         ...

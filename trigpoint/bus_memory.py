@@ -139,6 +139,10 @@ class MemoryBus:
     def unsent(self) -> int:
         return 0
 
+    def flush(self, timeout_s: float) -> bool:
+        del timeout_s  # nothing waits
+        return True
+
     def publisher(self, topic: Topic, key: str) -> MemoryPublisher:
         publisher = MemoryPublisher(self._broker, topic, key, self._identity)
         self._declared.append(publisher)

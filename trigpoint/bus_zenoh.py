@@ -343,6 +343,11 @@ class ZenohBus:
     def unsent(self) -> int:
         return sum(outbox.lost for outbox in self._outboxes.values())
 
+    def flush(self, timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        outboxes = self._outboxes.values()
+        return all(outbox.flush(max(0.0, deadline - time.monotonic())) for outbox in outboxes)
+
     def publisher(self, topic: Topic, key: str) -> ZenohPublisher:
         outbox = self._outboxes[topic.delivery]
         return self._declare(

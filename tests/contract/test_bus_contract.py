@@ -111,6 +111,7 @@ def test_late_joiner_gets_what_it_missed_as_far_as_the_cache_reaches(
     publisher = sender.publisher(ODOMETRY, ODOM_KEY)
     for number in range(ODOMETRY.cache + 10):
         publisher.put(str(number).encode())
+    assert sender.flush(10.0)
     subscription = receiver.subscribe(ODOMETRY, ODOMETRY.expression("lab"))
     expected = [str(number).encode() for number in range(10, ODOMETRY.cache + 10)]
     assert payloads(take(subscription, ODOMETRY.cache)) == expected

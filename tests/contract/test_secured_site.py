@@ -58,6 +58,7 @@ def test_what_was_said_before_somebody_came_is_caught_up(buses: tuple[Bus, Bus, 
         publisher = bus.publisher(topic, topic.key("lab", name))
         for number in range(topic.cache + 2):
             publisher.put(str(number).encode())
+        assert bus.flush(10.0)
         subscription = fusion.subscribe(topic, topic.expression("lab"))
         expected = [str(n).encode() for n in range(2, topic.cache + 2)]
         samples = [subscription.take(10.0) for _ in expected]
