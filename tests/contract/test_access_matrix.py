@@ -22,7 +22,8 @@ from trigpoint.bus_zenoh import open_bus, open_router, open_session
 
 SITE = "lab"
 CAMERA_KEYS = ("image/compressed", "camera_info", "sightings", "pose", "snapshot", "calibrate")
-ROBOT_KEYS = ("odom", "pose", "correction", "suggestion", "particles")
+ROBOT_KEYS = ("odom", "pose", "correction", "suggestion", "particles", "corrected", "tf")
+ROBOTS_OWN = ("odom", "corrected", "tf")
 KEYS = (
     *(f"camera/{camera}/{key}" for camera in ("c1", "c2") for key in CAMERA_KEYS),
     *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS),
@@ -42,7 +43,12 @@ OWN_CAMERA = ("camera/c1/image/compressed", "camera/c1/camera_info", "camera/c1/
 SEEN = tuple(f"camera/{c}/{key}" for c in ("c1", "c2") for key in ("camera_info", "sightings"))
 ESTIMATES = (
     *(f"camera/{camera}/pose" for camera in ("c1", "c2")),
-    *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS if key != "odom"),
+    *(
+        f"robot/{robot}/{key}"
+        for robot in ("r1", "r2")
+        for key in ROBOT_KEYS
+        if key not in ROBOTS_OWN
+    ),
     *("coverage/c1", "coverage/c2", "tf"),
 )
 CAMERA_COMMANDS = tuple(
@@ -69,9 +75,9 @@ EXPECTED = {
         reply=("camera/c1/snapshot", "camera/c1/calibrate"),
     ),
     Kind.ROBOT: May(
-        put=("robot/r1/odom", "diagnostics"),
+        put=(*(f"robot/r1/{key}" for key in ROBOTS_OWN), "diagnostics"),
         subscribe=("robot/r1/correction", "robot/r1/pose", "robot/r1/suggestion", "diagnostics"),
-        get=("clock",),
+        get=("clock", "fusion/map"),
     ),
     Kind.FUSION: May(
         put=(*ESTIMATES, "diagnostics"),
