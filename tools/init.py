@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.config import load_site
+from trigpoint.config import RecorderConfig, load_site
 from trigpoint.errors import InputError, OperationError
 
 from .site_file import first_site_text, first_target_text, full_site_text
-from .systemd_units import unit_files
+from .systemd_units import SERVICE_USER, SYSUSERS, service_user, unit_files
 
 _UNIT_FOLDER = "/etc/systemd/system"
 
@@ -29,9 +29,17 @@ def main(
         texts[site] = full_site_text() if full else first_site_text()
         texts[directory / "target.toml"] = first_target_text()
     if systemd:
-        texts |= unit_files(directory / "systemd", site)
+        texts |= unit_files(directory / "systemd", site, _sessions(site))
     _write(texts, directory, force=force)
     typer.echo(_next_step(site, has_units=systemd))
+
+
+def _sessions(site: Path) -> Path:
+    """Where the recorder of a site writes, or will."""
+    if not site.exists():
+        return site.parent / RecorderConfig().directory
+    loaded = load_site(site)
+    return loaded.path(loaded.recorder.directory)
 
 
 def _write(texts: dict[Path, str], directory: Path, *, force: bool) -> None:
@@ -58,8 +66,20 @@ def _next_step(site: Path, *, has_units: bool) -> str:
     loaded = load_site(site)
     units = [f"trigpoint-edge@{name}" for name in loaded.cameras]
     units += [f"trigpoint-robot@{name}" for name in loaded.robots]
+    units += [f"trigpoint-{name}" for name in ("fusion", "recorder", "router")]
+    user = _user_step(site.parent)
     return (
-        f"{look}\non each machine: sudo cp {site.parent / 'systemd'}/* {_UNIT_FOLDER}/ && "
+        f"{look}\n{user}on each machine: sudo cp {site.parent / 'systemd'}/*.service {_UNIT_FOLDER}/ && "
         "sudo systemctl daemon-reload,\nthen sudo systemctl enable --now what it is to run, of: "
-        f"{' '.join([*units, 'trigpoint-fusion', 'trigpoint-recorder'])}"
+        f"{' '.join(units)}"
+    )
+
+
+def _user_step(folder: Path) -> str:
+    """How the service's user comes about, "" where the nodes run as whoever writes the units."""
+    if service_user() != SERVICE_USER:
+        return ""
+    return (
+        f"on each machine: sudo systemd-sysusers {folder / 'systemd' / SYSUSERS} && "
+        f"sudo chown -R {SERVICE_USER} {folder}\n"
     )

@@ -1,9 +1,12 @@
-"""systemd units for a site's nodes: started at boot, started again, and watched.
+"""systemd units for a site's nodes: started at boot, started again, watched, and shut in.
 
 `WatchdogSec` ends a process that has not said for so long that its work goes on. A node says so
 once a second, but only while each of its working threads has given a sign of life from within its
 work: one for a camera, for each direction of a robot's port, for each topic that is recorded, for
 the disk, for the estimator and for the process that solves for it.
+
+A node sees the file system read-only but for what it writes, the devices that it needs and no
+others, and has no privilege to gain (`systemd-analyze security` says 3.0 at most).
 """
 
 import getpass
@@ -14,60 +17,143 @@ from pathlib import Path
 WATCHDOG_S = 30
 
 
+SYSUSERS = "trigpoint.conf"
+SERVICE_USER = "trigpoint"
+"""Who runs the nodes where root writes the units: nothing of ours runs as root."""
+
+
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One kind of node. `words`: the program's arguments; `group`: whose devices it opens."""
+    """One kind of node. `words`: the program's arguments; `group`: whose devices it opens, which
+    are `devices` (systemd.resource-control(5)); `writes`: whether it writes files."""
 
     name: str
     description: str
     words: str
     group: str = ""
+    devices: tuple[str, ...] = ()
+    writes: bool = False
 
 
 UNITS = (
-    Unit("trigpoint-edge@", "the agent of camera %i", "edge --camera %i", "video"),
-    Unit("trigpoint-robot@", "the bridge of robot %i", "robot --robot %i", "dialout"),
-    Unit("trigpoint-fusion", "the live estimator", "fusion"),
-    Unit("trigpoint-recorder", "the recorder", "record"),
+    Unit(
+        "trigpoint-edge@",
+        "the agent of camera %i",
+        "edge --camera %i",
+        "video",
+        ("char-video4linux", "char-media"),
+    ),
+    Unit(
+        "trigpoint-robot@",
+        "the bridge of robot %i",
+        "robot --robot %i",
+        "dialout",
+        ("char-ttyUSB", "char-ttyACM", "char-ttyS", "char-ttyAMA"),
+    ),
+    Unit("trigpoint-fusion", "the live estimator", "fusion", writes=True),
+    Unit("trigpoint-recorder", "the recorder", "record", writes=True),
+    Unit("trigpoint-router", "the router", "router"),
 )
 
+SHUT_IN = """\
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+UMask=0027
+PrivateTmp=yes
+ProtectSystem=strict
+ProtectHome=read-only
+ProtectProc=invisible
+ProtectClock=yes
+ProtectHostname=yes
+ProtectControlGroups=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+RemoveIPC=yes
+KeyringMode=private
+# Netlink tells which network interfaces there are.
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallFilter=~@privileged @resources
+SystemCallErrorNumber=EPERM
+"""
 
-def unit_files(folder: Path, site: Path) -> dict[Path, str]:
-    """Every unit's file in a folder and its text; `site`: the site file."""
-    return {folder / f"{unit.name}.service": unit_text(unit, site.absolute()) for unit in UNITS}
+
+def unit_files(folder: Path, site: Path, sessions: Path) -> dict[Path, str]:
+    """Every unit's file in a folder and its text; `site`: the site file; `sessions`: the recorder's
+    directory."""
+    place, sessions = site.absolute(), sessions.absolute()
+    files = {folder / f"{unit.name}.service": unit_text(unit, place, sessions) for unit in UNITS}
+    if service_user() == SERVICE_USER:
+        files[folder / SYSUSERS] = sysusers_text(site.absolute().parent)
+    return files
 
 
-def unit_text(unit: Unit, site: Path) -> str:
-    """The text of a unit that runs this very installation as this user."""
+def service_user() -> str:
+    """Who is to run the nodes."""
+    user = getpass.getuser()
+    return SERVICE_USER if user == "root" else user
+
+
+def sysusers_text(home: Path) -> str:
+    """The service's user, by sysusers.d(5)."""
+    groups = sorted({unit.group for unit in UNITS if unit.group})
+    lines = [f'u {SERVICE_USER} - "Trigpoint" {_escaped(str(home))}']
+    return "\n".join([*lines, *(f"m {SERVICE_USER} {group}" for group in groups), ""])
+
+
+def unit_text(unit: Unit, site: Path, sessions: Path) -> str:
+    """The text of a unit that runs this very installation."""
     command = f"{_quoted(sys.executable)} -m trigpoint {unit.words} --site {_quoted(str(site))}"
+    folder = _escaped(str(site.parent))
     group = f"SupplementaryGroups={unit.group}\n" if unit.group else ""
+    written = dict.fromkeys([site.parent, sessions] if unit.writes else [])
+    # One that is not there yet (the dash) is no reason not to start.
+    writes = "".join(f'ReadWritePaths="-{_escaped(str(path))}"\n' for path in written)
     return f"""\
 [Unit]
 Description=Trigpoint: {unit.description}
 Wants=network-online.target
 After=network-online.target time-sync.target
+# A node is started again as often as it takes: nobody is there to do it.
 StartLimitIntervalSec=0
 
 [Service]
 Type=notify
 ExecStart={command}
-WorkingDirectory={_escaped(str(site.parent))}
-User={getpass.getuser()}
+WorkingDirectory={folder}
+User={service_user()}
 {group}Restart=always
 RestartSec=2
+# Where systemd knows these two (254), one that keeps failing is started ever more rarely.
+RestartSteps=6
+RestartMaxDelaySec=60
 # What is wrong with a file is not mended by starting again.
 RestartPreventExitStatus=2
 WatchdogSec={WATCHDOG_S}
 # A node waits for the bus as long as it takes.
 TimeoutStartSec=infinity
 TimeoutStopSec=20
-NoNewPrivileges=yes
-PrivateTmp=yes
-ProtectSystem=full
-
+# The node is told to stop and ends its helpers itself; whoever is left then is killed.
+KillMode=mixed
+{SHUT_IN}{writes}{_devices(unit)}
 [Install]
 WantedBy=multi-user.target
 """
+
+
+def _devices(unit: Unit) -> str:
+    """Which devices a node sees: its own, or none beyond /dev/null and its like."""
+    if not unit.devices:
+        return "PrivateDevices=yes\nPrivateUsers=yes\n"
+    rows = [f"DeviceAllow={device} rw" for device in unit.devices]
+    return "\n".join(["DevicePolicy=closed", *rows, ""])
 
 
 def _quoted(word: str) -> str:

@@ -1,3 +1,5 @@
+import shutil
+import subprocess
 from configparser import ConfigParser
 from pathlib import Path
 
@@ -113,8 +115,8 @@ def service_of(file: Path) -> dict[str, str]:
 def test_units_are_watched_and_started_again(tmp_path: Path) -> None:
     folder = tmp_path / "a site 100%"
     assert run(["init", "--systemd", "--directory", str(folder)]) == 0
-    names = {"trigpoint-edge@", "trigpoint-robot@", "trigpoint-fusion", "trigpoint-recorder"}
-    files = {file.stem: file for file in (folder / "systemd").iterdir()}
+    names = {f"trigpoint-{name}" for name in ("edge@", "robot@", "fusion", "recorder", "router")}
+    files = {file.stem: file for file in (folder / "systemd").glob("*.service")}
     assert files.keys() == names
     for file in files.values():
         service = service_of(file)
@@ -122,6 +124,39 @@ def test_units_are_watched_and_started_again(tmp_path: Path) -> None:
         assert int(service["watchdogsec"]) == 30
         assert f'--site "{tmp_path}/a site 100%%/site.toml"' in service["execstart"]
     assert "-m trigpoint edge --camera %i" in service_of(files["trigpoint-edge@"])["execstart"]
+
+
+@pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not here")
+@pytest.mark.parametrize("unit", ["edge@", "robot@", "fusion", "recorder", "router"])
+def test_units_are_shut_in(tmp_path: Path, unit: str) -> None:
+    """By systemd's own judge, which counts what a service could do that it need not."""
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    file = tmp_path / "systemd" / f"trigpoint-{unit}.service"
+    judged = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(file)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert judged.returncode == 0, judged.stdout.splitlines()[-1:] + judged.stderr.splitlines()[-3:]
+
+
+def test_nothing_runs_as_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("getpass.getuser", lambda: "root")
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    for file in (tmp_path / "systemd").glob("*.service"):
+        assert service_of(file)["user"] == "trigpoint"
+    made = (tmp_path / "systemd" / "trigpoint.conf").read_text().splitlines()
+    assert made[0] == f'u trigpoint - "Trigpoint" {tmp_path}'
+    assert made[1:] == ["m trigpoint dialout", "m trigpoint video"]
+
+
+def test_recorder_may_write_where_the_site_file_says(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text(site_text(more='[recorder]\ndirectory = "/srv/sessions"'))
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    unit = (tmp_path / "systemd" / "trigpoint-recorder.service").read_text()
+    assert 'ReadWritePaths="-/srv/sessions"' in unit
+    assert "ReadWritePaths" not in (tmp_path / "systemd" / "trigpoint-edge@.service").read_text()
 
 
 def test_units_are_written_for_a_site_that_exists_and_is_kept(
