@@ -67,9 +67,9 @@ def _next_step(site: Path, *, has_units: bool) -> str:
     units = [f"trigpoint-edge@{name}" for name in loaded.cameras]
     units += [f"trigpoint-robot@{name}" for name in loaded.robots]
     units += [f"trigpoint-{name}" for name in ("fusion", "recorder", "router")]
-    user = _user_step(site.parent)
+    user, files = _user_step(site.parent), site.parent / "systemd" / "*.service"
     return (
-        f"{look}\n{user}on each machine: sudo cp {site.parent / 'systemd'}/*.service {_UNIT_FOLDER}/ && "
+        f"{look}\n{user}on each machine: sudo cp {files} {_UNIT_FOLDER}/ && "
         "sudo systemctl daemon-reload,\nthen sudo systemctl enable --now what it is to run, of: "
         f"{' '.join(units)}"
     )
