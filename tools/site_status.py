@@ -41,11 +41,13 @@ class NodeStatus(Struct, frozen=True):
 
 
 class SiteStatus(Struct, frozen=True):
-    """All nodes of a site, by name; `peers`: how many sessions the bus is connected to."""
+    """All nodes of a site, by name; `peers`: how many sessions the bus is connected to;
+    `versions`: the nodes of each version that runs."""
 
     site: str
     peers: int
     nodes: list[NodeStatus]
+    versions: dict[str, list[str]] = {}
 
 
 def summarise(
@@ -57,7 +59,17 @@ def summarise(
     nodes = [_node(status, status.name in alive) for status in latest.values()]
     spoken = {name for name, _ in latest}
     nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
-    return SiteStatus(site, peers, sorted(nodes, key=lambda node: node.name))
+    nodes.sort(key=lambda node: node.name)
+    return SiteStatus(site, peers, nodes, _versions(nodes))
+
+
+def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
+    """Who of those that are there runs which version; the one that most run first."""
+    found: dict[str, list[str]] = {}
+    for node in nodes:
+        if node.version and node.state != "gone":
+            found.setdefault(node.version, []).append(node.name)
+    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[0])))
 
 
 def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
@@ -123,6 +135,10 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
                 break_on_hyphens=False,
             )
             first = margin
+    if len(status.versions) > 1:
+        usual, *others = status.versions
+        told = "; ".join(f"{version}: {', '.join(status.versions[version])}" for version in others)
+        lines.append(f"Versions differ: {usual} on most, but {told}")
     return "\n".join(lines)
 
 

@@ -85,6 +85,21 @@ def test_table_shows_rates_losses_and_errors() -> None:
     assert [line.strip() for line in lines[-3:]] == ["lost: 2 odom", "no", "last error: x"]
 
 
+def test_nodes_of_another_version_are_named() -> None:
+    versions = {"edge/c1": "0.2", "edge/c2": "0.2", "robot/r1": "0.1", "edge/c3": "0.0"}
+    statuses = [
+        DiagnosticStatus(0, name, "running", "", {"version": version, "node": name})
+        for name, version in versions.items()
+    ]
+    tokens = [f"lab/alive/{name}" for name in versions if name != "edge/c3"]
+    site = summarise("lab", peers=0, tokens=tokens, statuses=statuses)
+    assert site.versions == {"0.2": ["edge/c1", "edge/c2"], "0.1": ["robot/r1"]}
+    last = table(site).splitlines()[-1]
+    assert last == "Versions differ: 0.2 on most, but 0.1: robot/r1"
+    alike = summarise("lab", peers=0, tokens=tokens[:2], statuses=statuses[:2])
+    assert "Versions differ" not in table(alike)
+
+
 def test_table_keeps_to_its_width() -> None:
     keys = [f"sent lab/{kind}.rate" for kind in ("tf", "diagnostics", "coverage/c1")]
     status = DiagnosticStatus(0, "fusion/fusion", "running", "", dict.fromkeys(keys, "5"))
