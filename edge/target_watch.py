@@ -3,6 +3,7 @@
 import logging
 
 from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.words import counted
 
 _log = logging.getLogger(__name__)
 
@@ -56,8 +57,3 @@ class TargetWatch:
             counted(self._faces, "face"),
             lost,
         )
-
-
-def counted(number: int, noun: str) -> str:
-    """«1 face», «2 faces»."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

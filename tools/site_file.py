@@ -39,7 +39,10 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (CameraConfig, "focal_sigma"): "prior sigmas where estimated: focal length, relative",
     (CameraConfig, "centre_sigma"): "principal point, of the width",
     (CameraConfig, "distortion_sigma"): "each distortion coefficient",
-    (CameraConfig, "time_offset_sigma"): "prior sigma of the time offset, s; estimated above 0",
+    (
+        CameraConfig,
+        "time_offset_sigma",
+    ): "prior sigma of the time offset, s; estimated above 0 (rtsp: 0.2)",
     (CameraConfig, "time_drift_sigma"): "of the clock's drift, s/s; only with a time offset",
     (CameraConfig, "line_delay"): "of a rolling shutter: s from one row to the next, like 30e-6",
     (CameraConfig, "picture_rate"): "pictures a second that are sent where someone looks",
@@ -109,6 +112,7 @@ _EXAMPLES = {
 
 _WRITTEN = {
     (CameraConfig, "intrinsics"): "estimate",
+    (CameraConfig, "time_offset_sigma"): 0.0,
     (RobotConfig, "port"): "/dev/ttyUSB0",
 }
 """Values in place of a default that a first site cannot start with: nothing announces a lens that

@@ -22,8 +22,9 @@ STATES = ("ok", "warning", "error", "stale")
 
 
 class NodeStatus(Struct, frozen=True):
-    """One node. `state`: ok, warning, error, or silent (alive without diagnostics), or gone
-    (diagnostics without a token). Rates are a second; losses are totals since the node's start."""
+    """One node. `state`: ok, warning, error, or silent (alive without diagnostics), gone
+    (diagnostics without a token), or missing (named in the site file, but nobody runs it). Rates
+    are a second; losses are totals since the node's start; `words`: states like its source's."""
 
     name: str
     state: str
@@ -37,30 +38,54 @@ class NodeStatus(Struct, frozen=True):
     depths: dict[str, int] = {}
     losses: dict[str, int] = {}
     gauges: dict[str, float] = {}
+    words: dict[str, str] = {}
     last_error: str = ""
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is there and without an error."""
+        return self.state in ("ok", "warning")
 
 
 class SiteStatus(Struct, frozen=True):
     """All nodes of a site, by name; `peers`: how many sessions the bus is connected to;
-    `versions`: the nodes of each version that runs."""
+    `versions`: the nodes of each version that runs; `time`: when they were looked at, ISO 8601
+    with its zone."""
 
     site: str
     peers: int
     nodes: list[NodeStatus]
     versions: dict[str, list[str]] = {}
+    time: str = ""
+
+    @property
+    def is_well(self) -> bool:
+        """Whether nothing is missing or in error."""
+        return all(node.is_well for node in self.nodes)
 
 
 def summarise(
-    site: str, *, peers: int, tokens: Iterable[str], statuses: Iterable[DiagnosticStatus]
+    site: str,
+    *,
+    peers: int,
+    tokens: Iterable[str],
+    statuses: Iterable[DiagnosticStatus],
+    wanted: Iterable[str] = (),
+    time: str = "",
 ) -> SiteStatus:
-    """Put liveliness tokens and the nodes' latest diagnostics together."""
+    """Put liveliness tokens and the nodes' latest diagnostics together; `wanted`: the nodes that
+    the site file names."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
     spoken = {name for name, _ in latest}
     nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
+    missing = set(wanted) - alive - spoken
+    nodes += [
+        NodeStatus(name, "missing", "named in the site file; not running") for name in missing
+    ]
     nodes.sort(key=lambda node: node.name)
-    return SiteStatus(site, peers, nodes, _versions(nodes))
+    return SiteStatus(site, peers, nodes, _versions(nodes), time)
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
@@ -87,7 +112,10 @@ def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
         totals={name: int(_number(text)) for name, text in _ending(values, ".total")},
         depths={name: int(_number(text)) for name, text in _ending(values, ".depth")},
         losses={name: int(_number(text)) for name, text in _ending(values, ".lost")},
-        gauges={name: _number(text) for name, text in values.items() if _is_gauge(name)},
+        gauges={
+            n: _number(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
+        },
+        words={n: text for n, text in values.items() if _is_gauge(n) and not _is_number(text)},
         last_error=values.get("last_error", ""),
     )
 
@@ -100,6 +128,14 @@ def _ending(values: dict[str, str], ending: str) -> list[tuple[str, str]]:
     return [
         (key.removesuffix(ending), text) for key, text in values.items() if key.endswith(ending)
     ]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(text: str) -> float:
@@ -146,7 +182,8 @@ def _notes(node: NodeStatus) -> list[str]:
     """What there is to say of a node, a line each; nothing for one that rests."""
     rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
-    notes = [rates, losses and f"lost: {losses}"]
+    words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
+    notes = [rates, words, losses and f"lost: {losses}"]
     notes += ["" if node.message == "running" else node.message]
     if node.last_error != node.message:
         notes += [node.last_error and f"last error: {node.last_error}"]

@@ -3,6 +3,8 @@
 import shutil
 import threading
 import time
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +14,7 @@ import typer
 from trigpoint.bus import Bus
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.cdr import decode
-from trigpoint.config import load_site
+from trigpoint.config import Site, load_site
 from trigpoint.errors import MessageError
 from trigpoint.messages import Diagnostics, DiagnosticStatus
 from trigpoint.node import stop_on_signals
@@ -32,7 +34,8 @@ def main(
     json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Look until interrupted.")] = False,
 ) -> None:
-    """Show the live site: who is alive, rates, losses and last errors."""
+    """Show the live site: who is alive, rates, losses and last errors; exit 1 where something that
+    the site file names is missing, or anything is in error."""
     configuration = load_site(site)
     watcher = Watcher()
     width = shutil.get_terminal_size().columns
@@ -40,13 +43,15 @@ def main(
         if watch:
             stop_on_signals([watcher])
         while not watcher.stopping.is_set():
-            status = look(bus, configuration.name, watcher.stopping)
+            status = look(
+                bus, configuration.name, watcher.stopping, wanted=wanted_of(configuration)
+            )
             if json:
                 typer.echo(msgspec.json.encode(status).decode())
             else:
                 typer.echo((_CLEAR if watch else "") + table(status, width=width))
             if not watch:
-                return
+                raise typer.Exit(0 if status.is_well else 1)
 
 
 class Watcher:
@@ -59,8 +64,19 @@ class Watcher:
         self.stopping.set()
 
 
+def wanted_of(site: Site) -> list[str]:
+    """The nodes that a site file names: an agent a camera, a bridge a robot that has a port."""
+    robots = [name for name, robot in site.robots.items() if robot.protocol != "ros2"]
+    return [f"edge/{name}" for name in site.cameras] + [f"robot/{name}" for name in robots]
+
+
 def look(
-    bus: Bus, site: str, stopping: threading.Event, *, listen_s: float = LISTEN_S
+    bus: Bus,
+    site: str,
+    stopping: threading.Event,
+    *,
+    wanted: Sequence[str] = (),
+    listen_s: float = LISTEN_S,
 ) -> SiteStatus:
     """Listen for a while and say who is there."""
     subscription = bus.subscribe(DIAGNOSTICS, DIAGNOSTICS.expression(site))
@@ -71,7 +87,14 @@ def look(
             statuses += _statuses(sample.payload)
     subscription.close()
     tokens = bus.alive(alive_key(site, "*", "*"))
-    return summarise(site, peers=len(bus.peers), tokens=tokens, statuses=statuses)
+    return summarise(
+        site,
+        peers=len(bus.peers),
+        tokens=tokens,
+        statuses=statuses,
+        wanted=wanted,
+        time=datetime.now().astimezone().isoformat(timespec="milliseconds"),
+    )
 
 
 def _statuses(payload: bytes) -> tuple[DiagnosticStatus, ...]:

@@ -139,6 +139,8 @@ RestartPreventExitStatus=2
 WatchdogSec={WATCHDOG_S}
 # A node waits for the bus as long as it takes.
 TimeoutStartSec=infinity
+# A stop is told to the node, which ends its helpers in order; it takes two seconds.
+KillMode=mixed
 TimeoutStopSec=20
 # The node is told to stop and ends its helpers itself; whoever is left then is killed.
 KillMode=mixed

@@ -1,11 +1,12 @@
 """The program: a table of commands, of which only the chosen one is imported."""
 
 import importlib
+import itertools
 import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import FrameType
 from typing import Annotated, NoReturn
@@ -17,6 +18,8 @@ from .ending import ENDING
 from .errors import MissingExtraError, TrigpointError
 
 PROGRAM = "trigpoint"
+_LOG_LEVEL = "--log-level"
+_COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +160,8 @@ def run(arguments: Sequence[str]) -> int:
     # Our matrices are small: BLAS threads only get in each other's and other processes' way. It has
     # to be said before numpy is loaded, so before a command is.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    chosen = chosen_command(arguments)
+    arguments = log_level_in_front(arguments)
+    chosen = chosen_command(_completed(os.environ) or arguments)
     _exit_on_termination(chosen)
     try:
         status = _app(chosen)(
@@ -181,26 +185,44 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def chosen_command(arguments: Sequence[str]) -> str:
-    """The row that a command line names, "" where it names none."""
-    words = [word for word in arguments if not word.startswith("-")]
+    """The row that a command line names, "" where it names none: its first words."""
+    words = list(itertools.dropwhile(lambda word: word.startswith("-"), arguments))
     for length in (2, 1):
-        for start in range(min(2, len(words))):  # an option's value may stand before it
-            name = " ".join(words[start : start + length])
-            if name in COMMANDS:
-                return name
+        name = " ".join(words[:length])
+        if name in COMMANDS:
+            return name
     return ""
+
+
+def log_level_in_front(arguments: Sequence[str]) -> list[str]:
+    """The line with `--log-level`, which may stand anywhere, joined to its value before the
+    command."""
+    front, rest, words = [], [], iter(arguments)
+    for word in words:
+        if word == "--":
+            return [*front, *rest, word, *words]
+        if word == _LOG_LEVEL:
+            value = next(words, None)
+            front.append(word if value is None else f"{word}={value}")
+        elif word.startswith(f"{_LOG_LEVEL}="):
+            front.append(word)
+        else:
+            rest.append(word)
+    return [*front, *rest]
 
 
 def _app(chosen: str) -> typer.Typer:
     """The program with the chosen command as it is and the others as names with a line of help."""
     settings = {
-        "add_completion": False,
         "rich_markup_mode": None,
         "pretty_exceptions_enable": False,
     }
     app = typer.Typer(help="Survey the cameras of a building by driving a robot.", **settings)
     app.callback()(_options)
-    groups = {name: typer.Typer(help=text, **settings) for name, text in GROUPS.items()}
+    groups = {
+        name: typer.Typer(help=text, add_completion=False, **settings)
+        for name, text in GROUPS.items()
+    }
     for name, command in COMMANDS.items():
         group, _, last = name.rpartition(" ")
         function = command.load() if name == chosen else _placeholder
@@ -209,6 +231,14 @@ def _app(chosen: str) -> typer.Typer:
     for name, group in groups.items():
         app.add_typer(group, name=name)
     return app
+
+
+def _completed(environment: Mapping[str, str]) -> list[str]:
+    """The words of a line that a shell wants completed, without the program's name; else none."""
+    if _COMPLETE not in environment:
+        return []
+    line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS", "")
+    return line.split()[1:]
 
 
 def _print_version(is_wanted: bool) -> None:

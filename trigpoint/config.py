@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta, Struct
+from msgspec.structs import force_setattr
 
 from .errors import ConfigError, read_text
 from .geometry import CameraModel
@@ -26,6 +27,9 @@ _ENDPOINT = re.compile(
 # Rows that come more slowly than this make a picture that takes half a second.
 _LONGEST_LINE_DELAY_S = 1e-3
 ROS2_PROTOCOL = "ros2"
+_RTSP_OFFSET_SIGMA_S = 0.2
+"""A network camera's pictures are stamped as they arrive, or by a clock that nobody has checked:
+what is left of the way from exposure to arrival (0.05 to 0.5 s) is estimated."""
 PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
 
 
@@ -103,7 +107,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     focal_sigma: Positive = 0.2
     centre_sigma: Positive = 0.05
     distortion_sigma: Positive = 0.5
-    time_offset_sigma: NotNegative = 0.0
+    time_offset_sigma: NotNegative = math.nan  # the source's own, see below
     time_drift_sigma: NotNegative = 20e-6
     line_delay: float = 0.0
     picture_rate: Positive = 2.0
@@ -111,6 +115,9 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         scheme, separator, _ = self.source.partition("://")
+        if math.isnan(self.time_offset_sigma):
+            usual = _RTSP_OFFSET_SIGMA_S if scheme == "rtsp" else 0.0
+            force_setattr(self, "time_offset_sigma", usual)
         if not separator or not scheme:
             known = ", ".join(f"{name}://" for name in PICTURE_SCHEMES)
             raise ValueError(f"source «{self.source}» is no URL; write one of {known}")

@@ -1,10 +1,20 @@
-"""Log lines on standard error: time, level, where, what."""
+"""Log lines on standard error: time, level, where, what.
+
+On a terminal or in a file with date, time and zone; under systemd, whose journal knows the time,
+with the priority by which it sorts (sd-daemon(3)).
+"""
 
 import logging
+import os
 import sys
+from collections.abc import Mapping
+from datetime import datetime
 from enum import StrEnum
+from typing import TextIO
 
-_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
+_TEXT = "%(levelname)s %(name)s: %(message)s"
+_PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3}
+_WORST = 2
 
 
 class Level(StrEnum):
@@ -16,11 +26,49 @@ class Level(StrEnum):
     ERROR = "error"
 
 
+class _Timed(logging.Formatter):
+    """2026-03-01 14:05:59.123+0100."""
+
+    def formatTime(  # noqa: N802 - logging's name
+        self,
+        record: logging.LogRecord,
+        datefmt: str | None = None,  # noqa: ARG002
+    ) -> str:
+        moment = datetime.fromtimestamp(record.created).astimezone()
+        return f"{moment:%Y-%m-%d %H:%M:%S}.{int(record.msecs):03d}{moment:%z}"
+
+
+class _Journal(logging.Formatter):
+    """Each line with its priority in front, also those of a traceback."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        priority = _PRIORITIES.get(record.levelno, _WORST if record.levelno > logging.ERROR else 7)
+        return "\n".join(f"<{priority}>{line}" for line in super().format(record).splitlines())
+
+
 def set_up(level: Level) -> None:
     """Send the program's log to standard error; other libraries only from warnings on."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter(_FORMAT, datefmt="%H:%M:%S"))
+    handler.setFormatter(formatter(sys.stderr, os.environ))
     logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
     logging.getLogger("trigpoint").setLevel(level.upper())
     for name in Level:
         logging.addLevelName(logging.getLevelNamesMapping()[name.upper()], name.value)
+
+
+def formatter(stream: TextIO, environment: Mapping[str, str]) -> logging.Formatter:
+    """How lines look on a stream."""
+    if _is_journal(stream, environment):
+        return _Journal(_TEXT)
+    return _Timed(f"%(asctime)s {_TEXT}")
+
+
+def _is_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
+    """Whether a stream goes to systemd's journal: it names its device and inode (systemd.exec(5)),
+    since whoever we start inherits the variable with another stream."""
+    named = environment.get("JOURNAL_STREAM", "")
+    try:
+        status = os.fstat(stream.fileno())
+    except (OSError, ValueError):
+        return False
+    return named == f"{status.st_dev}:{status.st_ino}"

@@ -1,15 +1,16 @@
 """Reads a TOML file into frozen msgspec structs, with errors that name file, line and key."""
 
-import difflib
 import re
 import tomllib
+from enum import Enum
 from pathlib import Path
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from .errors import InputError, read_text
+from .words import nearest
 
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 KeyPath = tuple[str | int, ...]
@@ -56,7 +57,19 @@ def _convert(value: Any, kind: Any, path: KeyPath) -> Any:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as reason:
+        if choices := _choices(kind):
+            text = f": «{value}» is none of {', '.join(choices)}{nearest(str(value), choices)}"
+            raise _Problem(path, text) from None
         raise _Problem(path, f": {_plain(reason)}; correct it") from None
+
+
+def _choices(kind: Any) -> list[str]:
+    """The words that a closed choice takes; none where it is another kind."""
+    if get_origin(kind) is Literal:
+        return [str(choice) for choice in get_args(kind)]
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return [str(choice.value) for choice in kind]
+    return []
 
 
 def _convert_struct(value: Any, struct: type[msgspec.Struct], path: KeyPath) -> msgspec.Struct:
@@ -65,7 +78,7 @@ def _convert_struct(value: Any, struct: type[msgspec.Struct], path: KeyPath) -> 
     kinds = get_type_hints(struct, include_extras=True)
     for key in value:
         if key not in kinds:
-            raise _Problem((*path, key), f" is not a known key{_nearest(key, list(kinds))}")
+            raise _Problem((*path, key), f" is not a known key{nearest(key, kinds)}")
     for field in msgspec.structs.fields(struct):
         if field.required and field.name not in value:
             raise _Problem(path, f"{' ' if path else ''}needs the key «{field.name}»; add it")
@@ -87,11 +100,6 @@ def _without_none(kind: Any) -> Any:
 def _holds_structs(kind: Any) -> bool:
     inner = get_args(kind)[0]
     return isinstance(inner, type) and issubclass(inner, msgspec.Struct)
-
-
-def _nearest(key: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-    return f"; did you mean «{close[0]}»?" if close else ""
 
 
 def _plain(reason: msgspec.ValidationError) -> str:

@@ -2,6 +2,7 @@ import json
 import re
 import threading
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -124,7 +125,7 @@ def test_look_hears_the_nodes_and_skips_garbage() -> None:
         broker.session() as mine,
     ):
         bus.publisher(DIAGNOSTICS, DIAGNOSTICS.key("lab")).put(b"garbage")
-        status = look(mine, "lab", threading.Event(), listen_s=0.2)
+        status = look(mine, "lab", threading.Event(), listen_s=1.0)
     assert [(node.name, node.state) for node in status.nodes] == [("edge/c1", "error")]
     assert "rejected" in status.nodes[0].message
 
@@ -137,6 +138,23 @@ def test_command_shows_the_live_site(
     path.write_text(site_text(bus=f'connect = ["{endpoint}"]'))
     serving = parse_site(site_text(bus=f'listen = ["{endpoint}"]'), directory=tmp_path)
     with open_bus(serving) as bus, Node(bus, site="lab", kind="edge", name="c1"):
-        assert run(["status", "--site", str(path), "--json"]) == 0
-    status = json.loads(capsys.readouterr().out)
-    assert [(node["name"], node["state"]) for node in status["nodes"]] == [("edge/c1", "ok")]
+        # The bridge of robot r1, which the site file names, does not run.
+        assert run(["status", "--site", str(path), "--json"]) == 1
+        status = json.loads(capsys.readouterr().out)
+        assert [(node["name"], node["state"]) for node in status["nodes"]] == [
+            ("edge/c1", "ok"),
+            ("robot/r1", "missing"),
+        ]
+        assert datetime.fromisoformat(status["time"]).utcoffset() is not None
+        with Node(bus, site="lab", kind="robot", name="r1"):
+            assert run(["status", "--site", str(path)]) == 0
+
+
+def test_states_in_words_stay_words() -> None:
+    values = {"source": "lost", "stamps": "on arrival", "delay_ms": "12.5"}
+    status = DiagnosticStatus(2, "edge/c1", "gone", "", values)
+    site = summarise("lab", peers=0, tokens=["lab/alive/edge/c1"], statuses=[status])
+    assert site.nodes[0].words == {"source": "lost", "stamps": "on arrival"}
+    assert site.nodes[0].gauges == {"delay_ms": 12.5}
+    assert not site.is_well
+    assert "source: lost" in table(site)

@@ -1,3 +1,5 @@
+import logging
+import os
 import re
 import signal
 import subprocess
@@ -10,7 +12,7 @@ import pytest
 import typer
 
 from trigpoint import __version__
-from trigpoint.cli import COMMANDS, EXTRAS, GROUPS, Command, chosen_command, run
+from trigpoint.cli import COMMANDS, EXTRAS, GROUPS, Command, chosen_command, log_level_in_front, run
 from trigpoint.errors import BusError, ConfigError
 
 ABSENT = ("export",)
@@ -58,6 +60,33 @@ def test_every_plug_in_opens() -> None:
         assert callable(entry.load())
 
 
+def test_log_level_may_stand_anywhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_command(monkeypatch, lambda: None)
+    assert run(["edge", "--log-level", "debug"]) == 0
+    assert logging.getLogger("trigpoint").level == logging.DEBUG
+    assert run(["edge", "--log-level", "loud"]) == 2
+    assert "loud" in capsys.readouterr().err
+
+
+def test_shell_completes_commands_and_the_options_of_one() -> None:
+    def completed(line: str) -> list[str]:
+        words = line.split(" ")
+        environment = os.environ | {
+            "_TRIGPOINT_COMPLETE": "complete_bash",
+            "COMP_WORDS": line,
+            "COMP_CWORD": str(len(words) - 1),
+        }
+        command = [sys.executable, "-c", "from trigpoint.cli import main; main()"]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True
+        ).stdout.split()
+
+    assert {"review", "replay", "record"} <= set(completed("trigpoint re"))
+    assert "--watch" in completed("trigpoint status --")
+
+
 @pytest.mark.parametrize("name", ABSENT)
 def test_command_that_is_not_there_yet_is_no_command(
     name: str, capsys: pytest.CaptureFixture[str]
@@ -71,6 +100,9 @@ def test_command_that_is_not_there_yet_is_no_command(
     [
         ("edge --site a", "edge"),
         ("--log-level debug edge", "edge"),
+        ("edge --site a --log-level=debug", "edge"),
+        ("review demo", "review"),
+        ("review edge --save demo", "review"),
         ("target draw a.toml", "target draw"),
         ("target", ""),
         ("--help", ""),
@@ -78,7 +110,7 @@ def test_command_that_is_not_there_yet_is_no_command(
     ],
 )
 def test_chosen_command_is_read_off_the_line(arguments: str, expected: str) -> None:
-    assert chosen_command(arguments.split()) == expected
+    assert chosen_command(log_level_in_front(arguments.split())) == expected
 
 
 @pytest.mark.parametrize(

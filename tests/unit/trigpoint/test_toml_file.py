@@ -1,7 +1,8 @@
 import pytest
 from msgspec import Struct
 
-from trigpoint.errors import ConfigError
+from trigpoint.errors import ConfigError, TargetError
+from trigpoint.target import parse_target
 from trigpoint.toml_file import parse_toml
 
 
@@ -65,3 +66,15 @@ def test_problem_is_one_line_with_file_line_and_key(text: str, expected: str) ->
 def test_text_that_is_no_toml_names_the_line() -> None:
     with pytest.raises(ConfigError, match=r"f\.toml: not valid TOML: .*line 2"):
         parse('name = "a"\nnonsense\nmore = 1')
+
+
+def test_wrong_choice_names_the_choices_and_the_nearest() -> None:
+    text = (
+        'name = "t"\n[[faces]]\nid = 0\npattern = "chaurco"\ncolumns = 5\nrows = 7\nsquare = 0.04\n'
+    )
+    with pytest.raises(TargetError) as caught:
+        parse_target(text, file="t.toml")
+    assert str(caught.value) == (
+        "t.toml:4: faces[0].pattern: «chaurco» is none of checkerboard, charuco, aprilgrid; "
+        "did you mean «charuco»?"
+    )
