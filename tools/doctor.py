@@ -10,9 +10,10 @@ import typer
 
 from trigpoint.checks import Check
 from trigpoint.config import CameraConfig, Site, load_site, parse_site
-from trigpoint.errors import TargetError
+from trigpoint.errors import InputError, TargetError
 from trigpoint.target import load_target
 
+from .clock_checks import check_time_service
 from .machine_checks import (
     EXTRAS,
     check_clock,
@@ -23,6 +24,7 @@ from .machine_checks import (
     check_site_bus,
     missing_packages,
 )
+from .machine_fixes import apply, fixed_user, needed
 
 _SIGNS = {"ok": "ok     ", "warning": "warning", "error": "ERROR  "}
 _LIVE = ("v4l2", "rtsp")
@@ -37,9 +39,15 @@ robots.r1.port = "/dev/ttyUSB0"
 def main(
     site: Annotated[Path | None, typer.Option(help="Look at this site's files too.")] = None,
     json: Annotated[bool, typer.Option("--json", help="A JSON list of findings.")] = False,
+    fix: Annotated[
+        bool,
+        typer.Option("--fix", help="As root: mend groups, udev rules, the keeping of the clock."),
+    ] = False,
 ) -> None:
     """Say what is missing or wrong on this machine and what to do; exit 1 if something is wrong."""
-    findings = examine(load_site(site) if site else None)
+    loaded = load_site(site) if site else None
+    mended = _mend(loaded) if fix else []
+    findings = [*mended, *examine(loaded)]
     if json:
         typer.echo(msgspec.json.encode(findings).decode())
     else:
@@ -48,10 +56,17 @@ def main(
         raise typer.Exit(1)
 
 
+def _mend(site: Site | None) -> list[Check]:
+    user = fixed_user()
+    if site is None:
+        raise InputError("doctor --fix mends what a site needs; say which with --site")
+    return [apply(one) for one in needed(site, user=user, clock=check_clock())]
+
+
 def examine(site: Site | None) -> list[Check]:
     """Every finding: this machine's, each installed part's, and the site's where one is given."""
     some_site = site or parse_site(_NO_SITE, directory=Path())
-    findings = [check_python(), check_clock()]
+    findings = [check_python(), check_clock(), check_time_service(site)]
     findings.append(check_disk(site.path(site.recorder.directory) if site else Path()))
     findings.append(check_loopback(some_site))
     for extra in EXTRAS:
@@ -60,10 +75,26 @@ def examine(site: Site | None) -> list[Check]:
             findings += _part_checks(extra)
     if site:
         findings.append(check_site_bus(site))
+        findings += _check_security(site)
         findings += [_check_target(site, robot) for robot in site.robots]
         findings += [finding for name in site.cameras for finding in _check_camera(site, name)]
         findings += [finding for name in site.robots for finding in _check_port(site, name)]
     return findings
+
+
+def _check_security(site: Site) -> list[Check]:
+    """The certificates on this machine, and doors that stand open."""
+    open_doors = [
+        Check("bus", "warning", f"{door} is open without certificates", "secure the site")
+        for door in site.bus.open_doors
+    ]
+    if site.bus.tls is None:
+        return open_doors
+    if missing_packages("secure"):
+        return [check_extra("secure")]
+    from .certificate_checks import check_certificates
+
+    return check_certificates(site)
 
 
 def _part_checks(part: str) -> list[Check]:
@@ -108,7 +139,7 @@ def _no_lens(name: str) -> Check:
 
 def _check_port(site: Site, name: str) -> list[Check]:
     port = site.robot(name).port
-    if not port.startswith("/dev/"):
+    if port is None or not port.startswith("/dev/"):
         return []
     return [_check_device(f"robot {name}", Path(port), "dialout")]
 

@@ -31,9 +31,14 @@ _GIGABYTE = 1_000_000_000
 _NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
+SITE_EXTRAS: dict[str, tuple[str, ...]] = {"secure": ("cryptography",)}
+"""The same of what a site's file asks of every machine."""
+
+
 def missing_packages(extra: str) -> list[str]:
     """The packages of an extra that are not installed here."""
-    return [name for name in EXTRAS[extra] if importlib.util.find_spec(name) is None]
+    wanted = EXTRAS.get(extra) or SITE_EXTRAS[extra]
+    return [name for name in wanted if importlib.util.find_spec(name) is None]
 
 
 def check_python() -> Check:

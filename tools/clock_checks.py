@@ -1,0 +1,92 @@
+"""How far this machine's clock is off, by whoever keeps it: chrony or systemd-timesyncd."""
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from trigpoint.checks import Check
+from trigpoint.config import OdometryNoise, Site
+
+_ASK_S = 5.0
+_SPEED = 1.0
+"""m/s: what robots of this kind drive at."""
+_UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
+_OFFSET = re.compile(r"^\s*Offset: ([+-]?[0-9.]+)(us|ms|s|min)", re.MULTILINE)
+_CHRONY_OFFSET, _CHRONY_LEAP = 4, 13
+"""Fields of `chronyc -c tracking` (chronyc(1)): system time, leap status."""
+
+Ask = Callable[[list[str]], str]
+
+
+@dataclass(frozen=True, slots=True)
+class TimeService:
+    """Who keeps the clock, and how far off it thinks that it is."""
+
+    name: str
+    offset_s: float
+
+
+def bearable_s(noise: OdometryNoise) -> float:
+    """How far a clock may be off: it shifts a correction by speed times that, and this is as much
+    as the odometry itself errs while the robot drives for a second."""
+    return noise.distance * _SPEED**0.5 / _SPEED
+
+
+def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
+    """What the time service says of its offset, beside what the site's robots can bear."""
+    service = time_service(ask or _output)
+    if service is None:
+        return Check(
+            "time service",
+            "warning",
+            "neither chrony nor systemd-timesyncd says how far this machine's clock is off",
+            "install chrony, with the same server on every machine of the site",
+        )
+    noises = [robot.odometry for robot in site.robots.values()] if site else [OdometryNoise()]
+    limit_s = min(bearable_s(noise) for noise in noises)
+    text = f"{service.name}: {1e3 * service.offset_s:+.3f} ms off"
+    if abs(service.offset_s) <= limit_s:
+        return Check("time service", "ok", text)
+    return Check(
+        "time service",
+        "error",
+        f"{text}; the robots' odometry bears {1e3 * limit_s:.1f} ms",
+        f"wait until {service.name} has settled, or give it a nearer server",
+    )
+
+
+def time_service(ask: Ask) -> TimeService | None:
+    """The service that answers; None where none does, or none is synchronised."""
+    return _chrony(ask(["chronyc", "-c", "tracking"])) or _timesyncd(
+        ask(["timedatectl", "timesync-status", "--no-pager"])
+    )
+
+
+def _chrony(text: str) -> TimeService | None:
+    fields = text.strip().split(",")
+    if len(fields) <= _CHRONY_LEAP or fields[_CHRONY_LEAP] == "Not synchronised":
+        return None
+    try:
+        return TimeService("chrony", float(fields[_CHRONY_OFFSET]))
+    except ValueError:
+        return None
+
+
+def _timesyncd(text: str) -> TimeService | None:
+    match = _OFFSET.search(text)
+    if match is None:
+        return None
+    return TimeService("systemd-timesyncd", float(match[1]) * _UNITS[match[2]])
+
+
+def _output(words: list[str]) -> str:
+    """What a program says, "" where it is not there or fails."""
+    if shutil.which(words[0]) is None:
+        return ""
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=_ASK_S, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout if done.returncode == 0 else ""
