@@ -57,7 +57,9 @@ class EdgeNode:
         self._config = site.camera(camera)
         self._tracker = TargetTracker(targets, budget_s=1 / self._config.rate, clock=self._clock)
         self._calibrated = calibrated_lens(site, camera)
-        self._calibration = CalibrationService(camera, targets)
+        self._calibration = CalibrationService(
+            camera, targets, line_delay_s=self._config.line_delay
+        )
         self._lens: CameraModel | None = None
         self._is_announced = False
         self._last_ns = -1
@@ -200,7 +202,7 @@ class EdgeNode:
         self._node.health.count("faces", len(faces))
         self._watch.saw(len(faces))
         self._node.health.lose("given_up", self._tracker.given_up - given_up)
-        self._calibration.offer(faces, (width, height))
+        self._calibration.offer(faces, (width, height), frame.captured_ns)
 
     def _say(self, state: str) -> None:
         self._node.health.describe("source", state)

@@ -1,7 +1,6 @@
 """The command `intrinsics`: one camera's lens from pictures of a target."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,16 +8,14 @@ import typer
 
 from trigpoint.camera_info import write_camera_info
 from trigpoint.config import load_site
-from trigpoint.edge.detector import detector_for
 from trigpoint.edge.lens.calibration import Calibration, calibrate
 from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
-from trigpoint.edge.lens.calibration_views import View, views_of
-from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.errors import InputError, OperationError
 from trigpoint.target import Target, load_target
 
-from .detect import check_all, stills
+from .detect import check_all
 from .intrinsics_page import intrinsics_page
+from .intrinsics_search import search
 
 
 def main(
@@ -34,22 +31,37 @@ def main(
         Path | None, typer.Option(help="Write ROS camera_info YAML here, and a page beside it.")
     ] = None,
     json_text: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write a lens that the pictures do not determine.")
+    ] = False,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Pictures searched at once; by default all cores.")
+    ] = None,
 ) -> None:
     """One camera's intrinsics with sigmas, from pictures of a target held still before it (a
-    rolling shutter bends what moves)."""
-    quieten_opencv()
+    rolling shutter bends what moves).
+
+    What the pictures do not determine is said, and no file is written.
+    """
     targets = _targets(target, site)
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
     check_all(pictures)
-    count, size, views = _views(pictures, targets, topic)
-    found = calibrate(views, size)
+    searched = search(pictures, targets, topics=topic, jobs=jobs)
+    found = calibrate(searched.views, searched.size)
     if json_text:
         typer.echo(json.dumps(calibration_record(found)))
     else:
-        typer.echo(f"{count} pictures, {len(views)} views of the target\n{calibration_text(found)}")
+        views = f"{searched.count} pictures, {len(searched.views)} views of the target"
+        typer.echo(f"{views}\n{calibration_text(found)}")
+    if found.doubts and not force:
+        undetermined = "; ".join(str(doubt) for doubt in found.doubts)
+        raise OperationError(
+            f"the pictures do not determine the lens, so nothing is written (--force does it all "
+            f"the same): {undetermined}"
+        )
     if out is not None:
-        for file in _write(out, found, count):
+        for file in _write(out, found, searched.count):
             typer.echo(f"wrote {file}", err=json_text)
 
 
@@ -62,24 +74,6 @@ def _targets(target: Path | None, site: Path | None) -> list[Target]:
     loaded = load_site(site)
     names = dict.fromkeys(loaded.target_name(robot) for robot in loaded.robots)
     return [load_target(loaded.path(name)) for name in names]
-
-
-def _views(
-    pictures: Sequence[Path], targets: Sequence[Target], topics: Sequence[str]
-) -> tuple[int, tuple[int, int], list[View]]:
-    """How many pictures there are, their width and height, and the views in them."""
-    detector = detector_for(targets)
-    count, size, views = 0, (0, 0), []
-    for still in stills(pictures, topics):
-        height, width = still.picture.shape
-        if count and (width, height) != size:
-            raise InputError(
-                f"{still.name}: {width} × {height}, but the pictures before it are {size[0]} × "
-                f"{size[1]}; give pictures of one camera at one size"
-            )
-        count, size = count + 1, (width, height)
-        views += views_of(still.stem, detector.detect(still.picture), targets)
-    return count, size, views
 
 
 def _write(out: Path, found: Calibration, count: int) -> list[Path]:

@@ -1,33 +1,36 @@
 """A camera's intrinsics from views of the target: which views, which model, how well known.
 
-1. A start from views that differ in place, size and slant, by the model that fits them best.
-2. Views that this lens does not explain are rejected.
-3. Of the others the most informative are taken, until one more would tell next to nothing.
-4. The model is chosen by its error on views that were left out, and fitted to those taken.
+1. A start from views that differ in place, size and slant.
+2. Views that this lens does not explain at all are rejected; all others are used.
+3. The model is chosen by its error on views that were left out.
+4. What the views leave open is said by name.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.errors import InputError
+from trigpoint.errors import OperationError
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 
-from .calibration_choice import MODELS, Candidate, candidates, choose
-from .calibration_fit import Fit, Placed, fit, place
-from .calibration_information import Knowledge, knowledge, most_informative, view_information
+from .calibration_choice import Candidate, candidates, choose
+from .calibration_doubts import Doubt, doubts
+from .calibration_fit import Fit, Placed, place
+from .calibration_information import most_informative, view_information
+from .calibration_knowledge import Knowledge, knowledge
+from .calibration_looks import looks_of
+from .calibration_start import equidistant_start
 from .calibration_views import View
 
 FEWEST_VIEWS = 4
-MOST_VIEWS = 60
-_ENOUGH_VIEWS = 20
+# More views than so many make a fit slow and hardly better.
+MOST_VIEWS = 200
 _START_VIEWS = 25
-_LEAST_GAIN = 0.005
-_BAD_FACTOR = 2.5
-_ROUNDS = 3
+# A view is bad where its median corner is off so many times as far as the median view's. Views at
+# the rim of a fisheye lens, or of a board that moved, are off by two or three times.
+_BAD_FACTOR = 6.0
 _LEAST_RMS_PX = 1e-3
 
 
@@ -44,7 +47,8 @@ class Calibration:
     """A camera as its pictures say it is.
 
     `used`: the views that the fit is of; `spare`: how many more were good, but told nothing new;
-    `tried`: every model, the chosen one among them.
+    `tried`: every model, the chosen one among them; `looks`: how many of those used differ;
+    `doubts`: what the views do not determine, none where the lens can be trusted.
     """
 
     fit: Fit
@@ -53,6 +57,8 @@ class Calibration:
     spare: int
     rejected: tuple[Rejected, ...]
     tried: tuple[Candidate, ...]
+    looks: int
+    doubts: tuple[Doubt, ...]
 
     @property
     def camera(self) -> CameraModel:
@@ -70,41 +76,47 @@ class Calibration:
 def calibrate(
     views: Sequence[View], size: tuple[int, int], *, most: int = MOST_VIEWS
 ) -> Calibration:
-    """Work out a camera of `size` (width, height) from views; raises InputError where they do not
-    tell enough. Deterministic; some seconds for 60 views."""
-    _check_count(len(views), len(views))
+    """Work out a camera of `size` (width, height) from views; raises OperationError where they
+    lead to no lens at all. Deterministic; some seconds for 60 views."""
+    if len(views) < FEWEST_VIEWS:
+        raise OperationError(_too_few(len(views), len(views)))
     start = _start(views, size)
     placed = [place(start, view) for view in views]
-    rms_px = np.array([np.inf if one is None else one.rms_px for one in placed])
-    good = _are_good(rms_px, views)
-    _check_count(len(views), int(good.sum()))
-    used = _selected(
-        start, views, [one if ok else None for one, ok in zip(placed, good, strict=True)], most
-    )
-    chosen, known, tried = _chosen(used, size)
+    good = _are_good(placed)
+    if good.sum() < FEWEST_VIEWS:
+        raise OperationError(_too_few(len(views), int(good.sum())))
+    taken = _selected(start, views, placed, good, most)
+    used = [views[i] for i in taken]
+    looks = looks_of(used, size[0])
+    at = [one for i in taken if (one := placed[i]) is not None]
+    first = Fit(start, tuple(one.camera_from_face for one in at), tuple(one.error for one in at))
+    tried = tuple(candidates(used, size, start=first, looks=looks))
+    chosen, known = _chosen(tried, used, looks)
     return Calibration(
         fit=chosen,
         known=known,
         used=tuple(used),
         spare=int(good.sum()) - len(used),
         rejected=tuple(
-            Rejected(views[i].name, float(rms_px[i])) for i in np.flatnonzero(~good).tolist()
+            Rejected(views[i].name, one.rms_px if (one := placed[i]) else np.inf)
+            for i in np.flatnonzero(~good).tolist()
         ),
         tried=tried,
+        looks=int(looks.max()) + 1,
+        doubts=doubts(chosen, known, used, looks),
     )
 
 
 def _chosen(
-    used: Sequence[View], size: tuple[int, int]
-) -> tuple[Fit, Knowledge, tuple[Candidate, ...]]:
-    tried = tuple(candidates(used, size))
+    tried: Sequence[Candidate], used: Sequence[View], looks: np.ndarray
+) -> tuple[Fit, Knowledge]:
     chosen = choose(tried)
     if chosen is None or chosen.fit is None:
-        raise InputError(_TOO_ALIKE)
+        raise OperationError(_TOO_ALIKE)
     try:
-        return chosen.fit, knowledge(chosen.fit, used), tried
+        return chosen.fit, knowledge(chosen.fit, used, looks)
     except ValueError:
-        raise InputError(_TOO_ALIKE) from None
+        raise OperationError(_TOO_ALIKE) from None
 
 
 _TOO_ALIKE = (
@@ -113,32 +125,19 @@ _TOO_ALIKE = (
 )
 
 
-def _check_count(found: int, good: int) -> None:
-    if good < FEWEST_VIEWS:
-        text = f"{found} views of the target were found"
-        text += f", {good} of them good" if good < found else ""
-        raise InputError(f"{text}; a calibration needs {FEWEST_VIEWS}, better 20: add pictures")
+def _too_few(found: int, good: int) -> str:
+    text = f"{found} views of the target were found"
+    text += f", {good} of them good" if good < found else ""
+    return f"{text}; a calibration needs {FEWEST_VIEWS}, better 20: add pictures"
 
 
 def _start(views: Sequence[View], size: tuple[int, int]) -> CameraModel:
-    """A first lens from views that differ most; raises InputError where there is none."""
+    """A first lens from views that differ most; raises OperationError where there is none."""
     chosen = [views[i] for i in _spread(views, size, _START_VIEWS)]
-    best = _best_fit(chosen, size)
-    for _ in range(_ROUNDS):
-        good = _are_good(best.view_rms_px, chosen)
-        if good.all() or good.sum() < FEWEST_VIEWS:
-            break
-        chosen = [view for view, is_good in zip(chosen, good, strict=True) if is_good]
-        best = _best_fit(chosen, size)
-    return best.camera
-
-
-def _best_fit(views: Sequence[View], size: tuple[int, int]) -> Fit:
-    """Of every model's the one that fits the median view best."""
-    found = [one for one in (fit(model, views, size) for model in MODELS) if one is not None]
-    if not found:
-        raise InputError(_TOO_ALIKE)
-    return min(found, key=lambda one: float(np.median(one.view_rms_px)))
+    found = equidistant_start(chosen, size)
+    if found is None:
+        raise OperationError(_TOO_ALIKE)
+    return found.camera
 
 
 def _spread(views: Sequence[View], size: tuple[int, int], most: int) -> list[int]:
@@ -161,26 +160,32 @@ def outer_pixels(view: View) -> Array:
     return view.pixels[[int(np.argmin(way)) for way in (x + y, y - x, -x - y, x - y)]]
 
 
-def _are_good(view_rms_px: Array, views: Sequence[View]) -> np.ndarray:
-    """Which views' residuals are not far above those of the median view, (views,) bool.
-
-    A smeared view counts as bad too: the fit weighs all corners alike. Where few views let a lens
-    fit too well, the detector's own sigmas say what is usual.
-    """
-    usual = float(np.median(view_rms_px))
-    if len(views) < _ENOUGH_VIEWS:
-        usual = max(usual, math.sqrt(2) * float(np.median([view.sigma for view in views])))
-    return np.isfinite(view_rms_px) & (view_rms_px <= _BAD_FACTOR * usual)
+def _are_good(placed: Sequence[Placed | None]) -> np.ndarray:
+    """Which views' median corners are not far beyond those of the median view, (views,) bool."""
+    off = np.array(
+        [np.inf if one is None else np.median(np.linalg.norm(one.error, axis=1)) for one in placed]
+    )
+    usual = max(float(np.median(off)), _LEAST_RMS_PX)
+    return np.isfinite(off) & (off <= _BAD_FACTOR * usual)
 
 
 def _selected(
-    camera: CameraModel, views: Sequence[View], placed: Sequence[Placed | None], most: int
-) -> list[View]:
-    """The views that tell most of those that were placed, in the order in which they were given."""
-    kept = [(view, at) for view, at in zip(views, placed, strict=True) if at is not None]
+    camera: CameraModel,
+    views: Sequence[View],
+    placed: Sequence[Placed | None],
+    good: np.ndarray,
+    most: int,
+) -> list[int]:
+    """The good views, in the order in which they were given; of more than `most` those that tell
+    most."""
+    usable = np.flatnonzero(good).tolist()
+    if len(usable) <= most:
+        return usable
+    kept = [(i, one) for i in usable if (one := placed[i]) is not None]
     information = [
-        view_information(camera, at.camera_from_face, view) / max(at.rms_px, _LEAST_RMS_PX) ** 2
-        for view, at in kept
+        view_information(camera, one.camera_from_face, views[i])
+        / max(one.rms_px, _LEAST_RMS_PX) ** 2
+        for i, one in kept
     ]
-    chosen = most_informative(information, fewest=_ENOUGH_VIEWS, most=most, gain=_LEAST_GAIN)
-    return [kept[i][0] for i in sorted(chosen)]
+    chosen = most_informative(information, fewest=most, most=most, gain=0.0)
+    return sorted(kept[i][0] for i in chosen)

@@ -16,6 +16,7 @@ from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
 
 from .calibration_fit import Fit, fit, place
+from .calibration_knowledge import look_weights
 from .calibration_views import View
 
 MODELS = (LensModel.PLUMB_BOB, LensModel.EQUIDISTANT, LensModel.RATIONAL_POLYNOMIAL)
@@ -42,11 +43,25 @@ class Candidate:
         return float(np.sqrt(np.median(self.held_out)))
 
 
-def candidates(views: Sequence[View], size: tuple[int, int]) -> list[Candidate]:
-    """Every model, fitted to all views and held out; `size`: width, height."""
-    return [
-        Candidate(model, fit(model, views, size), held_out(model, views, size)) for model in MODELS
-    ]
+def candidates(
+    views: Sequence[View],
+    size: tuple[int, int],
+    *,
+    start: Fit | None = None,
+    looks: np.ndarray | None = None,
+) -> list[Candidate]:
+    """Every model, fitted to all views and held out; `size`: width, height; `start`: a fit to these
+    views; `looks`: (views,) which are alike, so left out together."""
+    looks = np.arange(len(views)) if looks is None else looks
+    weights = look_weights(looks)
+    found = []
+    for model in MODELS:
+        own = fit(model, views, size, start=start, weights=weights)
+        errors = np.full(len(views), np.inf)
+        if own is not None:
+            errors = held_out(own, views, size, looks)
+        found.append(Candidate(model, own, errors))
+    return found
 
 
 def choose(tried: Sequence[Candidate]) -> Candidate | None:
@@ -62,13 +77,23 @@ def choose(tried: Sequence[Candidate]) -> Candidate | None:
     return next(one for one, own in zip(fitted, errors, strict=True) if _is_as_good(own, best))
 
 
-def held_out(model: LensModel, views: Sequence[View], size: tuple[int, int]) -> Array:
-    """The mean squared error of a coordinate in each view, its own pose allowed for, by a lens that
-    was fitted without it; (views,), px²."""
+def held_out(found: Fit, views: Sequence[View], size: tuple[int, int], looks: np.ndarray) -> Array:
+    """The mean squared error of a coordinate in each view, its own pose allowed for, by a lens of
+    the same model that was fitted without it and those like it; (views,), px²."""
     errors = np.full(len(views), np.inf)
-    folds = np.arange(len(views)) % min(_FOLDS, len(views))
+    folds = looks % min(_FOLDS, int(looks.max()) + 1)
     for fold in range(folds.max() + 1):
-        known = fit(model, [view for view, f in zip(views, folds, strict=True) if f != fold], size)
+        rest = np.flatnonzero(folds != fold).tolist()
+        start = Fit(
+            found.camera,
+            tuple(found.camera_from_face[i] for i in rest),
+            tuple(found.errors[i] for i in rest),
+        )
+        if not rest:
+            continue
+        weights = look_weights(looks[rest])
+        model, some = found.camera.model, [views[i] for i in rest]
+        known = fit(model, some, size, start=start, weights=weights)
         if known is None:
             continue
         for i in np.flatnonzero(folds == fold).tolist():

@@ -1,28 +1,20 @@
-"""One lens model fitted to views by OpenCV, and how well it fits other views.
-
-The minimum is OpenCV's (`calibrateCamera`, `fisheye.calibrate`); here are only its inputs and what
-comes out, by the contract's names.
-"""
+"""One lens model fitted to views, and how well a lens fits other views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
-import cv2
 import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array, hat
 
-from .calibration_views import FEWEST_CORNERS, View
+from .bundle_adjustment import Scene, Solution, adjusted
+from .calibration_start import equidistant_start, polynomial_from, pose_through
+from .calibration_views import View
 
 _SEEN = 0.99
-_STEPS = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-
-
-_Solution = tuple[np.ndarray, np.ndarray, Sequence[np.ndarray], Sequence[np.ndarray]]
-"""K, distortion, and a rotation vector and a translation for each view."""
+_POSE_STEPS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,35 +50,46 @@ class Placed:
         return float(np.sqrt(np.mean(np.sum(self.error**2, axis=1))))
 
 
-def fit(model: LensModel, views: Sequence[View], size: tuple[int, int]) -> Fit | None:
-    """The least-squares fit of a model; `size`: width, height. None where OpenCV finds none, or the
-    lens that it finds folds back within the picture."""
-    try:
-        camera, poses = _solve(model, views, size)
-    except (cv2.error, ValueError):  # a matrix that is singular, or a lens of no focal length
+def fit(
+    model: LensModel,
+    views: Sequence[View],
+    size: tuple[int, int],
+    *,
+    start: Fit | None = None,
+    weights: Array | None = None,
+) -> Fit | None:
+    """The least-squares fit of a model; `size`: width, height; `start`: a fit of any model to the
+    same views; `weights`: (views,), of each view. None where there is no such lens, or it folds
+    back within the picture."""
+    if start is None:
+        first = equidistant_start(views, size)
+        if first is None:
+            return None
+        placed = [place(first.camera, view) for view in views]
+        if any(one is None for one in placed):
+            return None
+        sound = [one for one in placed if one is not None]
+        start = Fit(
+            first.camera,
+            tuple(one.camera_from_face for one in sound),
+            tuple(one.error for one in sound),
+        )
+    scene = Scene.of(views, weights)
+    found = [adjusted(scene, lens, start.camera_from_face) for lens in _starts(model, start, views)]
+    best = min((one for one in found if one), key=lambda one: one.cost, default=None)
+    if best is None or not _is_unfolded(best, views):
         return None
-    if not _is_unfolded(camera, poses, views):
-        return None
-    return Fit(camera, poses, _errors(camera, poses, views))
+    return _fit_of(best, views)
 
 
 def place(camera: CameraModel, view: View) -> Placed | None:
     """Another view under a lens that is given: only its pose is fitted. None where the lens leads
-    to no such pixels.
-
-    The pose comes from the pixels freed from distortion; what is left of its error in pixels is
-    taken off to first order, so that `error` is that of the best pose.
-    """
-    directions = camera.directions(view.pixels)
-    known = np.isfinite(directions).all(axis=1)
-    if known.sum() < FEWEST_CORNERS:
+    to no such pixels."""
+    pose = pose_through(camera, view)
+    if pose is None:
         return None
-    _, turn, where = cv2.solvePnP(
-        view.points[known], directions[known], np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE
-    )
-    pose = _pose_of(turn, where)
-    error = view.pixels - camera.project(pose @ view.points)
-    return Placed(pose, _without_pose(error, pose_jacobian(camera, pose, view)[0]))
+    found = adjusted(Scene.of([view]), camera, [pose], free=(), steps=_POSE_STEPS)
+    return None if found is None else Placed(found.poses[0], found.errors)
 
 
 def pose_jacobian(camera: CameraModel, pose: Pose, view: View) -> tuple[Array, Array]:
@@ -99,55 +102,27 @@ def pose_jacobian(camera: CameraModel, pose: Pose, view: View) -> tuple[Array, A
     return by_pose, by_parameters.reshape(len(by_pose), -1)
 
 
-def _solve(
-    model: LensModel, views: Sequence[View], size: tuple[int, int]
-) -> tuple[CameraModel, tuple[Pose, ...]]:
-    if model is LensModel.EQUIDISTANT:
-        matrix, distortion, turns, places = _solve_fisheye(views, size)
-    else:
-        flags = cv2.CALIB_RATIONAL_MODEL if model is LensModel.RATIONAL_POLYNOMIAL else 0
-        points = [view.points.astype(np.float32) for view in views]
-        pixels = [view.pixels.astype(np.float32) for view in views]
-        start = np.eye(3), np.zeros(model.coefficients)
-        _, matrix, distortion, turns, places = cv2.calibrateCamera(
-            points, pixels, size, *start, flags=flags, criteria=_STEPS
-        )
-    coefficients = distortion.reshape(-1)[: model.coefficients].tolist()
-    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
-    camera = CameraModel(*size, fx, fy, cx, cy, tuple(coefficients), model)
-    return camera, tuple(_pose_of(*pair) for pair in zip(turns, places, strict=True))
-
-
-def _solve_fisheye(views: Sequence[View], size: tuple[int, int]) -> _Solution:
-    flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
-    points = [view.points.reshape(1, -1, 3) for view in views]
-    pixels = [view.pixels.reshape(1, -1, 2) for view in views]  # OpenCV 5 takes no (n, 1, 2)
-    _, *solution = cv2.fisheye.calibrate(
-        points, pixels, size, np.eye(3), np.zeros(4), flags=flags, criteria=_STEPS
+def _starts(model: LensModel, start: Fit, views: Sequence[View]) -> list[CameraModel]:
+    """Where to begin: the start itself, or polynomials of its profile and of none."""
+    camera = start.camera
+    if camera.model is model:
+        return [camera]
+    plain = CameraModel(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, (), model
     )
-    return cast(_Solution, solution)
+    if camera.model is not LensModel.EQUIDISTANT:
+        return [plain]
+    pixels = np.concatenate([view.pixels for view in views])
+    return [polynomial_from(camera, model, pixels), plain]
 
 
-def _is_unfolded(camera: CameraModel, poses: Sequence[Pose], views: Sequence[View]) -> bool:
+def _fit_of(found: Solution, views: Sequence[View]) -> Fit:
+    return Fit(found.camera, found.poses, Scene.of(views).split(found.errors))
+
+
+def _is_unfolded(found: Solution, views: Sequence[View]) -> bool:
     """Whether the lens puts what was seen into the picture, short of where it folds back."""
-    seen = [camera.sees(pose @ view.points) for pose, view in zip(poses, views, strict=True)]
+    seen = [
+        found.camera.sees(pose @ view.points) for pose, view in zip(found.poses, views, strict=True)
+    ]
     return bool(np.mean(np.concatenate(seen)) > _SEEN)
-
-
-def _pose_of(turn: np.ndarray, where: np.ndarray) -> Pose:
-    """OpenCV's rvec and tvec."""
-    return Pose.from_vector(np.concatenate([where.reshape(3), turn.reshape(3)]))
-
-
-def _errors(camera: CameraModel, poses: Sequence[Pose], views: Sequence[View]) -> tuple[Array, ...]:
-    return tuple(
-        view.pixels - camera.project(pose @ view.points)
-        for pose, view in zip(poses, views, strict=True)
-    )
-
-
-def _without_pose(error: Array, by_pose: Array) -> Array:
-    """What no change of the pose explains of an error, (n, 2)."""
-    flat = error.reshape(-1)
-    change, *_ = np.linalg.lstsq(by_pose, flat)
-    return (flat - by_pose @ change).reshape(error.shape)

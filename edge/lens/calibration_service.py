@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trigpoint.errors import InputError
+from trigpoint.errors import InputError, OperationError
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Target
@@ -14,6 +14,7 @@ from trigpoint.target import Target
 from .calibration import calibrate, outer_pixels
 from .calibration_text import calibration_record
 from .calibration_views import View, views_of
+from .rolling_shutter import ShutterCorrection
 
 _MOST_KEPT = 150
 _MOST_USED = 40
@@ -29,14 +30,20 @@ class CalibrationService:
     where the store is full, views have to differ more, and those that do not are let go.
     """
 
-    def __init__(self, camera: str, targets: Sequence[Target]) -> None:
+    def __init__(
+        self, camera: str, targets: Sequence[Target], *, line_delay_s: float = 0.0
+    ) -> None:
         self._camera, self._targets = camera, targets
+        self._shutter = ShutterCorrection(line_delay_s)
         self._lock = threading.Lock()
         self._forget()
 
-    def offer(self, faces: Sequence[FaceSighting], size: tuple[int, int]) -> None:
-        """Keep of a picture's sightings what was not seen like this before; `size`: pixels."""
-        views = views_of("", faces, self._targets)
+    def offer(
+        self, faces: Sequence[FaceSighting], size: tuple[int, int], stamp_ns: int = 0
+    ) -> None:
+        """Keep of a picture's sightings what was not seen like this before; `size`: pixels. Of a
+        rolling shutter they are as its middle row would have seen them."""
+        views = views_of("", self._shutter.corrected(faces, size[1], stamp_ns), self._targets)
         with self._lock:
             if size != self._size:
                 self._forget()
@@ -53,17 +60,25 @@ class CalibrationService:
 
     def answer(self, request: bytes) -> bytes:
         """A lens from the views so far, as JSON: `intrinsics` with sigmas as in network.json,
-        `camera_info` as ROS's YAML, and how it came about. `{"forget": true}` empties the store.
+        `camera_info` as ROS's YAML, and how it came about. `{"forget": true}` empties the store,
+        `{"force": true}` asks for a lens that the views do not determine.
 
-        Raises InputError for a request that is none, and where the views do not tell enough.
+        Raises InputError for a request that is none, OperationError where the views do not tell
+        enough.
         """
-        if _wants_to_forget(request, self._camera):
+        wishes = _wishes(request, self._camera)
+        if wishes.get("forget"):
             with self._lock:
                 self._forget()
             return json.dumps({"kept": 0}).encode()
         with self._lock:
             views, size = list(self._views), self._size
         found = calibrate(views, size, most=_MOST_USED)
+        if found.doubts and not wishes.get("force"):
+            undetermined = "; ".join(str(doubt) for doubt in found.doubts)
+            raise OperationError(
+                f"camera {self._camera}: the views so far do not determine its lens: {undetermined}"
+            )
         record = calibration_record(found, name=self._camera)
         return json.dumps({"kept": len(views), **record}).encode()
 
@@ -100,16 +115,17 @@ class CalibrationService:
             self._keep(view)
 
 
-def _wants_to_forget(request: bytes, camera: str) -> bool:
-    """Raises InputError where the request is no empty one and no {"forget": true}."""
+def _wishes(request: bytes, camera: str) -> dict[str, bool]:
+    """What a request asks for; raises InputError where it is none."""
     if not request:
-        return False
+        return {}
     try:
         document = json.loads(request)
     except ValueError:
         document = None
-    if not isinstance(document, dict) or set(document) - {"forget"}:
+    if not isinstance(document, dict) or set(document) - {"forget", "force"}:
         raise InputError(
-            f'camera {camera}: calibrate takes nothing, or {{"forget": true}}; correct the request'
+            f'camera {camera}: calibrate takes nothing, {{"forget": true}} or {{"force": true}}; '
+            "correct the request"
         )
-    return document.get("forget") is True
+    return {key: value is True for key, value in document.items()}

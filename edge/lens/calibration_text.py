@@ -41,8 +41,8 @@ def calibration_text(found: Calibration) -> str:
     """Some lines for a person: what was used, the model and why, every number with its sigma."""
     camera, known = found.camera, found.known
     lines = [
-        f"{len(found.used)} views used, {len(found.rejected)} rejected, {found.spare} more would "
-        "tell nothing new",
+        f"{len(found.used)} views used, {found.looks} of them different, {len(found.rejected)} "
+        f"rejected{_spare(found)}",
         *(f"  rejected {bad.name}: {bad.rms_px:.2f} px" for bad in found.rejected),
         f"model {camera.model.value}; error on views left out, by model: {_held_out(found)}",
         f"residuals {found.fit.rms_px:.3f} px a corner, {known.noise_px:.3f} px a coordinate; "
@@ -53,7 +53,8 @@ def calibration_text(found: Calibration) -> str:
         parameter_names(camera.model), camera.parameters, known.sigma, strict=True
     ):
         lines.append(f"  {name:<3} {rounded(value, sigma)} ± {rounded(sigma, sigma)}")
-    if advised := advice(found):
+    lines += [f"not determined: {doubt}" for doubt in found.doubts]
+    if not found.doubts and (advised := advice(found)):
         lines.append(f"for a better one: {advised}")
     return "\n".join(lines)
 
@@ -76,12 +77,22 @@ def calibration_record(found: Calibration, *, name: str = "camera") -> dict[str,
         "disagreement": known.disagreement,
         "covered": covered_share(found),
         "used": [view.name for view in found.used],
+        "looks": found.looks,
         "spare": found.spare,
-        "rejected": [{"name": bad.name, "residual_px": bad.rms_px} for bad in found.rejected],
+        "rejected": [
+            {"name": bad.name, "residual_px": _or_none(bad.rms_px)} for bad in found.rejected
+        ],
         "held_out_px": {one.model.value: _or_none(one.held_out_px) for one in found.tried},
+        "undetermined": [
+            {"what": doubt.what, "why": doubt.why, "do": doubt.do} for doubt in found.doubts
+        ],
         "advice": advice(found),
         "camera_info": format_camera_info(camera, name),
     }
+
+
+def _spare(found: Calibration) -> str:
+    return f", {found.spare} more would tell nothing new" if found.spare else ""
 
 
 def _held_out(found: Calibration) -> str:
@@ -97,4 +108,6 @@ def _or_none(value: float) -> float | None:
 
 def rounded(value: float, sigma: float) -> str:
     """A number to two digits of its sigma."""
+    if not 0 < sigma < math.inf:
+        return f"{value:.6g}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(sigma)))}f}"

@@ -9,15 +9,13 @@ from lens_views import BOARD, FISHEYE, PINHOLE, SIZE, board_views
 
 from trigpoint.edge.lens.calibration import calibrate
 from trigpoint.edge.lens.calibration_choice import Candidate, choose
-from trigpoint.edge.lens.calibration_fit import fit, place
-from trigpoint.edge.lens.calibration_information import (
-    knowledge,
-    most_informative,
-    view_information,
-)
-from trigpoint.edge.lens.calibration_text import advice, calibration_record, calibration_text
+from trigpoint.edge.lens.calibration_fit import Fit, fit, place
+from trigpoint.edge.lens.calibration_information import most_informative, view_information
+from trigpoint.edge.lens.calibration_knowledge import knowledge
+from trigpoint.edge.lens.calibration_looks import looks_of
+from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
 from trigpoint.edge.lens.calibration_views import View
-from trigpoint.errors import InputError
+from trigpoint.errors import OperationError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import exp
@@ -31,6 +29,17 @@ def worst_pixel_error(found: CameraModel, true: CameraModel) -> float:
     return float(np.linalg.norm(found.project(points) - true.project(points), axis=-1).max())
 
 
+def fitted(camera: CameraModel, views: list[View]) -> Fit:
+    """The fit of a lens's model that begins at the lens itself, which saves the search."""
+    placed = [one for view in views if (one := place(camera, view))]
+    start = Fit(
+        camera, tuple(one.camera_from_face for one in placed), tuple(one.error for one in placed)
+    )
+    found = fit(camera.model, views, SIZE, start=start)
+    assert found is not None
+    return found
+
+
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE])
 def test_lens_and_its_model_are_found(camera: CameraModel) -> None:
     found = calibrate(board_views(16, 1, camera=camera), SIZE)
@@ -40,6 +49,7 @@ def test_lens_and_its_model_are_found(camera: CameraModel) -> None:
     assert found.known.noise_px == pytest.approx(0.1, rel=0.1)
     assert found.known.disagreement < 1.4
     assert not found.rejected
+    assert not found.doubts
 
 
 @pytest.mark.parametrize(("camera", "count"), [(PINHOLE, 12), (PINHOLE, 24), (FISHEYE, 15)])
@@ -47,23 +57,41 @@ def test_sigmas_are_true(camera: CameraModel, count: int) -> None:
     errors = []
     for seed in range(16):
         views = board_views(count, 100 + seed, camera=camera)
-        found = fit(camera.model, views, SIZE)
-        assert found is not None
+        found = fitted(camera, views)
         difference = found.camera.parameters - camera.parameters
         errors.append(difference / knowledge(found, views).sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-def test_sigmas_are_opencvs_where_views_agree() -> None:
+def test_fit_is_opencvs_where_that_finds_it() -> None:
     views = board_views(20, 3)
     found = fit(LensModel.PLUMB_BOB, views, SIZE)
     assert found is not None
     points = [view.points.astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
-    theirs = cv2.calibrateCameraExtended(points, pixels, SIZE, np.eye(3), np.zeros(5))[5]
+    _, matrix, distortion, *_, theirs, _, _ = cv2.calibrateCameraExtended(
+        points, pixels, SIZE, np.eye(3), np.zeros(5)
+    )
+    sigma = theirs.reshape(-1)[:9]
+    camera = np.concatenate([matrix[[0, 1, 0, 1], [0, 1, 2, 2]], distortion.reshape(-1)])
+    assert np.all(np.abs(found.camera.parameters - camera) < 0.3 * sigma)
+    # Ours also hold for what boards and lenses do beside the corners' scatter.
     known = knowledge(found, views)
-    own = known.sigma / known.disagreement
-    np.testing.assert_allclose(own, theirs.reshape(-1)[:9], rtol=0.02)
+    assert np.all(known.sigma > 0.95 * sigma)
+    assert np.all(known.sigma < 2.0 * sigma)
+
+
+@pytest.mark.parametrize("half_angle_deg", [20, 50, 88])
+def test_any_field_of_view_is_found_from_nothing(half_angle_deg: float) -> None:
+    focal = 400 / np.radians(half_angle_deg)
+    true = CameraModel(
+        *SIZE, focal, 1.004 * focal, 326.0, 236.0, (0.03, -0.01, 0.0, 0.0), LensModel.EQUIDISTANT
+    )
+    near = 0.6 if half_angle_deg < 30 else 0.3
+    found = calibrate(board_views(14, 21, camera=true, near=near), SIZE)
+    assert found.fit.rms_px < 0.2
+    assert worst_pixel_error(found.camera, true) < 6.0
+    assert not found.doubts
 
 
 def bent(view: View, random: np.random.Generator) -> View:
@@ -82,8 +110,7 @@ def test_bent_board_makes_sigmas_larger_as_it_makes_errors() -> None:
     for seed in range(10):
         random = np.random.default_rng(seed)
         views = [bent(view, random) for view in board_views(25, 200 + seed)]
-        found = fit(LensModel.PLUMB_BOB, views, SIZE)
-        assert found is not None
+        found = fitted(PINHOLE, views)
         known = knowledge(found, views)
         errors.append((found.camera.parameters - PINHOLE.parameters) / known.sigma)
         disagreements.append(known.disagreement)
@@ -103,19 +130,88 @@ def test_bad_views_are_rejected_and_spoil_nothing() -> None:
     assert worst_pixel_error(found.camera, PINHOLE) < 2.0
 
 
-def test_informative_views_are_taken_from_many_that_are_alike() -> None:
-    random = np.random.default_rng(6)
-    telling = board_views(20, 6)
-    frontal = board_views(1, 7, tilt_deg=2.0, near=0.7)[0]
-    alike = [
-        View(f"same{i}", BOARD, frontal.pixels + random.normal(0, 0.1, BOARD[:, :2].shape), 0.1)
-        for i in range(60)
-    ]
-    found = calibrate([*alike, *telling], SIZE)
+def noisy(view: View, name: str, seed: int, noise: float = 0.1) -> View:
+    """The same view with other noise."""
+    random = np.random.default_rng(seed)
+    return replace(view, name=name, pixels=view.pixels + random.normal(0, noise, (len(view), 2)))
+
+
+def test_views_that_are_alike_count_as_one() -> None:
+    telling, frontal = board_views(12, 6), board_views(1, 7, tilt_deg=2.0, near=0.7)[0]
+    alike = [noisy(frontal, f"same{i}", i) for i in range(40)]
+    alone, both = calibrate(telling, SIZE), calibrate([*alike, *telling], SIZE)
+    assert both.looks <= 13
+    assert len(both.used) == 52
+    assert np.all(both.known.sigma[:4] > 0.7 * alone.known.sigma[:4])
+    assert worst_pixel_error(both.camera, PINHOLE) < 4.0
+
+
+def test_of_more_views_than_a_fit_takes_those_that_tell_most_are_used() -> None:
+    telling, frontal = board_views(20, 6), board_views(1, 7, tilt_deg=2.0, near=0.7)[0]
+    found = calibrate([noisy(frontal, f"same{i}", i) for i in range(60)] + telling, SIZE, most=30)
     taken = [view.name for view in found.used]
     assert sum(name.startswith("v") for name in taken) >= 18
-    assert found.spare >= 40
-    assert worst_pixel_error(found.camera, PINHOLE) < 2.0
+    assert found.spare == 50
+
+
+def test_copies_of_one_view_determine_nothing() -> None:
+    for camera in (PINHOLE, FISHEYE):
+        view = board_views(1, 8, camera=camera)[0]
+        found = calibrate([noisy(view, str(i), i) for i in range(12)], SIZE)
+        assert found.looks == 1
+        [doubt] = found.doubts
+        assert "12 views of the board show one view of it" in str(doubt)
+
+
+def test_view_read_from_the_other_end_is_still_the_same() -> None:
+    view = board_views(1, 8)[0]
+    middle = (BOARD.max(axis=0) + BOARD.min(axis=0)) / 2
+    turned = replace(noisy(view, "turned", 1), points=2 * middle - view.points)
+    assert looks_of([view, turned, board_views(2, 8)[1]], SIZE[0]).tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE])
+@pytest.mark.parametrize("tilt_deg", [0.0, 4.0])
+def test_a_board_that_was_never_tilted_leaves_the_focal_length_open(
+    camera: CameraModel, tilt_deg: float
+) -> None:
+    found = calibrate(board_views(10, 3, camera=camera, tilt_deg=tilt_deg), SIZE)
+    assert "focal length: the board was never tilted" in str(found.doubts[0])
+    assert "not determined: focal length" in calibration_text(found)
+
+
+def test_a_bow_of_the_board_is_no_focal_length() -> None:
+    """A board of 0.3 m that is bent by 0.4 mm and hardly tilted: all views agree on what is wrong,
+    so only who allows for a bow knows that nothing is known."""
+    depth = 0.0004 * np.square((BOARD[:, 0] - 0.105) / 0.105)
+    views = []
+    for view in board_views(20, 4, tilt_deg=7.0):
+        pose = place(PINHOLE, view)
+        assert pose is not None
+        bow = np.column_stack([0 * depth, 0 * depth, depth])
+        pixels = view.pixels + PINHOLE.project(pose.camera_from_face @ (BOARD + bow))
+        views.append(replace(view, pixels=pixels - PINHOLE.project(pose.camera_from_face @ BOARD)))
+    found = calibrate(views, SIZE)
+    off = abs(found.camera.fx - PINHOLE.fx)
+    assert found.doubts or off < 3 * found.known.sigma[0]
+
+
+def test_views_that_no_lens_explains_are_said_to_be_so() -> None:
+    shaken = board_views(12, 1, noise=1.5)
+    assert "no model explains the views" in str(calibrate(shaken, SIZE).doubts)
+
+
+def test_halves_of_a_set_agree_within_their_sigmas() -> None:
+    """With a board that is bent another way in every view, as cardboard in a hand."""
+    pulls = []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        views = [bent(view, random) for view in board_views(30, 300 + seed)]
+        halves = [views[half::2] for half in (0, 1)]
+        first, second = (fitted(PINHOLE, half) for half in halves)
+        sigmas = [knowledge(*pair).sigma for pair in zip((first, second), halves, strict=True)]
+        pulls.append((first.camera.parameters - second.camera.parameters) / np.hypot(*sigmas))
+    assert np.mean(np.abs(pulls) < 2) > 0.9
 
 
 def test_greedy_choice_prefers_what_is_not_known_yet() -> None:
@@ -154,20 +250,14 @@ def test_richer_model_must_be_better_beyond_chance() -> None:
 
 
 def test_too_few_views_are_refused_with_what_to_do() -> None:
-    with pytest.raises(InputError, match=r"3 views.*needs 4.*add pictures"):
+    with pytest.raises(OperationError, match=r"3 views.*needs 4.*add pictures"):
         calibrate(board_views(3, 1), SIZE)
-
-
-def test_frontal_views_leave_the_lens_open_and_it_says_so() -> None:
-    found = calibrate(board_views(8, 10, tilt_deg=0.0), SIZE)
-    assert found.known.sigma[0] > 0.01 * found.camera.fx
-    assert advice(found)
 
 
 def test_text_and_record_say_the_same() -> None:
     found = calibrate(board_views(12, 11), SIZE)
     text, record = calibration_text(found), calibration_record(found)
-    assert "12 views used, 0 rejected" in text
+    assert "12 views used, 12 of them different, 0 rejected" in text
     assert f"model {found.camera.model.value}" in text
     intrinsics = record["intrinsics"]
     assert isinstance(intrinsics, dict)

@@ -1,6 +1,7 @@
 """What an agent keeps for a calibration, and how it answers."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from lens_views import BOARD, PINHOLE, SIZE, board_views
 from trigpoint.camera_info import parse_camera_info
 from trigpoint.edge.lens.calibration_service import CalibrationService
 from trigpoint.edge.lens.calibration_views import View, views_of
-from trigpoint.errors import InputError
+from trigpoint.errors import InputError, OperationError
+from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Face, Pattern, Target
 
@@ -56,8 +58,58 @@ def test_store_is_bounded_and_still_spread() -> None:
 
 
 def test_too_few_views_are_told() -> None:
-    with pytest.raises(InputError, match="2 views of the target were found"):
+    with pytest.raises(OperationError, match="2 views of the target were found"):
         service_with(board_views(2, 4)).answer(b"")
+
+
+def test_lens_that_the_views_leave_open_is_given_only_where_that_is_asked_for() -> None:
+    service = service_with(board_views(12, 4, tilt_deg=0.0))
+    with pytest.raises(OperationError, match="focal length: the board was never tilted"):
+        service.answer(b"")
+    reply = json.loads(service.answer(b'{"force": true}'))
+    assert reply["undetermined"][0]["what"] == "focal length"
+
+
+LINE_DELAY_S, PERIOD_NS = 30e-6, 100_000_000
+
+
+def rolled(views: list[View], seed: int) -> list[tuple[FaceSighting, FaceSighting]]:
+    """Each view as it was a picture before and as a rolling shutter has it: all corners move by up
+    to 0.6 px a millisecond, and every row is exposed at its own time."""
+    random = np.random.default_rng(seed)
+    pairs = []
+    for view in views:
+        pixels_a_second = random.uniform(-600, 600, 2)
+        pairs.append(
+            tuple(
+                sighting(replace(view, pixels=_exposed(view.pixels + way, pixels_a_second)))
+                for way in (-pixels_a_second * PERIOD_NS * 1e-9, 0.0)
+            )
+        )
+    return pairs
+
+
+def _exposed(pixels: Array, pixels_a_second: Array) -> Array:
+    """Where moving corners are as their own row is exposed."""
+    seen = pixels
+    for _ in range(5):
+        late_s = LINE_DELAY_S * (seen[:, 1] - (SIZE[1] - 1) / 2)
+        seen = pixels + late_s[:, None] * pixels_a_second
+    return seen
+
+
+def test_motion_during_a_rolling_shutters_readout_does_not_bend_the_lens() -> None:
+    residuals = []
+    for line_delay_s in (LINE_DELAY_S, 1e-12):
+        service = CalibrationService("c1", [TARGET], line_delay_s=line_delay_s)
+        for i, (before, now) in enumerate(rolled(board_views(16, 6), 1)):
+            service.offer([before], SIZE, 1 + 10 * i * PERIOD_NS)
+            service.offer([now], SIZE, 1 + (10 * i + 1) * PERIOD_NS)
+        assert service.kept >= 14
+        reply = json.loads(service.answer(b'{"force": true}'))
+        residuals.append(reply["noise_px"])
+    assert residuals[0] < 0.11  # the noise is 0.1
+    assert residuals[1] > 1.5 * residuals[0]
 
 
 def test_it_can_begin_anew() -> None:

@@ -77,7 +77,6 @@ def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFix
         (["shots"], "no target is given"),
         (["shots", "--target", "target.toml", "--site", "site.toml"], "no target is given, or two"),
         (["none", "--target", "target.toml"], "none: there is no such picture"),
-        (["shots/0.png", "--target", "target.toml"], "1 views of the target were found"),
         (["shots", "--target", "target.toml", "--out", "lens.txt"], "end the name in .yaml"),
         (["shots", "other.png", "--target", "target.toml"], "give pictures of one camera"),
     ],
@@ -95,3 +94,64 @@ def test_bad_input_is_one_line_and_status_2(
     error = capsys.readouterr().err
     assert said in error
     assert len(error.splitlines()) == 1
+
+
+def words_of(folder: Path, pictures: list[np.ndarray], out: Path) -> list[str]:
+    """A command line for pictures that are written first."""
+    place = folder / out.stem
+    place.mkdir()
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(place / f"{number}.png"), picture)
+    return ["intrinsics", str(place), "--target", str(folder / "target.toml"), "--out", str(out)]
+
+
+def refused(words: list[str], out: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """What is said where no file is written."""
+    assert run(words) == 1
+    assert not out.exists()
+    assert not out.with_suffix(".html").exists()
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    return error
+
+
+def test_copies_of_one_picture_make_no_file_unless_forced(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, y, distance, tilt, yaw = PLACES[0]
+    view = placed(charuco(), x=x, y=y, distance=distance, tilt_deg=tilt, yaw_deg=yaw)
+    pictures = [picture_of([view], noise=2.0, seed=seed) for seed in range(6)]
+    out = tmp_path / "copies.yaml"
+    words = words_of(folder, pictures, out)
+    assert "6 views of the board show one view of it" in refused(words, out, capsys)
+    assert run([*words, "--force"]) == 0
+    assert read_camera_info(out).width == 640
+    assert "not determined: focal length" in capsys.readouterr().out
+
+
+def test_pictures_of_a_board_that_was_never_tilted_make_no_file(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    views = [placed(charuco(), x=x, y=y, distance=distance) for x, y, distance, *_ in PLACES]
+    out = tmp_path / "straight.yaml"
+    pictures = [picture_of([view], noise=2.0, seed=seed) for seed, view in enumerate(views)]
+    words = words_of(folder, pictures, out)
+    assert "focal length: the board was never tilted" in refused(words, out, capsys)
+
+
+def test_pictures_of_another_board_make_no_file(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = [picture_of([placed(charuco(first=40))], seed=seed) for seed in range(4)]
+    out = tmp_path / "other.yaml"
+    said = refused(words_of(folder, pictures, out), out, capsys)
+    assert "no view of the target was found in 4 pictures" in said
+
+
+def test_several_jobs_find_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["intrinsics", str(folder / "shots"), "--target", str(folder / "target.toml"), "--json"]
+    said = []
+    for jobs in ("1", "2"):
+        assert run([*words, "--jobs", jobs]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
