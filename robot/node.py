@@ -9,7 +9,7 @@ from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.cdr import decode, encode, warm_up
 from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.config import Site
-from trigpoint.correction import decode_mark
+from trigpoint.correction import MissedCorrections, decode_mark
 from trigpoint.errors import ConfigError, MessageError, read_text
 from trigpoint.messages import PoseEstimate
 from trigpoint.node import Node
@@ -41,6 +41,7 @@ class RobotNode:
         config = site.robot(robot)
         url = port_url(site, robot)
         self._verifier = correction_verifier(site, self._clock)
+        self._missed = MissedCorrections()
         self._offset = measured_offset(self._clock)
         protocol = make_protocol(protocol_setup(site, robot, self._clock))
         self._traits = protocol.traits
@@ -128,11 +129,13 @@ class RobotNode:
     def _correct(self, sample: Sample) -> None:
         self._node.health.count(f"received {sample.key}")
         try:
-            correction = decode(CORRECTION.type_name, sample.payload)
             mark = decode_mark(self._verifier.verify(sample.key, sample.payload, sample.attachment))
+            correction = decode(CORRECTION.type_name, sample.payload)
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return
+        if missing := self._missed.before(mark, sample.sender):
+            self._node.health.lose("corrections", missing)
         assert isinstance(correction, PoseEstimate)  # held by the topic's type
         now_ns = self._clock.elapsed_ns()
         handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)

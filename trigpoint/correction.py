@@ -32,3 +32,19 @@ def decode_mark(attachment: bytes) -> CorrectionMark:
             "the map's UUID and a sequence number"
         )
     return CorrectionMark(UUID(bytes=attachment[:16]), _SEQUENCE.unpack(attachment[16:])[0])
+
+
+class MissedCorrections:
+    """Counts what one robot was sent and never got, by the numbers of what it got. They are not
+    asked for again: a correction is of its moment."""
+
+    def __init__(self) -> None:
+        self._last: tuple[CorrectionMark, str] | None = None
+
+    def before(self, mark: CorrectionMark, sender: str) -> int:
+        """How many are missing between the last one and this one; 0 where another map begins or
+        another session sends, since a fusion that was started again leaves numbers out."""
+        last, self._last = self._last, (mark, sender)
+        if last is None or (last[0].map_id, last[1]) != (mark.map_id, sender):
+            return 0
+        return max(0, mark.sequence - last[0].sequence - 1)
