@@ -46,7 +46,7 @@ def write_site(
     directory.mkdir(parents=True, exist_ok=True)
     targets = _write_targets(world, directory)
     lines = [f'site = "{world.site_name}"', ""]
-    lines += _table("bus", msgspec.structs.asdict(bus)) if bus is not None else []
+    lines += _bus(bus) if bus is not None else []
     for name, camera in world.cameras.items():
         write_camera_info(directory / f"{name}.yaml", camera.model, name)
         source = (sources or {}).get(name) or sim_url(world, name)
@@ -101,6 +101,12 @@ def _changed(noise: OdometryNoise) -> dict[str, object]:
     values = msgspec.structs.asdict(noise)
     always = ("distance", "lateral", "heading_drive", "heading_turn")
     return {key: value for key, value in values.items() if key in always or value}
+
+
+def _bus(bus: BusConfig) -> list[str]:
+    values = msgspec.structs.asdict(bus)
+    tls = values.pop("tls")
+    return _table("bus", values) + (_table("bus.tls", msgspec.structs.asdict(tls)) if tls else [])
 
 
 def _table(name: str, values: Mapping[str, object]) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 from trigpoint import cdr, cli
 from trigpoint.camera_info import read_camera_info
 from trigpoint.clock import to_ns
-from trigpoint.config import BusConfig, load_site, parse_site
+from trigpoint.config import BusConfig, TlsConfig, load_site, parse_site
 from trigpoint.errors import OperationError
 from trigpoint.messages import Odometry, Sightings
 from trigpoint.network import decode_tum
@@ -106,6 +106,13 @@ def test_a_session_is_never_overwritten(world: World, folder: Path) -> None:
     with pytest.raises(OperationError, match="is there already"):
         write_session(world, folder)
     assert (folder / "session.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("tls", [None, TlsConfig("keys")])
+def test_bus_of_a_live_site_is_read_as_it_was_given(tmp_path: Path, tls: TlsConfig | None) -> None:
+    bus = BusConfig(connect=("tcp/127.0.0.1:7447",), tls=tls)
+    path = write_site(load_world("lab", seed=1), tmp_path, bus=bus)
+    assert load_site(path).bus == bus
 
 
 def test_a_live_site_names_its_sources_ports_and_bus(tmp_path: Path) -> None:
