@@ -171,6 +171,8 @@ class EdgeNode:
         self._publish(frame)
         if self._pictures.offer(frame):
             health.count(f"sent {self._key(IMAGE)}")
+            if self._lens is not None:  # beside every picture, as viewers of ROS's pictures expect
+                self._say_lens(frame, self._lens)
 
     def _follow_clock(self) -> None:
         """Where stamps follow a clock that was set back, what came before is later."""
@@ -184,10 +186,13 @@ class EdgeNode:
             self._is_announced = True
             self._lens = known_lens(self._site, self._camera, self._calibrated, source.intrinsics)
             if self._lens is not None:
-                info = CameraInfo(frame.captured_ns, self._frame_id, self._lens)
-                self._camera_info.put(encode(info))
-                self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
+                self._say_lens(frame, self._lens)
         check_size(self._camera, self._config, self._lens, frame.picture.shape)
+
+    def _say_lens(self, frame: Frame, lens: CameraModel) -> None:
+        info = CameraInfo(frame.captured_ns, self._frame_id, lens)
+        self._camera_info.put(encode(info))
+        self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
 
     def _publish(self, frame: Frame) -> None:
         """Find the faces and send them, also where there are none."""

@@ -19,8 +19,9 @@ from trigpoint.topics import Topic
 from .coverage import coverage
 from .estimator import CameraEstimate
 
-_PERIOD_NS = to_ns(1.0)
-_LONG_NS = to_ns(1.5)  # where there is no quiet turn
+# A transform that is not repeated within a second is taken for a stale one by what draws it.
+_PERIOD_NS = to_ns(0.7)
+_LONG_NS = to_ns(0.9)  # where there is no quiet turn
 _COVERAGE_PERIOD_NS = to_ns(5.0)
 # Poses in a turn, and in one in which a robot waits.
 _MOST_A_TURN, _MOST_IN_BETWEEN = 8, 1
@@ -62,6 +63,7 @@ class CameraAnnouncements:
         self._poses: dict[str, _Known] = {}
         self._floors: dict[str, _Known] = {}
         self._said: set[str] = set()
+        self._static: dict[str, Transform] = {}
         self._floor_from: dict[str, Pose] = {}
 
     def is_due(self, stamp_ns: int, *, is_quiet: bool) -> bool:
@@ -76,6 +78,7 @@ class CameraAnnouncements:
         new = {name: one for name, one in known.items() if name not in self._said}
         waiting = {name: known[name] for name in self._poses if name in known}
         self._poses = new | waiting | known
+        self._static = {name: one for name, one in self._static.items() if name in known}
         self._floors = {name: one for name, one in self._floors.items() if name in known}
         if is_urgent or _has_passed(self._looked_ns, stamp_ns, _COVERAGE_PERIOD_NS):
             self._looked_ns = stamp_ns
@@ -110,9 +113,12 @@ class CameraAnnouncements:
             pose, covariance = known.camera.map_from_camera, known.camera.covariance
             estimate = PoseEstimate(known.stamp_ns, "map", pose, covariance)
             yield Output(topics.CAMERA_POSE, name, estimate)
-            transforms.append(Transform(known.stamp_ns, "map", f"{name}/optical", pose))
+            one = Transform(known.stamp_ns, "map", f"{name}/optical", pose)
+            transforms.append(one)
+            self._static[name] = one
         if transforms:
             yield Output(topics.TF, "", Transforms(tuple(transforms)))
+            yield Output(topics.TF_STATIC, "", Transforms(tuple(self._static.values())))
 
     def _say_floor(self) -> Iterator[Output]:
         if not self._floors:

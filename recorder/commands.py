@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
 from trigpoint.access import Kind
@@ -23,6 +24,7 @@ from trigpoint.topics import command_key
 from . import node as recorder
 from . import replay as player
 from .recording import Recording, open_recording
+from .replay_pace import Controls, keyboard, span_of
 from .viewer import Viewer
 
 if TYPE_CHECKING:
@@ -173,6 +175,20 @@ def replay(
             help="Only keys that match, e.g. 'camera/*/sightings' (* one chunk, ** any number).",
         ),
     ] = "**",
+    from_s: Annotated[
+        float, typer.Option("--from", metavar="S", help="Begin so many seconds in.", min=0.0)
+    ] = 0.0,
+    to_s: Annotated[
+        float, typer.Option("--to", metavar="S", help="End so many seconds in.", min=0.0)
+    ] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again, until stopped.")] = False,
+    prefix: Annotated[
+        str,
+        typer.Option(
+            help="Before the site's name on the bus, like again_: a site of its own, which never "
+            "mixes with the live one."
+        ),
+    ] = "",
     site: Annotated[
         Path | None,
         typer.Option(help="Replay into this site, not into the one that the session has attached."),
@@ -181,22 +197,41 @@ def replay(
     """Put a session back on the bus with its bytes as they were recorded.
 
     Stamps in the messages stay those of the recording; only the pace is by the clock of now. Keys
-    whose sender runs on the site now are left out, diagnostics always.
+    whose sender runs on the site now are left out, diagnostics always. In a terminal, space holds
+    the replay, s puts one message, q ends it.
     """
+    if to_s and to_s <= from_s:
+        raise InputError(f"--to {to_s:g} is not after --from {from_s:g}; give a later end")
     recording = open_recording(session)
-    loaded = load_site(site) if site else _attached(recording)
-    clock = SystemClock()
+    loaded = _prefixed(load_site(site) if site else _attached(recording), prefix)
+    span = span_of(recording.start_ns, from_s, to_s, loops=loop)
+    controls = Controls()
     with open_bus(loaded) as bus:
         plan = player.plan(recording, bus, site=loaded.name, keys=keys)
         node = Node(bus, site=loaded.name, kind="replay", name=_own_name())
-        with stopped_by_signals(node):
+        with stopped_by_signals(node), keyboard(controls, node.stop) as has_keys:
             _say_plan(recording, plan, loaded.name, rate)
+            if has_keys:
+                typer.echo("space: hold, s: one message, q: end")
             counts = player.replay(
-                recording, bus, plan.routes, rate=rate, clock=clock, stopping=node.stopping
+                recording,
+                bus,
+                plan.routes,
+                rate=rate,
+                clock=SystemClock(),
+                stopping=node.stopping,
+                span=span,
+                controls=controls,
             )
     for key, count in counts.items():
         typer.echo(f"{count:8d}  {key}")
     typer.echo(f"{sum(counts.values()):8d}  messages put on site {loaded.name}")
+
+
+def _prefixed(site: Site, prefix: str) -> Site:
+    if not re.fullmatch(r"(?:[a-z][a-z0-9_]*)?", prefix) or "__" in prefix + site.name:
+        raise InputError(f"--prefix {prefix}: write lower-case letters, like again_")
+    return msgspec.structs.replace(site, name=prefix + site.name)
 
 
 def _attached(recording: Recording) -> Site:

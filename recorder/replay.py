@@ -1,11 +1,11 @@
 """Puts a recorded session back on the bus: the same bytes, at the recorded pace."""
 
 import threading
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from trigpoint.bus import Bus, Publisher
-from trigpoint.clock import Clock, to_seconds
+from trigpoint.clock import Clock
 from trigpoint.errors import InputError, OperationError
 from trigpoint.topics import (
     CAMERA_INFO,
@@ -21,7 +21,8 @@ from trigpoint.topics import (
     topic_of,
 )
 
-from .recording import Recording
+from .recording import RecordedSample, Recording
+from .replay_pace import WHOLE, Controls, Pace, Span
 
 _DISCOVERY_S = 0.5
 """Subscribers need a moment to be known to a new publisher; what is put before is lost to them."""
@@ -80,52 +81,43 @@ def replay(
     rate: float,
     clock: Clock,
     stopping: threading.Event,
+    span: Span = WHOLE,
+    controls: Controls | None = None,
 ) -> dict[str, int]:
     """Put the messages, log time by log time divided by `rate`; return how many each key got.
 
-    Blocks until the end or until `stopping` is set. Header stamps stay as they were recorded. A
-    reliable topic waits for a slow receiver; what was missed of the pace is caught up.
+    Blocks until the end or until `stopping` is set. Bytes, attachments and header stamps stay as
+    they were recorded. A reliable topic waits for a slow receiver; what was missed of the pace is
+    caught up.
     """
     publishers = {route.key: bus.publisher(route.topic, route.sent_as) for route in routes}
+    counts = dict.fromkeys(publishers, 0)
+    topics = {route.topic for route in routes}
     try:
         clock.wait(stopping, _DISCOVERY_S)
-        pace = _Pace(rate, clock, stopping)
-        return _put_all(recording, {route.topic for route in routes}, publishers, pace)
+        while True:
+            pace = Pace(rate, clock, stopping, controls or Controls())
+            samples = recording.samples(topics, from_ns=span.from_ns, to_ns=span.to_ns)
+            _put_all(samples, publishers, pace, counts)
+            if not span.loops or stopping.is_set():
+                return counts
     finally:
         for publisher in publishers.values():
             publisher.close()
 
 
-class _Pace:
-    """Waits until a log time is due; the first one is due at once."""
-
-    def __init__(self, rate: float, clock: Clock, stopping: threading.Event) -> None:
-        self._rate, self._clock, self._stopping = rate, clock, stopping
-        self._first_ns: int | None = None
-        self._started_ns = clock.elapsed_ns()
-
-    def is_due(self, log_ns: int) -> bool:
-        """Wait; False where the replay is to stop."""
-        if self._first_ns is None:
-            self._first_ns = log_ns
-        due_s = to_seconds(log_ns - self._first_ns) / self._rate
-        ahead_s = due_s - to_seconds(self._clock.elapsed_ns() - self._started_ns)
-        if ahead_s > 0:
-            return not self._clock.wait(self._stopping, ahead_s)
-        return not self._stopping.is_set()
-
-
 def _put_all(
-    recording: Recording, topics: Collection[Topic], publishers: dict[str, Publisher], pace: _Pace
-) -> dict[str, int]:
-    counts = dict.fromkeys(publishers, 0)
-    for sample in recording.samples(topics):
+    samples: Iterator[RecordedSample],
+    publishers: dict[str, Publisher],
+    pace: Pace,
+    counts: dict[str, int],
+) -> None:
+    for sample in samples:
         if publisher := publishers.get(sample.key):
             if not pace.is_due(sample.log_ns):
                 break
-            publisher.put(sample.payload)
+            publisher.put(sample.payload, attachment=sample.attachment)
             counts[sample.key] += 1
-    return counts
 
 
 def _is_wanted(expression: str, key: str) -> bool:

@@ -100,6 +100,7 @@ GRANTS: dict[Kind, Grants] = {
             topics.SUGGESTION,
             topics.PARTICLES,
             topics.TF,
+            topics.TF_STATIC,
             topics.COVERAGE,
             topics.DIAGNOSTICS,
         ),

@@ -130,6 +130,10 @@ PARTICLES = Topic(
     queue=4,
 )
 TF = Topic("tf", "tf", messages.TRANSFORMS, Delivery.RELIABLE, queue=1024)
+TF_STATIC = Topic(
+    "tf_static", "tf_static", messages.TRANSFORMS, Delivery.LAST_VALUE, queue=256, cache=1
+)
+"""Every located camera, as ROS's tools expect of what does not move; on `tf` too."""
 COVERAGE = Topic(
     "coverage",
     "coverage/{id}",
@@ -155,6 +159,7 @@ TOPICS = (
     SUGGESTION,
     PARTICLES,
     TF,
+    TF_STATIC,
     COVERAGE,
     DIAGNOSTICS,
 )

@@ -78,11 +78,11 @@ def test_one_camera_is_said_in_a_turn_in_which_a_robot_waits() -> None:
     assert [said(list(news.next(is_quiet=False))) for _ in range(4)] == [["c0"], ["c1"], ["c2"], []]
 
 
-def test_they_are_due_once_a_second_and_later_where_a_robot_waits() -> None:
+def test_they_are_due_before_a_second_is_over_and_later_where_a_robot_waits() -> None:
     news = announcements()
     assert news.is_due(0, is_quiet=False)
     news.take(0, cameras(1), is_urgent=False)
-    for is_quiet, period_ns in ((True, to_ns(1.0)), (False, to_ns(1.5))):
+    for is_quiet, period_ns in ((True, to_ns(0.7)), (False, to_ns(0.9))):
         assert not news.is_due(period_ns - 1, is_quiet=is_quiet)
         assert news.is_due(period_ns, is_quiet=is_quiet)
         assert news.is_due(-1, is_quiet=is_quiet)  # a session that begins anew

@@ -83,7 +83,8 @@ def test_delivery_is_written_as_rosbag2_reads_it(topic) -> None:
     text = quality_of_service(topic)
     wanted = "reliable" if topic.delivery.is_reliable else "best_effort"
     assert f"  reliability: {wanted}\n" in text
-    assert ("transient_local" in text) == (topic.name in ("camera_info", "camera_pose", "coverage"))
+    keeps = ("camera_info", "camera_pose", "coverage", "tf_static")
+    assert ("transient_local" in text) == (topic.name in keeps)
 
 
 def test_a_file_that_is_there_is_never_written_over(tmp_path: Path) -> None:

@@ -1,16 +1,24 @@
 """A session back on the bus."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from uuid import UUID
 
 import pytest
+from builders import eventually
 
+from trigpoint.bus import Sample
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.clock import ManualClock
+from trigpoint.correction import CorrectionMark, decode_mark, encode_mark
 from trigpoint.errors import InputError, OperationError
+from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.recorder.recording import open_recording
 from trigpoint.recorder.replay import Plan, plan, replay
-from trigpoint.topics import DIAGNOSTICS, ODOMETRY, SIGHTINGS
+from trigpoint.recorder.replay_pace import Controls, Span, span_of
+from trigpoint.topics import CORRECTION, DIAGNOSTICS, ODOMETRY, SIGHTINGS
 
 
 def keys_of(chosen: Plan) -> set[str]:
@@ -101,3 +109,80 @@ def test_a_living_robot_is_never_corrected_from_a_recording(session_file: Path) 
         robot.declare_alive("lab/alive/robot/r1")
         with pytest.raises(OperationError, match="robot/r1 runs there"):
             plan(open_recording(session_file), bus, site="lab", keys="robot/r1/correction")
+
+
+def put_back(path: Path, **options: Any) -> list[Sample]:
+    recording, broker = open_recording(path), MemoryBroker()
+    with broker.session() as bus, broker.session() as listener:
+        everything = listener.subscribe(replace(ODOMETRY, queue=100_000), "lab/**")
+        chosen = plan(recording, bus, site="lab", keys="**")
+        options = {"stopping": threading.Event(), "clock": ManualClock(), **options}
+        replay(recording, bus, chosen.routes, rate=1000.0, **options)
+        got = []
+        while sample := everything.take(0.0):
+            got.append(sample)
+    return got
+
+
+def test_attachments_are_given_back(tmp_path: Path) -> None:
+    writer, key = McapWriter(tmp_path / "s.mcap"), CORRECTION.key("lab", "r1")
+    for number in range(3):
+        mark = encode_mark(CorrectionMark(UUID(int=7), number))
+        writer.add(CORRECTION, key, b"pose", log_ns=number, published_ns=number, attachment=mark)
+    writer.finish()
+    marks = [decode_mark(sample.attachment) for sample in put_back(tmp_path / "s.mcap")]
+    assert marks == [CorrectionMark(UUID(int=7), number) for number in range(3)]
+
+
+def test_a_part_of_a_session_is_replayed(session_file: Path) -> None:
+    recording = open_recording(session_file)
+    span = span_of(recording.start_ns, 1.0, 2.0, loops=False)
+    expected = [
+        sample.payload
+        for sample in recording.samples()
+        if 10**9 <= sample.log_ns - recording.start_ns <= 2 * 10**9
+        and sample.topic is not DIAGNOSTICS
+    ]
+    assert [sample.payload for sample in put_back(session_file, span=span)] == expected
+
+
+def test_a_loop_goes_on_until_it_is_stopped(session_file: Path) -> None:
+    class Counted(ManualClock):
+        """Stops the replay when the session has been replayed twice."""
+
+        def wait(self, event: threading.Event, timeout_s: float) -> bool:
+            if self.now_ns() > 0.5e9 + 2.2 * 4e6:
+                event.set()
+            return super().wait(event, timeout_s)
+
+    once = len(put_back(session_file))
+    got = put_back(session_file, span=Span(loops=True), clock=Counted())
+    assert 2 * once < len(got) < 3 * once
+
+
+def test_a_held_replay_goes_message_by_message(session_file: Path) -> None:
+    controls, stopping = Controls(), threading.Event()
+    recording, broker = open_recording(session_file), MemoryBroker()
+    with broker.session() as bus, broker.session() as listener:
+        odometry = listener.subscribe(ODOMETRY, "lab/robot/r1/odom")
+        chosen = plan(recording, bus, site="lab", keys="**/odom")
+        controls.pause()
+        options: dict[str, Any] = {"stopping": stopping, "clock": ManualClock()}
+        player = threading.Thread(
+            target=replay,
+            args=(recording, bus, chosen.routes),
+            kwargs={"rate": 1.0, "controls": controls, **options},
+        )
+        player.start()
+        for number in range(1, 4):
+            controls.step()
+            assert eventually(lambda wanted=number: odometry.received == wanted)
+        controls.pause()
+        player.join(10)
+        assert odometry.received == recording.counts[ODOMETRY.key("lab", "r1")]
+
+
+def test_a_prefix_makes_a_site_of_its_own(session_file: Path) -> None:
+    with MemoryBroker().session() as bus:
+        chosen = plan(open_recording(session_file), bus, site="again_lab", keys="**/odom")
+    assert [route.sent_as for route in chosen.routes] == ["again_lab/robot/r1/odom"]
