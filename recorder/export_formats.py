@@ -3,6 +3,7 @@
 import math
 from io import StringIO
 
+import numpy as np
 from ruamel.yaml import YAML
 
 from trigpoint.errors import InputError
@@ -42,7 +43,7 @@ def camchain(network: Network) -> tuple[str, list[str]]:
         }
         pose = record.map_from_camera.pose
         if before is not None:
-            entry["T_cn_cnm1"] = (pose.inverse() @ before).matrix.tolist()
+            entry["T_cn_cnm1"] = _matrix(pose.inverse() @ before)
         before = pose
         chain[f"cam{len(chain)}"] = entry
     text = StringIO()
@@ -50,6 +51,12 @@ def camchain(network: Network) -> tuple[str, list[str]]:
     yaml.default_flow_style = None
     yaml.dump(chain, text)
     return text.getvalue(), left_out
+
+
+def _matrix(pose: Pose) -> list[list[float]]:
+    rows = np.eye(4)
+    rows[:3, :3], rows[:3, 3] = pose.rotation, pose.translation
+    return rows.tolist()
 
 
 def _kalibr_distortion(lens: CameraModel) -> tuple[str, list[float]] | None:

@@ -2,6 +2,7 @@
 are read and checked. The one place that knows rosbags.
 """
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -98,3 +99,11 @@ def pose_of(pose: Any) -> Pose:
     if abs(np.linalg.norm(quaternion) - 1) > UNIT_TOLERANCE:
         raise MessageError("an orientation is no unit quaternion")
     return Pose.from_quaternion(xyz_of(pose.position, "a position"), quaternion)
+
+
+def register(definitions: Mapping[str, str]) -> None:
+    """Make further types known, by their definitions; those that are known already stay."""
+    types = store()
+    for name, text in definitions.items():
+        if name not in types.types:
+            types.register(get_types_from_msg(text, name))

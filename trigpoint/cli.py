@@ -77,6 +77,9 @@ COMMANDS: dict[str, Command] = {
         "Save what is sound of a damaged recording.",
         "recorder",
     ),
+    "export": Command(
+        "trigpoint.recorder.export:main", "A session in the formats of other tools.", "recorder"
+    ),
     "calibrate": Command(
         "trigpoint.tools.calibrate:main", "The estimator over a session.", "fusion,recorder"
     ),

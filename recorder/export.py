@@ -1,0 +1,171 @@
+"""The command `export`: a session and its network in the formats of other tools."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from trigpoint import cdr
+from trigpoint.camera_info import write_camera_info
+from trigpoint.config import parse_site
+from trigpoint.errors import InputError, MessageError, writing
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.network import Network, decode_network, encode_tum
+from trigpoint.topics import ODOMETRY, ROBOT_POSE, Topic, node_of
+
+from .export_formats import camchain, launch_file
+from .recording import NETWORK_ATTACHMENT, Recording, open_recording
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What is exported; the network only where there is one."""
+
+    recording: Recording
+    network: Network | None
+
+    def need_network(self) -> Network:
+        """The network; raise InputError where there is none."""
+        if self.network is None:
+            raise InputError(
+                f"{self.recording.path}: no network is attached or lies beside it; "
+                "run `trigpoint calibrate` first, or give --network"
+            )
+        return self.network
+
+
+def main(
+    session: Annotated[Path, typer.Argument(help="An .mcap file, or a folder with a session.")],
+    out: Annotated[Path, typer.Option(help="The folder to write to.", file_okay=False)],
+    formats: Annotated[
+        list[str],
+        typer.Option("--format", metavar="tum|kalibr|ros|launch|rrd|mcap", help="One of these."),
+    ] = [],  # noqa: B006 - typer makes a list of it anew
+    network: Annotated[
+        Path | None,
+        typer.Option(help="The network.json, if not the one attached to the session or beside it."),
+    ] = None,
+) -> None:
+    """Write trajectories (TUM), Kalibr's camchain, ROS camera_info and launch files, a rerun file,
+    and a recording that Foxglove and RViz draw whole, with their layouts.
+
+    Without --format: everything that the session gives.
+    """
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise InputError(f"--format {unknown[0]}: there is none such; give {', '.join(FORMATS)}")
+    recording = open_recording(session)
+    source = Source(recording, _network(recording, network))
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        for name in formats or FORMATS:
+            if not formats and name in _OF_NETWORK and source.network is None:
+                typer.echo(f"left out: {name}: there is no network; run `trigpoint calibrate`")
+                continue
+            for file in FORMATS[name](source, out):
+                typer.echo(f"wrote {file}")
+
+
+def _network(recording: Recording, given: Path | None) -> Network | None:
+    folder = recording.path.parent
+    if given is not None:
+        path = given / NETWORK_ATTACHMENT if given.is_dir() else given
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such network file; check the path")
+        return decode_network(path.read_bytes(), source=str(path))
+    for path in (folder / NETWORK_ATTACHMENT, folder / "calibration" / NETWORK_ATTACHMENT):
+        if path.is_file():
+            return decode_network(path.read_bytes(), source=str(path))
+    data = recording.attachments.get(NETWORK_ATTACHMENT)
+    return decode_network(data, source=f"{recording.path}: attached") if data else None
+
+
+def _tum(source: Source, out: Path) -> list[Path]:
+    """Odometry as it came, and the corrected poses, of every robot."""
+    written = []
+    for topic, what in ((ODOMETRY, "odometry"), (ROBOT_POSE, "corrected")):
+        for robot, (stamps_ns, poses) in _tracks(source.recording, topic).items():
+            file = out / f"{robot}_{what}.tum"
+            file.write_bytes(encode_tum(np.array(stamps_ns), Pose.stack(poses)))
+            written.append(file)
+    if not written:
+        raise InputError(f"{source.recording.path}: no robot's odometry or pose is in it")
+    return written
+
+
+def _tracks(recording: Recording, topic: Topic) -> dict[str, tuple[list[int], list[Pose]]]:
+    tracks: dict[str, tuple[list[int], list[Pose]]] = {}
+    for sample in recording.samples([topic]):
+        try:
+            message = cdr.decode(topic.type_name, sample.payload)
+        except MessageError:
+            continue
+        if isinstance(message, (Odometry, PoseEstimate)):
+            stamps_ns, poses = tracks.setdefault(node_of(sample.key), ([], []))
+            stamps_ns.append(message.stamp_ns)
+            poses.append(message.pose)
+    return tracks
+
+
+def _kalibr(source: Source, out: Path) -> list[Path]:
+    text, left_out = camchain(source.need_network())
+    for reason in left_out:
+        typer.echo(f"left out: camchain: {reason}", err=True)
+    file = out / "camchain.yaml"
+    file.write_text(text, encoding="utf-8")
+    return [file]
+
+
+def _ros(source: Source, out: Path) -> list[Path]:
+    written = []
+    for name, record in source.need_network().cameras.items():
+        if record.intrinsics is not None:
+            file = out / f"{name}.yaml"
+            write_camera_info(file, record.intrinsics.camera, name)
+            written.append(file)
+    return written
+
+
+def _launch(source: Source, out: Path) -> list[Path]:
+    file = out / "cameras.launch.py"
+    file.write_text(launch_file(source.need_network()), encoding="utf-8")
+    return [file]
+
+
+def _rrd(source: Source, out: Path) -> list[Path]:
+    from .review import write_rrd  # rerun takes half a second to import
+
+    file = out / f"{source.recording.path.stem}.rrd"
+    write_rrd(source.recording, file)
+    return [file]
+
+
+def _mcap(source: Source, out: Path) -> list[Path]:
+    from .drawable import foxglove_layout, rviz_configuration, write_drawable
+
+    recording = source.recording
+    file = out / "drawable.mcap"
+    file.unlink(missing_ok=True)
+    write_drawable(recording, source.network, file)
+    site = parse_site(recording.site_text, directory=Path(), file="attached site.toml")
+    layout, rviz = out / "foxglove_layout.json", out / "trigpoint.rviz"
+    layout.write_text(foxglove_layout(site.name, list(site.cameras)), encoding="utf-8")
+    rviz.write_text(
+        rviz_configuration(site.name, list(site.cameras), list(site.robots)), encoding="utf-8"
+    )
+    return [file, layout, rviz]
+
+
+FORMATS: dict[str, Callable[[Source, Path], list[Path]]] = {
+    "tum": _tum,
+    "kalibr": _kalibr,
+    "ros": _ros,
+    "launch": _launch,
+    "rrd": _rrd,
+    "mcap": _mcap,
+}
+_OF_NETWORK = ("kalibr", "ros", "launch")
