@@ -120,7 +120,7 @@ def composed_session(kind: str, seed: int, *, mismatch: bool = False) -> Composi
 
 
 def session_of(recipe: Recipe) -> Composition:
-    """The session of a recipe."""
+    """The session of a recipe; without a lift that nobody could know of."""
     cameras = cameras_of(recipe)
     carriers = _carriers(recipe, cameras)
     rides = [carrier.ride for carrier in carriers]
@@ -130,6 +130,10 @@ def session_of(recipe: Recipe) -> Composition:
         return pictures_of(recipe, camera, carriers, times_s[camera.name])
 
     seen = {camera.name: pictures(camera) for camera in cameras}
+    if not all(
+        _is_told(carrier, lift_s, seen) for carrier in carriers for lift_s in carrier.ride.lifts_s
+    ):
+        return session_of(replace(recipe, lifts=0))
     for camera in _to_be_knocked(recipe, cameras, seen):
         seen[camera.name] = pictures(camera)
         cameras = [camera if other.name == camera.name else other for other in cameras]
@@ -167,6 +171,20 @@ def _picture_times(recipe: Recipe, camera: Camera, rides: list[Ride]) -> np.ndar
     # The clock's offset must not bring a stamp before the odometry's first or after its last.
     index = np.arange(round(0.3 / STEP_S) + phase, round((end_s - 0.3) / STEP_S), between)
     return index * STEP_S
+
+
+def _is_told(carrier: Carrier, lift_s: float, seen: dict[str, list[Picture]]) -> bool:
+    """Whether a camera met the robot rightly before and after a lift. One after which it meets only
+    new cameras is told by no picture: these then hang elsewhere, and all fits as well."""
+    for pictures in seen.values():
+        met_s = [
+            picture.t_s
+            for picture in pictures
+            if any(face.robot == carrier.name and face.is_good for face in picture.faces)
+        ]
+        if met_s and min(met_s) < lift_s < max(met_s):
+            return True
+    return False
 
 
 def _to_be_knocked(

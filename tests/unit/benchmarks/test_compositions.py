@@ -153,6 +153,17 @@ def test_a_lifted_robot_is_elsewhere_and_its_odometry_does_not_notice() -> None:
     assert np.ptp(reported, axis=0).max() < 1e-9
 
 
+def test_a_lift_that_no_picture_could_tell_does_not_happen() -> None:
+    lifted = 0
+    for seed in range(6):
+        session = session_of(Recipe("loop", seed, cameras=4, lifts=1))
+        for lift_s in session.carriers[0].ride.lifts_s:
+            lifted += 1
+            times_s = [[p.t_s for p in pictures] for pictures in session.pictures.values()]
+            assert any(min(t_s) < lift_s < max(t_s) for t_s in times_s if t_s)
+    assert lifted >= 2
+
+
 def test_a_moved_camera_is_seen_before_and_after_and_ends_where_it_was_last_seen() -> None:
     session = session_of(Recipe("a move", 2, route=Route.DANCE, moves=1))
     [camera] = [camera for camera in session.cameras if camera.moves]
