@@ -57,11 +57,20 @@ class Budget:
 
 
 @dataclass(slots=True)
+class _Sender:
+    """When a sender was heard last, monotonic, ns, and how often after another one."""
+
+    last_ns: int
+    turns: int = 0
+
+
+@dataclass(slots=True)
 class _Speaker:
-    """Who is heard on a key: `current`, and when each sender was last heard, ns."""
+    """Who is heard on a key: `current`, whoever was heard last, and all of late."""
 
     current: str = ""
-    heard_ns: dict[str, int] = field(default_factory=dict)
+    last: str = ""
+    senders: dict[str, _Sender] = field(default_factory=dict)
     twice_ns: int | None = None
 
 
@@ -95,19 +104,14 @@ class Admission:
         self.counts["unknown_sender"] += 1
         return False
 
-    def admits(self, sample: Sample, at_ns: int) -> bool:
-        """Whether a sample of a known key is to be decoded at all, by who sends it. `at_ns`:
-        monotonic time."""
-        speaker = self._speakers[sample.key]
-        if not self._is_alone(speaker, sample.sender, at_ns):
-            self.counts["two_senders"] += 1
-            return False
-        return True
-
     def takes(self, sample: Sample, stamp_ns: int, at_ns: int, *, set_by_ns: int = 0) -> bool:
-        """Whether what an admitted sample holds is to be used, by its stamp. `set_by_ns`: what this
-        machine's clock was set by without being believed."""
+        """Whether a sound sample of a known key is to be used, by its stamp, its sender, and how
+        much came. `at_ns`: monotonic time; `set_by_ns`: what this machine's clock was set by
+        without being believed."""
         if not self._is_of_now(sample, stamp_ns, at_ns, set_by_ns):
+            return False
+        if not self._is_alone(self._speakers[sample.key], sample.sender, at_ns):
+            self.counts["two_senders"] += 1
             return False
         if not self._budgets[sample.key].takes(stamp_ns, at_ns):
             self.counts["shed"] += 1
@@ -130,31 +134,39 @@ class Admission:
 
     def _is_alone(self, speaker: _Speaker, sender: str, at_ns: int) -> bool:
         """Whether a key has one sender; another one takes over once the first is silent."""
-        current_ns = speaker.heard_ns.get(speaker.current)
-        is_taken = current_ns is not None and at_ns - current_ns < _TAKEOVER_NS
-        if sender != speaker.current and not is_taken:
+        senders = speaker.senders
+        for name, known in list(senders.items()):
+            if at_ns - known.last_ns >= _REMEMBERED_NS:
+                del senders[name]
+        current = senders.get(speaker.current)
+        if current is None or at_ns - current.last_ns >= _TAKEOVER_NS:
             speaker.current = sender
-        if len(speaker.heard_ns) < _MOST_SENDERS or sender in speaker.heard_ns:
-            before_ns = speaker.heard_ns.get(sender)
-            speaker.heard_ns[sender] = at_ns
-            # The one that was heard first is heard again after the other: both live.
-            others = [ns for name, ns in speaker.heard_ns.items() if name != sender]
-            if before_ns is not None and any(ns > before_ns for ns in others):
-                speaker.twice_ns = at_ns
+        is_turn = self._hear(speaker, sender, at_ns)
+        # Both were heard again after the other: both live, and it was no stray message.
+        if is_turn and sum(known.turns > 0 for known in senders.values()) > 1:
+            speaker.twice_ns = at_ns
         if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:
             return False
-        for name, ns in list(speaker.heard_ns.items()):
-            if at_ns - ns >= _REMEMBERED_NS:
-                del speaker.heard_ns[name]
         speaker.twice_ns = None
         return sender == speaker.current
+
+    def _hear(self, speaker: _Speaker, sender: str, at_ns: int) -> bool:
+        """Note who is heard; whether another was heard before."""
+        is_turn, speaker.last = speaker.last != sender, sender
+        known = speaker.senders.get(sender)
+        if known is not None:
+            known.last_ns = at_ns
+            known.turns += is_turn
+        elif len(speaker.senders) < _MOST_SENDERS:
+            speaker.senders[sender] = _Sender(at_ns)
+        return is_turn
 
     def troubles(self, at_ns: int) -> Mapping[str, str]:
         """Name -> what is wrong now, in words."""
         found = {}
         for key, speaker in self._speakers.items():
             if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:
-                names = " and ".join(name or "one that says no name" for name in speaker.heard_ns)
+                names = " and ".join(name or "one that says no name" for name in speaker.senders)
                 found[f"two on {key}"] = (
                     f"two send on {key}: the sessions {names}; neither is used, stop one of them"
                 )

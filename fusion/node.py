@@ -218,9 +218,6 @@ class FusionNode:
 
     def _kept(self, topic: Topic, sample: Sample) -> Message | None:
         """The message, written to the checkpoint; None where it is not to be used."""
-        at_ns = self._clock.elapsed_ns()
-        if not self._admission.admits(sample, at_ns):
-            return None
         try:
             if not topic.may_be(sample.encoding):
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
@@ -229,7 +226,7 @@ class FusionNode:
             self._node.health.reject(sample, reason)
             return None
         assert isinstance(message, CameraInfo | Odometry | Sightings)
-        set_by_ns = self._node.clock_set_by_ns
+        at_ns, set_by_ns = self._clock.elapsed_ns(), self._node.clock_set_by_ns
         if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
             return None
         self._troubles.heard(sample.key, at_ns)
