@@ -117,7 +117,7 @@ class Checkpoint:
         except (OSError, ValueError):
             self._unkept += count
             raise
-        if self.trouble:
+        if self.trouble and count:
             _log.warning("%s is written again; %d messages are missing", self._path, self._unkept)
             self.trouble, self._unkept = "", 0
 
