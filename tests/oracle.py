@@ -20,15 +20,14 @@ from functools import cached_property
 
 import numpy as np
 from oracle_solver import Solution, Structure, gaps_of
+from oracle_verdict import Explanation, Scored, Verdict, apart, verdict_of
 from oracle_views import Label, Look, Priors, Reading, corners_of, readings_of, residuals
 
 from trigpoint.config import OdometryNoise
-from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import Odometry
 from trigpoint.target import Target
 
-EVIDENCE = 1e-5
 WINDOW = 40.0  # of cost: 2e-9 of the best explanation
 _BEAM = 200
 _REFINED = 30.0  # of cost: explanations near the best are solved over the pixels themselves
@@ -36,72 +35,6 @@ _REFINEMENTS = 3
 _AT_MINIMUM = 1e-6  # of χ²: a reading that nothing pulls is solved already
 # How much of a disagreement that is worked out to first order is counted on.
 _TRUST = 0.5
-# One place: within so much χ² of both places' covariances, and so many of the better one's sigmas,
-# or so many metres.
-_SAME_CHI2, _SAME_SIGMAS, _SAME_M = 50.0, 8.0, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Explanation:
-    """What may have happened. `readings`: an index for each picture; `lifts`: pictures before which
-    the robot was lifted; `moves`: pictures before which their camera was moved."""
-
-    readings: tuple[int, ...] = ()
-    lifts: frozenset[int] = frozenset()
-    moves: frozenset[int] = frozenset()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scored:
-    """`places`: map_from_camera and its covariance at the end, by camera; a camera is missing where
-    all sightings of its last place are wrong, or a lift cuts it off the map (`cut_off`)."""
-
-    explanation: Explanation
-    labels: tuple[tuple[Label, ...], ...]
-    cost: float
-    places: dict[str, tuple[Pose, Array]]
-    cut_off: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """Where a camera may be, with the mass of all explanations that put it there."""
-
-    map_from_camera: Pose
-    covariance: Array
-    mass: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
-    """What the posterior says of a camera's last place, best first. `by_wrong`, `by_lift`: the mass
-    of explanations by which the data do not place it: all its sightings there are wrong; the robot
-    was lifted and no other picture ties it to the map."""
-
-    camera: str
-    places: tuple[Place, ...]
-    by_wrong: float
-    by_lift: float
-
-    @property
-    def elsewhere(self) -> float:
-        """The share of the other places of all explanations that place it."""
-        masses = [place.mass for place in self.places]
-        return sum(masses[1:]) / sum(masses) if masses else 1.0
-
-    @property
-    def is_located(self) -> bool:
-        """One place holds all but EVIDENCE of what places it at all, which is more than half."""
-        return self.elsewhere <= EVIDENCE and self.by_wrong + self.by_lift < 0.5
-
-    @property
-    def is_confirmed(self) -> bool:
-        """Not resting on sightings that may all be wrong."""
-        return self.by_wrong <= EVIDENCE
-
-    def is_clear(self, factor: float = 30.0) -> bool:
-        """Whether the verdict does not hang on a factor of this size in the odds."""
-        return not EVIDENCE / factor < self.elsewhere < EVIDENCE * factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +96,7 @@ class Oracle:
         masses = np.exp(-0.5 * np.array([s.cost - scored[0].cost for s in scored]))
         masses /= masses.sum()
         cameras = sorted({look.camera for look in self.looks})
-        return {camera: _verdict(camera, scored, masses) for camera in cameras}
+        return {camera: verdict_of(camera, scored, masses) for camera in cameras}
 
     # -- the search -------------------------------------------------------------------------------
 
@@ -301,7 +234,7 @@ class Oracle:
         if reading.camera_from_base is None or reading.covariance is None:
             return reading
         look, pose = self.looks[view], solution.camera_from_base(view, row)
-        if _chi2(pose, reading.camera_from_base, reading.covariance) < _AT_MINIMUM:
+        if apart(pose, reading.camera_from_base, reading.covariance) < _AT_MINIMUM:
             return reading
         points, pixels, sigmas = corners_of(look, self.target, reading.labels)
         error, jacobian = residuals(look.lens, pose, points, pixels, sigmas)
@@ -382,42 +315,6 @@ def _is_one_minimum(one: Scored, other: Scored) -> bool:
     if not one.places or one.places.keys() != other.places.keys():
         return False
     return all(
-        _chi2(pose, other.places[camera][0], covariance) < 1.0
+        apart(pose, other.places[camera][0], covariance) < 1.0
         for camera, (pose, covariance) in one.places.items()
     )
-
-
-def _chi2(pose: Pose, other: Pose, covariance: Array) -> float:
-    error = pose.difference(other)
-    return float(error @ np.linalg.solve(covariance, error))
-
-
-def _verdict(camera: str, scored: list[Scored], masses: Array) -> Verdict:
-    places: list[Place] = []
-    by_wrong = by_lift = 0.0
-    for one, mass in zip(scored, masses.tolist(), strict=True):
-        if camera in one.places:
-            _put(places, *one.places[camera], mass)
-        elif camera in one.cut_off:
-            by_lift += mass
-        else:
-            by_wrong += mass
-    ordered = tuple(sorted(places, key=lambda place: -place.mass))
-    return Verdict(camera, ordered, by_wrong, by_lift)
-
-
-def _put(places: list[Place], pose: Pose, covariance: Array, mass: float) -> None:
-    """Add to the place that this is, or as one of its own."""
-    for index, place in enumerate(places):
-        if _is_one_place(place, pose, covariance):
-            places[index] = replace(place, mass=place.mass + mass)
-            return
-    places.append(Place(pose, covariance, mass))
-
-
-def _is_one_place(place: Place, pose: Pose, covariance: Array) -> bool:
-    if _chi2(pose, place.map_from_camera, place.covariance + covariance) > _SAME_CHI2:
-        return False
-    error = (pose.translation - place.map_from_camera.translation)[:3]
-    sigmas = float(np.sqrt(error @ np.linalg.solve(place.covariance[:3, :3], error)))
-    return sigmas < _SAME_SIGMAS or float(np.linalg.norm(error)) < _SAME_M

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import oracle as oracle_module
 import pytest
-from oracle import Oracle, Scored
+from oracle import Oracle
 from oracle_solver import gaps_of
+from oracle_verdict import Scored
 from oracle_views import Priors, corners_of, readings_of, residuals
 from scipy.optimize import least_squares
 from small_sessions import Shape, SmallSession, drawn_shape, small_session
