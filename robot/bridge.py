@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass
 from uuid import UUID
 
-from trigpoint.clock import to_ns
+from trigpoint.clock import to_ns, to_seconds
 from trigpoint.config import RobotConfig
 from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
@@ -57,6 +57,17 @@ class Location:
     map_from_base: Pose
     covariance: Array
     resets: int
+    odom_from_counted: Pose
+
+    @property
+    def map_from_odom(self) -> Pose:
+        """Where the odometry frame on the bus is."""
+        return self.map_from_base @ self.at.odom_from_base.inverse()
+
+    @property
+    def map_from_counted(self) -> Pose:
+        """Where the robot's own odometry frame is, in which its counts began anew or not."""
+        return self.map_from_odom @ self.odom_from_counted
 
     @property
     def for_robot(self) -> LocatedPose:
@@ -76,6 +87,8 @@ class Offset:
 
 # Odometry comes at least 20 times a second (docs/serial.md); so long without any is a gap.
 _GAP_NS = to_ns(0.5)
+# Two machines without NTP are seconds apart; more is a clock that was never set.
+_CLOCKS_APART_NS = to_ns(5.0)
 # How often a robot that takes no corrections is told, and the bus, where it is: navigation stacks
 # expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.
 LOCATE_EVERY_NS = to_ns(0.05)
@@ -188,7 +201,8 @@ class Bridge:
                 return None
             self._located_ns = at.stamp_ns
             pose, covariance = self._blend.told(at, pose, covariance)
-            return Location(at, pose, as_sent(covariance), self._resets)
+            counted = self._stream.odom_from_counted
+            return Location(at, pose, as_sent(covariance), self._resets, counted)
 
     def on_correction(
         self,
@@ -231,7 +245,7 @@ class Bridge:
         """When the reading was taken, Unix time; None where that cannot be told or be true."""
         match self._traits.clock:
             case StampClock.UNIX:
-                return reading.firmware_ns
+                return self._unix_stamp(reading)
             case StampClock.MACHINE:
                 machine_ns = reading.firmware_ns
             case StampClock.FIRMWARE:
@@ -244,6 +258,18 @@ class Bridge:
             self._health.lose("odometry_ahead_of_clock")
             return None
         return self.unix_ns(machine_ns)
+
+    def _unix_stamp(self, reading: Reading) -> int | None:
+        """A robot's own Unix time: it need not be ours, but far off nothing of it can be used."""
+        off_ns = reading.firmware_ns - self.unix_ns(reading.received_ns)
+        if abs(off_ns) <= _CLOCKS_APART_NS:
+            return reading.firmware_ns
+        self._health.lose("odometry_clock_off")
+        self._health.fail(
+            f"odometry of robot {self._robot} is stamped {to_seconds(off_ns):+.1f} s from this "
+            "machine's clock; synchronise the two (chrony), or restart this bridge after that"
+        )
+        return None
 
     def _is_possible(self, stamp_ns: int, reading: Reading) -> bool:
         """Whether the robot can have moved so; a count that began anew goes on from here."""
@@ -336,7 +362,8 @@ class Bridge:
                 approved.covariance,
                 establishes=approved.establishes,
             )
-        else:  # the blend is at the readings, where the pose is told
+        else:  # the bridge itself holds it; the blend is at the readings, where the pose is told
+            self._health.count("corrections_accepted")
             pose, covariance = approved.map_from_base, approved.covariance
             if approved.establishes:
                 self._blend.restart()

@@ -7,12 +7,13 @@ import typer
 
 from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import load_site
+from trigpoint.config import ROS2_PROTOCOL, load_site
 from trigpoint.node import Node, stopped_by_signals
 
 from .dry_run import look
 from .node import KIND, RobotNode
 from .protocol import check_protocol
+from .ros2 import RosRobotNode
 
 
 def main(
@@ -36,5 +37,6 @@ def main(
     with open_bus(loaded, (Kind.ROBOT, robot)) as bus:
         node = Node(bus, site=loaded.name, kind=KIND, name=robot)
         with stopped_by_signals(node):
-            RobotNode(bus, node, loaded, robot).start()
+            is_ros = loaded.robot(robot).protocol_name == ROS2_PROTOCOL
+            (RosRobotNode if is_ros else RobotNode)(bus, node, loaded, robot).start()
             node.wait()

@@ -12,8 +12,9 @@ from trigpoint.health import Health
 
 from .bridge import Bridge
 from .line import Line
-from .node import measured_offset, port_url, protocol_setup
-from .port import Port
+from .node import port_url, protocol_setup
+from .offset import measured_offset
+from .port import PortOpener
 from .protocol import Event, Mismatched, make_protocol
 
 SECONDS = 5.0
@@ -54,9 +55,9 @@ class _Session:
         self.stopping = threading.Event()
         self.trouble = ""
         self.pose = (0.0, 0.0, 0.0)
-        Port(url, config.baud).close()  # raises at once where it cannot be opened
+        PortOpener(url, config.baud).open().close()  # raises at once where it cannot be opened
         self._line = Line(
-            lambda: Port(url, config.baud),
+            PortOpener(url, config.baud).open,
             protocol,
             clock=clock,
             handle=self._handle,

@@ -17,7 +17,8 @@ from .protocol import Event, LocatedPose, Protocol, RobotCorrection
 _log = logging.getLogger(__name__)
 
 FIRST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 2.0
+# A port that is plugged in again is open within three seconds; udev takes up to one of them.
+LONGEST_PAUSE_S = 1.0
 # A port that never opens is most likely misspelt; one that did will come back.
 PATIENCE_S = 5.0
 _LONGEST_WAIT_S = 0.25

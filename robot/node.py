@@ -4,29 +4,26 @@ import logging
 import os
 from pathlib import Path
 
-from trigpoint.authenticator import correction_verifier
-from trigpoint.bus import Bus, Publisher, Sample, Subscription
-from trigpoint.cdr import decode, encode, warm_up
+from trigpoint.bus import Bus, Publisher
+from trigpoint.cdr import encode, warm_up
 from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.config import Site
-from trigpoint.correction import MissedCorrections, decode_mark
-from trigpoint.errors import ConfigError, MessageError, read_text
-from trigpoint.messages import PoseEstimate
+from trigpoint.errors import ConfigError, read_text
 from trigpoint.node import Node
-from trigpoint.topics import CORRECTION, ODOMETRY
-from trigpoint.watchdog import Pulse
+from trigpoint.topics import ODOMETRY
 
-from .bridge import Bridge, Offset, first_number
+from .bridge import Bridge, first_number
+from .corrections import Corrections, subscribed
 from .line import Line
+from .offset import measured_offset
 from .places import Places
-from .port import Port, is_device
-from .protocol import Event, Setup, Takes, make_protocol
+from .port import PortOpener, is_device, lasting_name
+from .protocol import Event, RobotCorrection, Setup, Takes, make_protocol
 from .relocation import MapQuestion
 
 _log = logging.getLogger(__name__)
 
 KIND = "robot"
-_TAKE_S = 0.2
 _STEP_NS = to_ns(0.01)
 
 
@@ -40,8 +37,6 @@ class RobotNode:
         self._clock = clock or SystemClock()
         config = site.robot(robot)
         url = port_url(site, robot)
-        self._verifier = correction_verifier(site, self._clock)
-        self._missed = MissedCorrections()
         self._offset = measured_offset(self._clock)
         protocol = make_protocol(protocol_setup(site, robot, self._clock))
         self._traits = protocol.traits
@@ -50,12 +45,13 @@ class RobotNode:
             robot, config, node.health, self._offset, protocol.traits, number=number
         )
         self._line = Line(
-            lambda: Port(url, config.baud),
+            PortOpener(url, config.baud).open,
             protocol,
             clock=self._clock,
             handle=self._handle,
             failed=node.health.fail,
         )
+        self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
         self._odometry_key = ODOMETRY.key(site.name, robot)
         self._publisher: Publisher | None = None
         self._places: Places | None = None
@@ -66,15 +62,17 @@ class RobotNode:
         self._publisher = self._bus.publisher(ODOMETRY, self._odometry_key)
         if self._traits.takes is not Takes.CORRECTIONS:
             self._places = Places(self._bus, self._site.name, self._robot)
-        key = CORRECTION.key(self._site.name, self._robot)
-        corrections = self._bus.subscribe(CORRECTION, key)
+        corrections = subscribed(self._bus, self._site, self._robot)
         self._show()
         node = self._node
         node.work("reads", lambda pulse: self._line.read_until(node.stopping, pulse.beat))
         node.work("writes", lambda pulse: self._line.write_until(node.stopping, pulse.beat))
-        node.work("corrects", lambda pulse: self._take(corrections, pulse))
+        node.work("corrects", lambda pulse: self._corrections.run(corrections, node, pulse))
         question = MapQuestion(self._bus, node, self._site.name, self._bridge, self._clock)
         node.work("asks", question.run)
+        url = port_url(self._site, self._robot)
+        if (lasting := lasting_name(url)) not in ("", url):
+            _log.info("%s: port %s is also %s, a name that stays", node.label, url, lasting)
         for lack in self._traits.lacks:
             _log.warning("%s: %s", node.label, lack)
 
@@ -119,28 +117,9 @@ class RobotNode:
             self._line.locate(location.for_robot)
         self._places.publish(location)
 
-    def _take(self, corrections: Subscription, pulse: Pulse) -> None:
-        while not self._node.stopping.is_set():
-            pulse.beat()
-            sample = corrections.take(_TAKE_S)
-            if sample is not None:
-                self._correct(sample)
-
-    def _correct(self, sample: Sample) -> None:
-        self._node.health.count(f"received {sample.key}")
-        try:
-            mark = decode_mark(self._verifier.verify(sample.key, sample.payload, sample.attachment))
-            correction = decode(CORRECTION.type_name, sample.payload)
-        except MessageError as reason:
-            self._node.health.reject(sample, reason)
-            return
-        if missing := self._missed.before(mark, sample.sender):
-            self._node.health.lose("corrections", missing)
-        assert isinstance(correction, PoseEstimate)  # held by the topic's type
-        now_ns = self._clock.elapsed_ns()
-        handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)
-        if handed_on is not None and self._traits.takes is Takes.CORRECTIONS:
-            self._line.correct(handed_on)
+    def _hand_on(self, correction: RobotCorrection) -> None:
+        if self._traits.takes is Takes.CORRECTIONS:
+            self._line.correct(correction)
 
 
 def protocol_setup(site: Site, robot: str, clock: Clock) -> Setup:
@@ -163,14 +142,3 @@ def port_url(site: Site, robot: str) -> str:
     port = site.robot(robot).port
     assert port is not None  # held by the site file's own check, but for robots on the bus
     return str(site.path(port)) if is_device(port) and "/" in port else port
-
-
-def measured_offset(clock: Clock) -> Offset:
-    """Unix time minus the monotonic clock, from the tightest of a few pairs of readings."""
-    best_ns, offset_ns = None, 0
-    for _ in range(5):
-        before_ns, now_ns, after_ns = clock.elapsed_ns(), clock.now_ns(), clock.elapsed_ns()
-        if best_ns is None or after_ns - before_ns < best_ns:
-            best_ns = after_ns - before_ns
-            offset_ns = now_ns - (before_ns + after_ns) // 2
-    return Offset(offset_ns)

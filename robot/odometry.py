@@ -36,6 +36,11 @@ class OdometryStream:
         """What was published last."""
         return self._last
 
+    @property
+    def odom_from_counted(self) -> Pose:
+        """Where the robot's own odometry frame lies in the one on the bus."""
+        return self._odom_from_counted
+
     def restart(self) -> None:
         """The firmware was restarted: what it counts now begins where the robot was last."""
         self._is_restarted = self._last is not None

@@ -9,25 +9,23 @@ from .bridge import Location
 
 
 class Places:
-    """One robot's. `odom_frame`: the name that its odometry frame has; `has_base`: whether the
-    transform from there to the base is ours to publish, or the robot's."""
+    """One robot's."""
 
-    def __init__(
-        self, bus: Bus, site: str, robot: str, *, odom_frame: str = "", has_base: bool = True
-    ) -> None:
+    def __init__(self, bus: Bus, site: str, robot: str) -> None:
         self._pose = bus.publisher(CORRECTED, CORRECTED.key(site, robot))
         self._tf = bus.publisher(ROBOT_TF, ROBOT_TF.key(site, robot))
-        self._base = f"{robot}/base"
-        self.odom_frame, self._has_base = odom_frame or f"{robot}/odom", has_base
+        self._odom, self._base = f"{robot}/odom", f"{robot}/base"
 
-    def publish(self, location: Location) -> None:
-        """Send both. Any thread, one at a time."""
+    def publish(self, location: Location, *, own_odom: str = "") -> None:
+        """Send both. `own_odom`: the name that the robot itself gives its odometry frame, where it
+        publishes the transform from there to its base too. Any thread, one at a time."""
         at, pose = location.at, location.map_from_base
-        estimate = PoseEstimate(at.stamp_ns, "map", pose, location.covariance)
-        self._pose.put(encode(estimate))
-        frame = self.odom_frame
-        map_from_odom = pose @ at.odom_from_base.inverse()
-        transforms = [Transform(at.stamp_ns, "map", frame, map_from_odom)]
-        if self._has_base:
-            transforms.append(Transform(at.stamp_ns, frame, self._base, at.odom_from_base))
+        self._pose.put(encode(PoseEstimate(at.stamp_ns, "map", pose, location.covariance)))
+        if own_odom:
+            transforms = [Transform(at.stamp_ns, "map", own_odom, location.map_from_counted)]
+        else:
+            transforms = [
+                Transform(at.stamp_ns, "map", self._odom, location.map_from_odom),
+                Transform(at.stamp_ns, self._odom, self._base, at.odom_from_base),
+            ]
         self._tf.put(encode(Transforms(tuple(transforms))))

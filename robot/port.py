@@ -1,10 +1,16 @@
-"""A serial port: the one place that knows pyserial. Opens any URL that pyserial opens."""
+"""A serial port: the one place that knows pyserial. Opens any URL that pyserial opens.
+
+A port is locked while it is open. `PortOpener` finds a device again that came back under another
+name, by what its USB descriptor says of it.
+"""
 
 import errno
+import os
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import serial
 from serial.tools import list_ports
@@ -14,6 +20,7 @@ from trigpoint.errors import PortError
 READ_TIMEOUT_S = 0.1
 WRITE_TIMEOUT_S = 0.5
 _CHUNK = 4096
+BY_ID = Path("/dev/serial/by-id")
 
 
 class PortTimeoutError(PortError):
@@ -28,6 +35,7 @@ class Port:
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
+        self._trouble: PortError | None = None
         try:
             self._serial = serial.serial_for_url(
                 url,
@@ -38,6 +46,15 @@ class Port:
             )
         except (serial.SerialException, ValueError, OSError) as reason:
             raise PortError(_why_not_open(url, reason)) from None
+        self._hurry()
+
+    def _hurry(self) -> None:
+        """Have the driver hand bytes on at once: FTDI's collects them for 16 ms. Few others know
+        the setting."""
+        hurry = getattr(self._serial, "set_low_latency_mode", None)
+        if hurry is not None:
+            with suppress(ValueError, OSError):
+                hurry(True)
 
     def __enter__(self) -> Self:
         return self
@@ -53,6 +70,9 @@ class Port:
     def read(self) -> tuple[bytes, int]:
         """What has come, and the monotonic clock (ns) when its first byte was there; returns
         nothing after `READ_TIMEOUT_S`."""
+        if self._trouble is not None:
+            raise self._trouble
+        first, received_ns = b"", 0
         try:
             first = self._serial.read(1)
             received_ns = time.monotonic_ns()
@@ -62,7 +82,12 @@ class Port:
             return first + (self._serial.read(waiting) if waiting else b""), received_ns
         except (serial.SerialException, OSError, TypeError) as reason:
             # TypeError: pyserial's read on a port that another thread has just closed.
-            raise PortError(f"Port {self.url} was lost; is it plugged in?") from reason
+            trouble = PortError(f"Port {self.url} was lost; is it plugged in?")
+            trouble.__cause__ = reason
+            if not first:
+                raise trouble from reason
+            self._trouble = trouble  # what came before the loss is not lost with it
+            return first, received_ns
 
     def write(self, data: bytes) -> None:
         """Hand all bytes to the system; raise PortTimeoutError where it does not take them."""
@@ -86,9 +111,53 @@ def is_device(url: str) -> bool:
     return "://" not in url
 
 
+class PortOpener:
+    """Opens one robot's port, again and again, also where the system named it anew."""
+
+    def __init__(self, url: str, baud: int) -> None:
+        self._url, self._baud = url, baud
+        self._identity: tuple[object, ...] | None = None
+
+    def open(self) -> Port:
+        """Raise PortError in one line where it cannot be opened."""
+        url = self._url
+        if is_device(url):
+            if self._identity is not None and not Path(url).exists():
+                url = self._other_name() or url
+            self._identity = identity(url) or self._identity
+        return Port(url, self._baud)
+
+    def _other_name(self) -> str | None:
+        ports = list_ports.comports()
+        return next((port.device for port in ports if _descriptor(port) == self._identity), None)
+
+
+def _descriptor(port: Any) -> tuple[object, ...] | None:
+    """What tells one USB device from every other; None where nothing does."""
+    found = (port.vid, port.pid, port.serial_number)
+    return found if all(found) else None
+
+
+def identity(url: str) -> tuple[object, ...] | None:
+    """Of the device behind a path, also through a link; None where it has none."""
+    real = os.path.realpath(url)
+    ports = list_ports.comports()
+    return next((_descriptor(port) for port in ports if port.device == real), None)
+
+
+def lasting_name(url: str) -> str:
+    """The name under /dev/serial/by-id that a device has whatever else is plugged in, or ""."""
+    real = os.path.realpath(url)
+    if not is_device(url) or not BY_ID.is_dir():
+        return ""
+    links = (link for link in sorted(BY_ID.iterdir()) if os.path.realpath(link) == real)
+    return str(next(links, ""))
+
+
 def present_ports() -> list[str]:
-    """The serial ports of this machine that are some device's."""
-    return sorted(port.device for port in list_ports.comports())
+    """The serial ports of this machine that are some device's, by their lasting names."""
+    devices = sorted(port.device for port in list_ports.comports())
+    return [lasting_name(device) or device for device in devices]
 
 
 def _why_not_open(url: str, reason: Exception) -> str:

@@ -21,6 +21,7 @@ from .machine_checks import (
     check_extra,
     check_loopback,
     check_python,
+    check_ros2,
     check_site_bus,
     missing_packages,
 )
@@ -79,6 +80,7 @@ def examine(site: Site | None) -> list[Check]:
         findings += [_check_target(site, robot) for robot in site.robots]
         findings += [finding for name in site.cameras for finding in _check_camera(site, name)]
         findings += [finding for name in site.robots for finding in _check_port(site, name)]
+        findings += check_ros2(site)
     return findings
 
 

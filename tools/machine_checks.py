@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from trigpoint.bus import Bus
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.checks import Check, Level
-from trigpoint.config import BusConfig, Site
+from trigpoint.config import ROS2_PROTOCOL, BusConfig, Site
 from trigpoint.errors import BusError
 from trigpoint.topics import ODOMETRY
 
@@ -122,6 +122,24 @@ def _passes(one: Bus, other: Bus, *, timeout_s: float = 5.0) -> bool:
     subscription = other.subscribe(ODOMETRY, key)
     one.publisher(ODOMETRY, key).put(b"")
     return subscription.take(timeout_s) is not None
+
+
+def check_ros2(site: Site) -> list[Check]:
+    """Whether a bridge to ROS 2 can reach the site, where one of its robots needs one."""
+    robots = [name for name, robot in site.robots.items() if robot.protocol_name == ROS2_PROTOCOL]
+    if not robots:
+        return []
+    name = f"robots on the bus ({', '.join(robots)})"
+    if site.bus.listen or site.bus.connect:
+        where = (*site.bus.connect, *site.bus.listen)[0]
+        text = f"a ROS 2 bridge reaches the site: zenoh-bridge-ros2dds client -e {where}"
+        return [Check(name, "ok", text)]
+    text = "the site listens nowhere, so nothing passes from or to a ROS 2 bridge, silently"
+    remedy = (
+        'write listen = ["tcp/127.0.0.1:7447"] under [bus] and start zenoh-bridge-ros2dds as '
+        "`client -e tcp/127.0.0.1:7447`, not in its default mode `router` (docs/ros2.md)"
+    )
+    return [Check(name, "warning", text, remedy)]
 
 
 def check_site_bus(site: Site, *, patience_s: float = 3.0) -> Check:

@@ -30,6 +30,7 @@ from trigpoint.node import Node
 from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.recorder.node import Recorder
 from trigpoint.recorder.sink_mcap import McapSink
+from trigpoint.robot.corrections import Corrections
 from trigpoint.robot.node import RobotNode
 from trigpoint.robot.port import Port
 from trigpoint.watchdog import SOCKET, Watchdog
@@ -150,7 +151,7 @@ def test_port_that_hangs_silences_the_robots_watchdog(
 def test_correction_that_hangs_silences_the_robots_watchdog(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(RobotNode, "_correct", desk.brake.before(RobotNode._correct))
+    monkeypatch.setattr(Corrections, "take", desk.brake.before(Corrections.take))
     desk.start_robot()
     desk.brake.pull()
     key = topics.CORRECTION.key("lab", "r1")

@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ from trigpoint.tools.simulation.world import load_world
 from trigpoint.tools.simulation.world_file import TargetChoice
 
 _WORLD = "lab"
+RobotProtocol = Literal["trigpoint", "create2", "mavlink", "ros_arduino_bridge"]
 _SHORTEST_S = 10.0
 _REVIEW_S = 60.0
 
@@ -38,6 +39,9 @@ def main(
         typer.Option(help="Length of the session; the whole drive if not given.", min=_SHORTEST_S),
     ] = None,
     target: Annotated[TargetChoice, typer.Option(help="What the robot carries.")] = "charuco",
+    protocol: Annotated[
+        RobotProtocol, typer.Option(help="What the simulated robot speaks.")
+    ] = "trigpoint",
     no_viewer: Annotated[
         bool, typer.Option("--no-viewer", help="Open no window, also where there is a display.")
     ] = False,
@@ -57,12 +61,12 @@ def main(
     has_viewer = has_display() and not no_viewer
     typer.echo(
         f"Trigpoint demo: {len(world.cameras)} cameras, target {target}, seed {seed}, "
-        f"{length_s:.0f} s, into {out}"
+        f"{length_s:.0f} s, a robot that speaks {protocol}, into {out}"
     )
     if not has_viewer:
         typer.echo(f"  to watch it: trigpoint view --site {folder.site}")
     try:
-        Run(world, folder, length_s, progress, has_viewer).carry_out()
+        Run(world, folder, length_s, progress, has_viewer, protocol).carry_out()
     except KeyboardInterrupt:
         typer.echo(f"stopped; what there is lies in {out}", err=True)
         raise

@@ -115,7 +115,7 @@ def _robot(
         truth=_tum(folder.path / truth.robots[name], record.epoch_ns).until(end_s),
         odometry=odometry,
         live=tracks.live(name),
-        believed=_believed(folder.journal(name), record.epoch_ns).until(end_s),
+        believed=_known(folder, record, tracks, name).until(end_s),
         smoothed=_tum(folder.path / f"{name}.tum", record.epoch_ns),
         corrections=tracks.corrections(name),
         suggestion=tracks.suggestion(name),
@@ -130,6 +130,12 @@ def _tum(path: Path, epoch_ns: int) -> Track:
     return Track.of((stamps_ns - epoch_ns) / NANOSECONDS, poses)
 
 
+def _known(folder: DemoFolder, record: DemoRecord, tracks: Tracks, name: str) -> Track:
+    """Where the robot knows that it is; or its bridge, where it cannot be told."""
+    believed = _believed(folder.journal(name), record.epoch_ns)
+    return believed if len(believed.t_s) else tracks.corrected(name)
+
+
 def _believed(path: Path, epoch_ns: int) -> Track:
     """What the robot itself believed from its first correction on, by its firmware's journal."""
     stamps_ns, poses = [], []
@@ -139,7 +145,7 @@ def _believed(path: Path, epoch_ns: int) -> Track:
             stamps_ns.append(note["stamp_ns"])
             poses.append(PoseRecord(**note["map_from_base"]).pose)
     times_s = np.array([(stamp - epoch_ns) / NANOSECONDS for stamp in stamps_ns])
-    return Track.of(times_s, Pose.stack(poses))
+    return Track.of(times_s, Pose.stack(poses) if poses else Pose.planar(*np.zeros((3, 0))))
 
 
 def _joint_covariance(path: Path) -> Array:

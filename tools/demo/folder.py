@@ -31,6 +31,7 @@ class DemoRecord(Struct, frozen=True):
     target: str
     seconds: float
     epoch_ns: int
+    protocol: str = "trigpoint"
     processes: dict[str, int] = {}
     restarts: dict[str, int] = {}
     counts: dict[str, dict[str, int]] = {}
@@ -128,6 +129,7 @@ class DemoFolder:
                 bus=BusConfig(connect=(locator,)),
                 recordings=".",
                 pictures=True,
+                protocol=record.protocol,
             )
             write_truth(world, self.path, epoch_ns=record.epoch_ns)
         self.write(record)

@@ -72,6 +72,7 @@ def _firmware(robot: str, out: Path, record: DemoRecord) -> PartSpec:
         "--robot": robot,
         "--link": str(folder.port(robot)),
         "--log": str(folder.journal(robot)),
+        "--protocol": record.protocol,
     }
     words = [word for pair in options.items() for word in pair]
     return PartSpec(f"firmware {robot}", (*_PYTHON, _FIRMWARE_MODULE, *words), FIRMWARE)

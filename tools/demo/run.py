@@ -45,6 +45,7 @@ class Run:
     seconds: float
     progress: Progress
     has_viewer: bool = False
+    protocol: str = "trigpoint"
 
     def carry_out(self) -> DemoRecord:
         """Run it to its end; raise OperationError where a part does not stay alive.
@@ -93,6 +94,7 @@ class Run:
             target=world.target_choice or "charuco",
             seconds=self.seconds,
             epoch_ns=time.time_ns() + to_ns(lead_s),
+            protocol=self.protocol,
         )
 
     def _keep(self, record: DemoRecord, supervisor: Supervisor, watch: Watch) -> DemoRecord:

@@ -15,6 +15,7 @@ from trigpoint.messages import Odometry, PoseEstimate, PoseStamped
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.topics import (
     CAMERA_POSE,
+    CORRECTED,
     CORRECTION,
     ODOMETRY,
     ROBOT_POSE,
@@ -25,7 +26,7 @@ from trigpoint.topics import (
 
 from .results import Series, Track
 
-_TOPICS = (ODOMETRY, ROBOT_POSE, CAMERA_POSE, CORRECTION, SUGGESTION)
+_TOPICS = (ODOMETRY, ROBOT_POSE, CAMERA_POSE, CORRECTION, CORRECTED, SUGGESTION)
 
 
 class Tracks:
@@ -46,6 +47,10 @@ class Tracks:
     def live(self, robot: str) -> Track:
         """Where fusion said the robot was, at once."""
         return self._track(ROBOT_POSE, robot)
+
+    def corrected(self, robot: str) -> Track:
+        """Where its bridge said the robot was, for robots that take no corrections."""
+        return self._track(CORRECTED, robot)
 
     def corrections(self, robot: str) -> int:
         """How many corrections the robot was sent."""

@@ -15,25 +15,32 @@ import signal
 import time
 import tty
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TextIO
 
-import numpy as np
 import typer
 
 from trigpoint.clock import NANOSECONDS, to_ns
+from trigpoint.errors import ConfigError
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, log
 from trigpoint.network import PoseRecord
 from trigpoint.robot.firmware.endpoint import Applied, FirmwareEndpoint
 
-from .odometry import OdometryLog
+from .readings import Readings
+from .speakers import (
+    PROGRAM,
+    ArduinoSpeaker,
+    Create2Speaker,
+    FirmwareClock,
+    MavlinkSpeaker,
+    Speaker,
+    TrigpointSpeaker,
+)
 from .world import load_world
 
-PROGRAM = "trigpoint simulated firmware"
 _READ = 4096
 _LONGEST_WAIT_S = 0.2
+_NOTE_EVERY_S = 1.0
 
 
 class PseudoTerminal:
@@ -78,51 +85,6 @@ class PseudoTerminal:
         os.close(self._bridges)
 
 
-@dataclass(frozen=True, slots=True)
-class FirmwareClock:
-    """The firmware's own clock: 0 at `start_ns` (Unix time), fast by `drift_ppm`."""
-
-    start_ns: int
-    drift_ppm: float
-
-    def at(self, unix_ns: int) -> int:
-        """What it reads at a Unix time."""
-        elapsed_ns = unix_ns - self.start_ns
-        return elapsed_ns + round(elapsed_ns * self.drift_ppm * 1e-6)
-
-
-@dataclass(frozen=True, slots=True)
-class Readings:
-    """A robot's odometry; after the world's end the robot stands still and goes on sending."""
-
-    log: OdometryLog
-    epoch_ns: int
-
-    @property
-    def period_s(self) -> float:
-        return float(self.log.stamps_s[1] - self.log.stamps_s[0])
-
-    def first_after(self, unix_ns: int) -> int:
-        """The number of the first reading at or after a time."""
-        elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
-        return max(0, int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s)))
-
-    def unix_ns(self, number: int) -> int:
-        """When a reading is taken."""
-        return self.epoch_ns + to_ns(float(self.log.stamps_s[0]) + number * self.period_s)
-
-    def pose(self, number: int) -> Pose:
-        """odom_from_base."""
-        return self.log.poses[min(number, len(self.log.stamps_s) - 1)]
-
-    def twist(self, number: int) -> tuple[Array, Array]:
-        """Linear and angular speed over the last increment, base frame."""
-        if not 0 < number < len(self.log.stamps_s):
-            return np.zeros(3), np.zeros(3)
-        step = self.pose(number - 1).inverse() @ self.pose(number)
-        return step.translation / self.period_s, log(step.rotation) / self.period_s
-
-
 class Journal:
     """What the robot believes, one JSON object a line: every correction that it took over, and its
     own pose once a second and at the end. Stamps are Unix time."""
@@ -164,64 +126,64 @@ def _record(pose: Pose) -> dict[str, tuple[float, ...]]:
 
 
 class SimulatedFirmware:
-    """One running firmware. `zero`: the counters restart, so odometry starts at the origin."""
+    """One running robot."""
 
     def __init__(
-        self,
-        line: PseudoTerminal,
-        endpoint: FirmwareEndpoint,
-        readings: Readings,
-        clock: FirmwareClock,
-        journal: Journal,
-        *,
-        zero: bool,
+        self, line: PseudoTerminal, speaker: Speaker, readings: Readings, journal: Journal
     ) -> None:
-        self._line, self._endpoint, self._readings = line, endpoint, readings
-        self._clock, self._journal = clock, journal
-        self._next = readings.first_after(clock.start_ns)
-        start = readings.pose(self._next)
-        self._counted_from_odom = start.inverse() if zero else Pose.identity()
+        self._line, self._speaker, self._readings = line, speaker, readings
+        self._journal = journal
+        self._noted_ns = 0
         self.is_stopping = False
 
     def run(self) -> None:
         """Send and answer until `is_stopping`."""
-        self._line.write(self._endpoint.hello())
+        self._line.write(self._speaker.begin())
         while not self.is_stopping:
             self._wait()
-            now_ns = time.time_ns()
             if data := self._line.read():
-                answer = self._endpoint.receive(data, self._clock.at(time.time_ns()))
-                self._line.write(answer)
-                self._note_corrections()
-            while self._readings.unix_ns(self._next) <= now_ns:
-                self._send(self._next)
-                self._next += 1
-            self._line.write(self._endpoint.heartbeat(self._clock.at(now_ns)))
-        self._note_belief(self._next - 1)
+                self._line.write(self._speaker.receive(data, time.time_ns()))
+                for applied, stamp_ns in self._speaker.applied():
+                    self._journal.correction(applied, stamp_ns)
+            now_ns = time.time_ns()
+            self._line.write(self._speaker.speak(now_ns))
+            if now_ns >= self._noted_ns + to_ns(_NOTE_EVERY_S):
+                self._note_belief(now_ns)
+        self._note_belief(time.time_ns())
 
     def _wait(self) -> None:
-        left_s = (self._readings.unix_ns(self._next) - time.time_ns()) / NANOSECONDS
+        left_s = (self._speaker.due_ns() - time.time_ns()) / NANOSECONDS
         timeout_s = min(max(left_s, 0.0), _LONGEST_WAIT_S)
         select.select([self._line], [], [], timeout_s)
 
-    def _send(self, number: int) -> None:
+    def _note_belief(self, now_ns: int) -> None:
+        """Where the robot believes it was at its newest reading."""
+        self._noted_ns = now_ns
+        number = self._readings.number(now_ns)
         stamp_ns = self._readings.unix_ns(number)
-        pose = self._counted_from_odom @ self._readings.pose(number)
-        twist = self._readings.twist(number)
-        self._line.write(self._endpoint.odometry(self._clock.at(stamp_ns), pose, *twist))
-        if number % max(1, round(1 / self._readings.period_s)) == 0:
-            self._note_belief(number)
+        pose = self._readings.pose(number)
+        self._journal.belief(stamp_ns, pose, self._speaker.believed(now_ns))
 
-    def _note_corrections(self) -> None:
-        for applied in self._endpoint.applied:
-            elapsed_ns = round(applied.stamp_ns / (1 + self._clock.drift_ppm * 1e-6))
-            self._journal.correction(applied, self._clock.start_ns + elapsed_ns)
-        self._endpoint.applied.clear()
 
-    def _note_belief(self, number: int) -> None:
-        pose = self._counted_from_odom @ self._readings.pose(max(number, 0))
-        stamp_ns = self._readings.unix_ns(number)
-        self._journal.belief(stamp_ns, pose, self._endpoint.map_from_base)
+def make_speaker(
+    protocol: str, robot: str, readings: Readings, clock: FirmwareClock, *, zero: bool, version: int
+) -> Speaker:
+    """The robot's end of the line for a protocol; raise ConfigError that lists what there is."""
+    match protocol:
+        case "trigpoint":
+            boot = int.from_bytes(os.urandom(4))
+            endpoint = FirmwareEndpoint(name=robot, program=PROGRAM, boot=boot, version=version)
+            return TrigpointSpeaker(endpoint, readings, clock, zero=zero)
+        case "create2":
+            return Create2Speaker(readings, clock.start_ns)
+        case "mavlink":
+            return MavlinkSpeaker(readings, clock)
+        case "ros_arduino_bridge":
+            return ArduinoSpeaker(readings, clock.start_ns)
+    raise ConfigError(
+        f"there is no simulated robot that speaks «{protocol}»; choose of "
+        "trigpoint, create2, mavlink, ros_arduino_bridge"
+    )
 
 
 def main(
@@ -238,23 +200,17 @@ def main(
     counters_restart: Annotated[
         bool, typer.Option(help="Count the odometry from zero at this start.")
     ] = False,
+    protocol: Annotated[str, typer.Option(help="What it speaks.")] = "trigpoint",
     version: Annotated[int, typer.Option(help="Protocol version to claim, for tests.")] = 1,
 ) -> None:
     """The firmware of a simulated robot on a pseudo-terminal, until it is told to stop."""
     readings = Readings(load_world(world, seed=seed, target=target).odometry(robot), epoch_ns)
-    boot = int.from_bytes(os.urandom(4))
-    endpoint = FirmwareEndpoint(name=robot, program=PROGRAM, boot=boot, version=version)
+    clock = FirmwareClock(time.time_ns(), drift_ppm)
+    speaker = make_speaker(protocol, robot, readings, clock, zero=counters_restart, version=version)
     with ExitStack() as files:
         line = PseudoTerminal(link)
         files.callback(line.close)
-        firmware = SimulatedFirmware(
-            line,
-            endpoint,
-            readings,
-            FirmwareClock(time.time_ns(), drift_ppm),
-            Journal(journal, files),
-            zero=counters_restart,
-        )
+        firmware = SimulatedFirmware(line, speaker, readings, Journal(journal, files))
 
         def stop(_number: int, _frame: object) -> None:
             firmware.is_stopping = True

@@ -14,6 +14,7 @@ from trigpoint.config import BusConfig, OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.network import encode_tum
 
+from .speakers import WHEELS
 from .targets import target_text
 from .world import World
 
@@ -37,6 +38,7 @@ def write_site(
     bus: BusConfig | None = None,
     recordings: str = "sessions",
     pictures: bool = False,
+    protocol: str = "trigpoint",
 ) -> Path:
     """Write site.toml with its target files and every camera's intrinsics; return its path.
 
@@ -57,7 +59,10 @@ def write_site(
         lines += _table(f"cameras.{name}", {"source": source, **size, **lens})
     for name, robot in world.robots.items():
         port = (ports or {}).get(name, "loop://")
-        lines += _table(f"robots.{name}", {"port": port, "target": targets[name]})
+        spoken = {"protocol": protocol} if protocol != "trigpoint" else {}
+        lines += _table(f"robots.{name}", {"port": port, **spoken, "target": targets[name]})
+        if protocol in WHEELS:
+            lines += _table(f"robots.{name}.wheels", msgspec.structs.asdict(WHEELS[protocol]))
         lines += _table(f"robots.{name}.odometry", _changed(robot.noise))
     lines += _table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"

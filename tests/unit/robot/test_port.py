@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from trigpoint.errors import PortError
-from trigpoint.robot.port import Port, PortTimeoutError, is_device
+from trigpoint.robot import port as port_module
+from trigpoint.robot.port import Port, PortOpener, PortTimeoutError, is_device, lasting_name
 
 
 class Pty:
@@ -106,3 +107,65 @@ def test_unplugged_port_is_lost(pty: Pty) -> None:
 def test_port_that_takes_no_bytes_loses_them_and_says_so(pty: Pty) -> None:
     with Port(pty.path, 115200) as port, pytest.raises(PortTimeoutError, match="takes no bytes"):
         port.write(b"x" * 400_000)
+
+
+class Device:
+    """What pyserial says of a USB adapter."""
+
+    vid, pid, serial_number = 0x0403, 0x6015, "DN01"
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+
+
+def test_adapter_that_comes_back_under_another_name_is_found(
+    pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = tmp_path / "ttyUSB0"
+    first.symlink_to(pty.path)
+    plugged = [Device(pty.path)]
+    monkeypatch.setattr(port_module.list_ports, "comports", lambda: plugged)
+    opener = PortOpener(str(first), 115200)
+    opener.open().close()
+    first.unlink()
+    plugged.clear()
+    with pytest.raises(PortError, match="does not exist"):
+        opener.open()
+    plugged.append(Device(pty.path))
+    with opener.open() as port:
+        assert port.url == pty.path
+
+
+def test_another_adapter_is_not_taken_for_the_one_that_is_gone(
+    pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = tmp_path / "ttyUSB0"
+    first.symlink_to(pty.path)
+    plugged = [Device(pty.path)]
+    monkeypatch.setattr(port_module.list_ports, "comports", lambda: plugged)
+    opener = PortOpener(str(first), 115200)
+    opener.open().close()
+    first.unlink()
+    plugged[0].serial_number = "DN02"
+    with pytest.raises(PortError, match="does not exist"):
+        opener.open()
+
+
+def test_name_that_stays_is_suggested(
+    pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "usb-FTDI_DN01").symlink_to(pty.path)
+    monkeypatch.setattr(port_module, "BY_ID", tmp_path)
+    assert lasting_name(pty.path) == str(tmp_path / "usb-FTDI_DN01")
+    assert lasting_name("loop://") == ""
+
+
+def test_bytes_that_came_before_the_port_was_lost_are_not_lost_with_it(pty: Pty) -> None:
+    with Port(pty.path, 115200) as port:
+        os.write(pty.ours, b"last")
+        read = port._serial.read
+        monkey = iter([read, lambda _n: (_ for _ in ()).throw(OSError(5, "gone"))])
+        port._serial.read = lambda n: next(monkey)(n)  # type: ignore[method-assign]
+        assert port.read()[0] == b"l"
+        with pytest.raises(PortError, match="was lost"):
+            port.read()

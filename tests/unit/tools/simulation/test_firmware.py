@@ -7,8 +7,10 @@ import numpy as np
 
 from trigpoint.clock import to_ns
 from trigpoint.geometry import Pose
-from trigpoint.tools.simulation.firmware import FirmwareClock, PseudoTerminal, Readings
+from trigpoint.tools.simulation.firmware import PseudoTerminal
 from trigpoint.tools.simulation.odometry import OdometryLog
+from trigpoint.tools.simulation.readings import Readings
+from trigpoint.tools.simulation.speakers import FirmwareClock
 
 EPOCH_NS = to_ns(1_700_000_000.0)
 

@@ -1,0 +1,68 @@
+"""Takes one robot's corrections off the bus, for every kind of robot."""
+
+from collections.abc import Callable
+
+from trigpoint.authenticator import correction_verifier
+from trigpoint.bus import Bus, Sample, Subscription
+from trigpoint.cdr import decode
+from trigpoint.clock import Clock
+from trigpoint.config import Site
+from trigpoint.correction import MissedCorrections, decode_mark
+from trigpoint.errors import MessageError
+from trigpoint.health import Health
+from trigpoint.messages import PoseEstimate
+from trigpoint.node import Node
+from trigpoint.topics import CORRECTION
+from trigpoint.watchdog import Pulse
+
+from .bridge import Bridge
+from .protocol import RobotCorrection
+
+_TAKE_S = 0.2
+
+
+class Corrections:
+    """`hand_on` gets what the bridge approved of. `subscribe` before anything else is started."""
+
+    def __init__(
+        self,
+        site: Site,
+        bridge: Bridge,
+        health: Health,
+        clock: Clock,
+        hand_on: Callable[[RobotCorrection], None],
+    ) -> None:
+        self._verifier = correction_verifier(site, clock)
+        self._missed = MissedCorrections()
+        self._bridge, self._health, self._clock = bridge, health, clock
+        self._hand_on = hand_on
+
+    def run(self, corrections: Subscription, node: Node, pulse: Pulse) -> None:
+        """Until the node stops."""
+        while not node.stopping.is_set():
+            pulse.beat()
+            sample = corrections.take(_TAKE_S)
+            if sample is not None:
+                self.take(sample)
+
+    def take(self, sample: Sample) -> None:
+        """Judge one sample."""
+        self._health.count(f"received {sample.key}")
+        try:
+            mark = decode_mark(self._verifier.verify(sample.key, sample.payload, sample.attachment))
+            correction = decode(CORRECTION.type_name, sample.payload)
+        except MessageError as reason:
+            self._health.reject(sample, reason)
+            return
+        if missing := self._missed.before(mark, sample.sender):
+            self._health.lose("corrections", missing)
+        assert isinstance(correction, PoseEstimate)  # held by the topic's type
+        now_ns = self._clock.elapsed_ns()
+        handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)
+        if handed_on is not None:
+            self._hand_on(handed_on)
+
+
+def subscribed(bus: Bus, site: Site, robot: str) -> Subscription:
+    """To one robot's corrections."""
+    return bus.subscribe(CORRECTION, CORRECTION.key(site.name, robot))

@@ -1,0 +1,125 @@
+"""A robot that speaks ROS 2: no port; its odometry comes on the bus (docs/ros2.md).
+
+Through zenoh-bridge-ros2dds a topic's key is its name without the first slash; through rmw_zenoh it
+is `<domain>/<topic>/<type>/<hash>`. Either way the payload is the message's CDR, and no encoding
+says so: the key fixes the type, decoding checks it. Corrections are judged as for every robot; its
+place goes out as a pose and as the transform from the map to the robot's own odometry frame.
+"""
+
+import logging
+from collections.abc import Callable
+
+from trigpoint.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.cdr import decode, encode, warm_up
+from trigpoint.clock import Clock, SystemClock
+from trigpoint.config import Site
+from trigpoint.errors import MessageError
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry
+from trigpoint.node import Node
+from trigpoint.topics import ODOMETRY, Delivery, Topic
+from trigpoint.watchdog import Pulse
+
+from .bridge import Bridge
+from .corrections import Corrections, subscribed
+from .offset import measured_offset
+from .places import Places
+from .protocol import Connected, Reading, RobotCorrection, StampClock, Takes, Traits
+from .relocation import MapQuestion
+
+_log = logging.getLogger(__name__)
+
+TRAITS = Traits(
+    Takes.NOTHING,
+    StampClock.UNIX,
+    ("a ROS 2 robot is told where it is by tf (map to its odometry frame) and a pose: remap both",),
+)
+_TAKE_S = 0.2
+# As many as half a minute of a fast robot; a plain subscription, for ROS publishers keep no past.
+_FOREIGN = Topic("ros_odom", "{id}", ODOMETRY.type_name, Delivery.RELIABLE, queue=4096)
+_RMW_TYPE = "nav_msgs::msg::dds_::Odometry_"
+
+
+def foreign_keys(topic: str) -> tuple[str, str]:
+    """The key expressions of a ROS topic: by zenoh-bridge-ros2dds, by rmw_zenoh."""
+    key = topic.strip("/")
+    return key, f"*/{key}/{_RMW_TYPE}/*"
+
+
+class RosRobotNode:
+    """Runs inside `node`'s life, as `RobotNode` does for robots at a port."""
+
+    def __init__(
+        self, bus: Bus, node: Node, site: Site, robot: str, *, clock: Clock | None = None
+    ) -> None:
+        self._bus, self._node, self._site, self._robot = bus, node, site, robot
+        self._clock = clock or SystemClock()
+        config = site.robot(robot)
+        self._planar = config.planar
+        self._key = ODOMETRY.key(site.name, robot)
+        self._expressions = foreign_keys(config.topic or self._key)
+        offset = measured_offset(self._clock)
+        self._bridge = Bridge(robot, config, node.health, offset, TRAITS)
+        self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
+        self._publisher: Publisher | None = None
+        self._places: Places | None = None
+
+    def start(self) -> None:
+        """Declare what the bridge sends and takes, and start its threads."""
+        warm_up()
+        node, name = self._node, self._site.name
+        self._publisher = self._bus.publisher(ODOMETRY, self._key)
+        self._places = Places(self._bus, name, self._robot)
+        corrections = subscribed(self._bus, self._site, self._robot)
+        for expression in self._expressions:
+            samples = self._bus.subscribe(_FOREIGN, expression)
+            node.health.watch(f"odometry {expression}", samples)
+            node.work(f"reads {expression}", self._reader(samples))
+        node.work("corrects", lambda pulse: self._corrections.run(corrections, node, pulse))
+        question = MapQuestion(self._bus, node, name, self._bridge, self._clock)
+        node.work("asks", question.run)
+        _log.info("%s waits for odometry on %s", node.label, " and ".join(self._expressions))
+
+    def _reader(self, samples: Subscription) -> Callable[[Pulse], None]:
+        def read(pulse: Pulse) -> None:
+            while not self._node.stopping.is_set():
+                pulse.beat()
+                sample = samples.take(_TAKE_S)
+                if sample is not None:
+                    self._read(sample)
+
+        return read
+
+    def _read(self, sample: Sample) -> None:
+        if sample.sender == self._bus.identity:
+            return  # what we brought ourselves
+        try:
+            message = decode(ODOMETRY.type_name, sample.payload)
+        except MessageError as reason:
+            self._node.health.reject(sample, reason)
+            return
+        assert isinstance(message, Odometry)  # held by the type
+        received_ns = self._clock.elapsed_ns()
+        pose = _level(message.pose) if self._planar else message.pose
+        if self._bridge.connected is None:
+            self._bridge.on_event(Connected(self._robot, f"ROS 2, {message.frame_id}", 0))
+        reading = Reading(message.stamp_ns, received_ns, pose, message.linear, message.angular)
+        odometry = self._bridge.on_event(reading)
+        if odometry is None:
+            return
+        # What came on our own key, all others have read there.
+        if self._publisher is not None and sample.key != self._key:
+            self._publisher.put(encode(odometry))
+            self._node.health.count(f"sent {self._key}")
+        location = self._bridge.locate()
+        if location is not None and self._places is not None:
+            self._places.publish(location, own_odom=message.frame_id or "odom")
+
+    def _hand_on(self, _correction: RobotCorrection) -> None:
+        """Nothing to send at once: the next odometry carries the pose on."""
+
+
+def _level(pose: Pose) -> Pose:
+    """x, y and heading of an odometry that its robot fused with an inertial sensor's tilt."""
+    x, y, _ = pose.translation
+    return Pose.planar(x, y, pose.heading)
