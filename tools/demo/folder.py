@@ -31,11 +31,11 @@ class DemoRecord(Struct, frozen=True):
     target: str
     seconds: float
     epoch_ns: int
-    protocol: str = "trigpoint"
     processes: dict[str, int] = {}
     restarts: dict[str, int] = {}
     counts: dict[str, dict[str, int]] = {}
     format: str = FORMAT
+    protocol: str = "trigpoint"
 
 
 @dataclass(frozen=True, slots=True)
