@@ -17,7 +17,7 @@ from .calibration_views import View
 
 STEPS = 60
 # Corners that lie farther off than so many times the usual residual pull no harder than at that.
-_HUBER = 3.0
+_HUBER = 5.0
 _MEDIAN_TO_SIGMA = 1.4826
 _LEAST_RESIDUAL_PX = 1e-4
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-12, 1e8
