@@ -24,6 +24,12 @@ DETECTORS: dict[Pattern, str] = {
 class TargetDetector(Protocol):
     """Finds faces. Keeps no state between pictures; one instance a thread."""
 
+    @property
+    def misdescribed(self) -> tuple[str, ...]:
+        """What was seen so far that the target file describes wrongly, each once, with what to
+        write."""
+        ...
+
     def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
         """The faces in a picture, (height, width) grey or (height, width, 3) BGR, uint8.
 
@@ -47,11 +53,20 @@ def finders_for(targets: Sequence[Target]) -> dict[Pattern, FaceFinder]:
     }
 
 
+def misdescribed(finders: dict[Pattern, FaceFinder]) -> tuple[str, ...]:
+    """What finders saw so far that the target file describes wrongly."""
+    return tuple(line for finder in finders.values() for line in finder.misdescribed)
+
+
 class _AllDetectors:
     """The finders of every pattern that a site has, one after the other."""
 
     def __init__(self, finders: dict[Pattern, FaceFinder]) -> None:
         self._finders = finders
+
+    @property
+    def misdescribed(self) -> tuple[str, ...]:
+        return misdescribed(self._finders)
 
     def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
         grey = as_grey(picture)

@@ -208,6 +208,12 @@ class EdgeNode:
         self._watch.saw(len(faces))
         self._node.health.lose("given_up", self._tracker.given_up - given_up)
         self._calibration.offer(faces, (width, height), frame.captured_ns)
+        self._name_misdescribed()
+
+    def _name_misdescribed(self) -> None:
+        """Say what was seen that the target file describes wrongly, for as long as it does."""
+        if lines := self._tracker.misdescribed:
+            self._node.health.hold("target file", "; ".join(lines))
 
     def _say(self, state: str) -> None:
         self._node.health.describe("source", state)

@@ -16,7 +16,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Target
 
-from .detector import finders_for
+from .detector import finders_for, misdescribed
 from .image.median import median
 from .image.picture import as_grey
 from .image.region import Region, regions_around
@@ -112,6 +112,12 @@ class TargetTracker:
         self._outlines: list[Array] = []
         self._shape: tuple[int, ...] = ()
         self.given_up = 0
+
+    @property
+    def misdescribed(self) -> tuple[str, ...]:
+        """What was seen so far that the target file describes wrongly, each once, with what to
+        write."""
+        return misdescribed(self._finders)
 
     def detect(self, picture: np.ndarray, stamp_ns: int) -> tuple[FaceSighting, ...]:
         """The faces in a picture, taken at `stamp_ns`; raises InputError as a detector does."""

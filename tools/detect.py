@@ -57,6 +57,7 @@ def main(
     if draw is not None:
         _make_folder(draw)
     first: Still | None = None
+    said = 0
     for still in stills(pictures, topic):
         first = first or still
         if sequence and still.picture.shape != first.picture.shape:
@@ -65,6 +66,9 @@ def main(
         faces = detector.detect(still.picture)
         milliseconds = (time.perf_counter() - began_s) * 1e3
         typer.echo((_json if json_lines else _text)(still, faces, milliseconds))
+        for line in detector.misdescribed[said:]:
+            typer.echo(f"{target}: {line}", err=True)
+        said = len(detector.misdescribed)
         if draw is not None:
             file = draw / f"{still.stem}.png"
             cv2.imwrite(str(file), draw_faces(still.picture, faces))

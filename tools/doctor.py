@@ -119,7 +119,16 @@ def _check_camera(site: Site, name: str) -> list[Check]:
         findings.append(_check_device(f"camera {name}", device, "video"))
     if scheme in _LIVE:
         findings.append(_shutter(name, site.camera(name)))
-    return findings
+    return findings + _check_boards(site, name)
+
+
+def _check_boards(site: Site, name: str) -> list[Check]:
+    """Boards in a camera's pictures that are not as the target files have them."""
+    if missing_packages("edge"):
+        return []
+    from .board_checks import check_boards
+
+    return check_boards(site, name)
 
 
 def _shutter(name: str, camera: CameraConfig) -> Check:

@@ -48,6 +48,8 @@ def main(
         raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
     check_all(pictures)
     searched = search(pictures, targets, topics=topic, jobs=jobs)
+    for line in searched.misdescribed:
+        typer.echo(line, err=True)
     found = calibrate(searched.views, searched.size)
     if json_text:
         typer.echo(json.dumps(calibration_record(found)))

@@ -30,11 +30,17 @@ _AHEAD = 2
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """`count` pictures of `size` (width, height), and the views in them, in order."""
+    """`count` pictures of `size` (width, height), and the views in them, in order; `misdescribed`:
+    what they show that the target file describes wrongly, with what to write."""
 
     count: int
     size: tuple[int, int]
     views: list[View]
+    misdescribed: tuple[str, ...]
+
+
+_Found = tuple[list[View], tuple[str, ...]]
+"""The views in a picture, and what was seen so far that the target file describes wrongly."""
 
 
 def search(
@@ -50,6 +56,7 @@ def search(
     Raises InputError for pictures of several sizes, OperationError where none shows the target.
     """
     count, size, views = 0, (0, 0), list[View]()
+    misdescribed: dict[str, None] = {}
     expected = _expected(pictures)
     wanted = jobs or min(os.cpu_count() or 1, max(1, expected // _PICTURES_A_JOB))
     with ExitStack() as stack:
@@ -61,7 +68,7 @@ def search(
                 hidden=not sys.stderr.isatty(),
             )
         )
-        for still, found in _found(stills(pictures, topics), targets, wanted, stack):
+        for still, (found, wrong) in _found(stills(pictures, topics), targets, wanted, stack):
             height, width = still.picture.shape
             if count and (width, height) != size:
                 raise InputError(
@@ -70,10 +77,11 @@ def search(
                 )
             count, size = count + 1, (width, height)
             views += found
+            misdescribed |= dict.fromkeys(wrong)
             bar.update(1)
     if not views:
-        raise OperationError(_nothing_found(count, targets))
-    return Searched(count, size, views)
+        raise OperationError("; ".join(misdescribed) or _nothing_found(count, targets))
+    return Searched(count, size, views, tuple(misdescribed))
 
 
 def _expected(pictures: Sequence[Path]) -> int:
@@ -96,7 +104,7 @@ def _nothing_found(count: int, targets: Sequence[Target]) -> str:
 
 def _found(
     pictures: Iterator[Still], targets: Sequence[Target], jobs: int, stack: ExitStack
-) -> Iterator[tuple[Still, list[View]]]:
+) -> Iterator[tuple[Still, _Found]]:
     """Every picture with its views, in order."""
     if jobs == 1:
         detector = _detector(targets)
@@ -107,7 +115,7 @@ def _found(
         ProcessPoolExecutor(jobs, get_context("spawn"), _set_up, (tuple(targets),))
     )
     stack.callback(pool.shutdown, wait=True, cancel_futures=True)
-    waiting: deque[tuple[Still, Future[list[View]]]] = deque()
+    waiting: deque[tuple[Still, Future[_Found]]] = deque()
     for still in pictures:
         waiting.append((still, pool.submit(_searched, still)))
         if len(waiting) > _AHEAD * jobs:
@@ -123,8 +131,9 @@ def _detector(targets: Sequence[Target]) -> TargetDetector:
     return detector_for(targets)
 
 
-def _views(detector: TargetDetector, still: Still, targets: Sequence[Target]) -> list[View]:
-    return views_of(still.stem, detector.detect(still.picture), targets)
+def _views(detector: TargetDetector, still: Still, targets: Sequence[Target]) -> _Found:
+    views = views_of(still.stem, detector.detect(still.picture), targets)
+    return views, detector.misdescribed
 
 
 _worker: tuple[TargetDetector, tuple[Target, ...]] | None = None
@@ -137,7 +146,7 @@ def _set_up(targets: tuple[Target, ...]) -> None:
     _worker = (_detector(targets), targets)
 
 
-def _searched(still: Still) -> list[View]:
+def _searched(still: Still) -> _Found:
     assert _worker is not None
     detector, targets = _worker
     return _views(detector, still, targets)

@@ -28,6 +28,7 @@ from trigpoint.target import Face
 from .evidence import weighed
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown
+from .misdescribed import other_colours, remedy, turned
 from .placement import LEAST_SHARE, Placement, placed
 from .saddles import Curvature, find_saddles
 
@@ -52,6 +53,7 @@ class CheckerboardDetector(FaceFinder):
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
         self._looks = tuple(looks)
+        self._unexpected = _unexpected(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
         self._least = min(LEAST_SHARE * width * height for width, height in extents)
@@ -89,6 +91,7 @@ class CheckerboardDetector(FaceFinder):
         so those must be there.
         """
         face = last.look.face
+        grey = _shown(grey, face)
         pattern = CornerPattern.of(face)
         if not is_in_view(grey, face, fit):
             return None
@@ -122,14 +125,17 @@ class CheckerboardDetector(FaceFinder):
         for _ in range(MOST_GRIDS):
             if not waiting or is_over():
                 break
-            board = self._board_of(waiting.popleft(), curvature, allowance)
+            grid = waiting.popleft()
+            board = self._board_of(grid, curvature, allowance)
             if board is None:
+                self._look_for_unexpected(grid, curvature, source, is_over)
                 continue
             if len(board.rest) >= self._least:
                 waiting.append(board.rest)
             sighting = _measured(board, source, is_over)
             if sighting and not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
+                self._unexpected[sighting.look] = None  # it is described as it is
         return found
 
     def _board_of(
@@ -146,8 +152,11 @@ class CheckerboardDetector(FaceFinder):
             board = self._placed(grown(grid, curvature, self._largest), curvature) or board
         return board
 
-    def _placed(self, grid: Grid, curvature: Curvature) -> Placement | None:
-        """The best of all looks' best places on a grid."""
+    def _placed(
+        self, grid: Grid, curvature: Curvature, looks: Sequence[Appearance] = ()
+    ) -> Placement | None:
+        """The best of these looks' best places on a grid, of all expected ones where none are
+        given."""
         if len(grid) < self._least:
             return None
         height, width = curvature.smooth.shape
@@ -157,8 +166,25 @@ class CheckerboardDetector(FaceFinder):
             places = grid.places.astype(float)
             return settled_fit(places, grid.pixels, (width, height), ENOUGH_PX)
 
-        boards = (placed(grid, look, (width, height), fit_of) for look in self._looks)
+        boards = (placed(grid, look, (width, height), fit_of) for look in looks or self._looks)
         return max((board for board in boards if board), key=lambda b: b.score, default=None)
+
+    def _look_for_unexpected(
+        self, grid: Grid, curvature: Curvature, source: "_Source", is_over: IsOver
+    ) -> None:
+        """Note where a grid is a board whose black and white squares are exchanged; each look is
+        noted once, and then not asked for any more."""
+        looks = [look for look in self._unexpected.values() if look]
+        if len(grid) < LEAST_SEED or not looks or is_over():
+            return
+        board = self._placed(cleaned(grid), curvature, looks)
+        if board is None or _measured(board, source, is_over) is None:
+            return
+        for described, other in self._unexpected.items():
+            if other is board.look:
+                self.misdescribed = (*self.misdescribed, remedy(described))
+                self._unexpected[described] = None
+                break
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +218,8 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     no board after all, or the time is over."""
     if is_over():
         return None
-    grey, face = source.grey, board.look.face
+    face = board.look.face
+    grey = _shown(source.grey, face)
     points, size = face.corners[board.ids, :2], (grey.shape[1], grey.shape[0])
     fit = settled_fit(points, source.pixels(board.pixels), size, ENOUGH_PX)
     found = measured(grey, CornerPattern.of(face), fit, is_over=is_over) if fit else None
@@ -200,6 +227,23 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
         return None
     is_there = weighed(grey, face, found.fit, found.corners).is_board
     return Located(board.look, found) if is_there else None
+
+
+def _shown(grey: np.ndarray, face: Face) -> np.ndarray:
+    """The picture in which a face is as it is when it is not inverted."""
+    return cv2.bitwise_not(grey) if face.inverted else grey
+
+
+def _unexpected(looks: Sequence[Appearance]) -> dict[Appearance, Appearance | None]:
+    """The look of each board with black and white exchanged, None where there is none, or another
+    face looks like that."""
+    known = {look.face.appearance for look in looks}
+    known |= {turned(face).appearance for look in looks if (face := look.face)}
+    others = {look: other_colours(look) for look in looks}
+    return {
+        look: other if other and other.face.appearance not in known else None
+        for look, other in others.items()
+    }
 
 
 def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:

@@ -142,13 +142,15 @@ def _numbered(
     colours are another board's.
 
     Turns the window by quarters (never mirrors it) until it is as wide as the board and the square
-    at the top left is dark; of two that do, the one more upright in the picture is taken.
+    at the top left is dark, or light on an inverted board; of two that do, the one more
+    upright in the picture is taken.
     """
     columns, rows = look.face.columns - 1, look.face.rows - 1
     width, height = extent
     best, uprightness = None, -np.inf
     for quarters in range(4):
-        if (width, height) == (columns, rows) and _top_left_is_dark(grid, places, quarters):
+        is_dark = _top_left_is_dark(grid, places, quarters)
+        if (width, height) == (columns, rows) and is_dark is not look.face.inverted:
             upright = _uprightness(places, grid.pixels)
             if upright > uprightness:
                 best, uprightness = places[:, 1] * columns + places[:, 0], upright

@@ -12,7 +12,13 @@ from .planar_fit import PlanarFit
 
 
 class FaceFinder(Protocol):
-    """Finds the faces of one pattern in grey pictures, (height, width) uint8."""
+    """Finds the faces of one pattern in grey pictures, (height, width) uint8.
+
+    `misdescribed`: what was seen so far that the target file describes wrongly, each once, a line
+    with what to write.
+    """
+
+    misdescribed: tuple[str, ...] = ()
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None

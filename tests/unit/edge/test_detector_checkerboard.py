@@ -14,6 +14,7 @@ from boards import (
     true_pixels,
     worst_error,
 )
+from msgspec.structs import replace
 
 from trigpoint.edge.detector import detector_for
 from trigpoint.geometry import CameraModel
@@ -153,3 +154,59 @@ def test_colour_picture_gives_the_same_as_grey() -> None:
     (grey,) = detector.detect(picture)
     (colour,) = detector.detect(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     assert np.array_equal(grey.pixels, colour.pixels)
+
+
+EXCHANGED = [
+    # a board, what the file has of it, and what is said
+    ((8, 6), (6, 8), False, "write columns = 8 and rows = 6"),
+    ((8, 6), (8, 6), True, "or inverted = false"),
+    ((9, 7), (9, 7), True, "write inverted = false"),
+]
+
+
+@pytest.mark.parametrize(("true", "described", "inverted", "remedy"), EXCHANGED)
+def test_board_of_the_other_colours_is_named_once_and_not_guessed(
+    true: tuple[int, int], described: tuple[int, int], inverted: bool, remedy: str
+) -> None:
+    wrong = replace(checkerboard(*described), inverted=inverted)
+    detector = detector_for([target_of(wrong)])
+    for turn_deg in (0, 30, 60):
+        view = placed(checkerboard(*true), turn_deg=turn_deg, yaw_deg=20)
+        assert detector.detect(picture_of([view])) == ()
+    [line] = detector.misdescribed
+    assert remedy in line
+
+
+@pytest.mark.parametrize("turn_deg", [0, 70, 180, 290])
+@pytest.mark.parametrize("size", [(9, 7), (8, 6), (9, 6)])
+def test_inverted_board_is_found_as_the_negative_of_one(
+    size: tuple[int, int], turn_deg: float
+) -> None:
+    plain = checkerboard(*size)
+    inverted = replace(plain, inverted=True)
+    picture = picture_of([placed(plain, turn_deg=turn_deg, tilt_deg=20)])
+    (face,) = detector_for([target_of(inverted)]).detect(255 - picture)
+    (other,) = detector_for([target_of(plain)]).detect(picture)
+    np.testing.assert_array_equal(face.corners, other.corners)
+    np.testing.assert_allclose(face.pixels, other.pixels, atol=0.02)
+
+
+def test_board_that_a_half_turn_inverts_is_numbered_from_its_white_end() -> None:
+    """Of 9 × 6 squares two corners are white: from there the others are counted backwards."""
+    board = checkerboard(9, 6)
+    picture = picture_of([placed(board, turn_deg=10)])
+    (face,) = detector_for([target_of(replace(board, inverted=True))]).detect(picture)
+    (other,) = detector_for([target_of(board)]).detect(picture)
+    np.testing.assert_allclose(face.pixels[::-1], other.pixels, atol=0.05)
+
+
+def test_board_that_is_described_as_it_is_makes_nobody_wonder() -> None:
+    for size in ((9, 7), (8, 6), (9, 6), (6, 8)):
+        detector = detector_for([target_of(checkerboard(*size))])
+        for columns, rows in ((9, 7), (8, 6), (9, 6)):
+            detector.detect(picture_of([placed(checkerboard(columns, rows))]))
+        assert bool(detector.misdescribed) is (size == (6, 8))
+    both = [checkerboard(8, 6), checkerboard(6, 8, number=1)]
+    detector = detector_for([target_of(*both)])
+    assert len(detector.detect(picture_of([placed(both[0])]))) == 1
+    assert detector.misdescribed == ()

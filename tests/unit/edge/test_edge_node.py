@@ -9,7 +9,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, charuco, picture_of, placed, plain_picture, target_of, worst_error
+from boards import (
+    CAMERA,
+    charuco,
+    checkerboard,
+    picture_of,
+    placed,
+    plain_picture,
+    target_of,
+    worst_error,
+)
 from builders import eventually
 
 from trigpoint.bus import Subscription
@@ -25,6 +34,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.health import Health
 from trigpoint.messages import CameraInfo, Picture, Sightings
 from trigpoint.node import Node
+from trigpoint.target import Target
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
 BOARD = charuco()
@@ -77,13 +87,14 @@ class Desk:
         *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
         script: Iterator[tuple[int, np.ndarray] | Exception] | None = None,
+        target: Target | None = None,
     ) -> Node:
         """Start the agent on these pictures, or on those of a script."""
         ScriptedFrames.script = script or iter(pictures)
         text = f'site = "lab"\ntarget = "t.toml"\n[cameras.c1]\nsource = "script://"\n{camera}\n'
         site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
         node = Node(self.bus, site="lab", kind="edge", name="c1")
-        agent = EdgeNode(self.bus, node, site, "c1", [target_of(BOARD)])
+        agent = EdgeNode(self.bus, node, site, "c1", [target or target_of(BOARD)])
         self._stack.enter_context(node)
         agent.start()
         return node
@@ -136,6 +147,17 @@ def test_picture_that_takes_longer_than_a_period_is_given_up_and_counted(desk: D
     node.wait()
     assert len(taken(ears)) == 2
     assert node.health.lost("given_up") == 2
+
+
+def test_board_that_the_file_describes_the_wrong_way_round_is_said(desk: Desk) -> None:
+    picture = picture_of([placed(checkerboard(8, 6))])
+    node = desk.start(
+        *((1000 * i, picture) for i in range(1, 5)),
+        target=target_of(checkerboard(6, 8)),
+        camera="rate = 1.0",
+    )
+    node.wait()
+    assert "write columns = 8 and rows = 6" in node.health.held["target file"]
 
 
 def test_end_of_the_source_ends_the_node(desk: Desk) -> None:

@@ -7,7 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed, plain_picture, worst_error
+from boards import (
+    CAMERA,
+    CHARUCO_TARGET,
+    charuco,
+    checkerboard,
+    picture_of,
+    placed,
+    plain_picture,
+    worst_error,
+)
 
 from trigpoint.cli import run
 
@@ -124,3 +133,22 @@ def test_bad_target_is_one_line_and_status_2(
     (folder / "target.toml").unlink()
     assert detect(folder, str(folder / "shots")) == 2
     assert "there is no such target file" in capsys.readouterr().err
+
+
+def test_board_that_the_file_describes_the_wrong_way_round_is_named_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = picture_of([placed(checkerboard(8, 6), yaw_deg=20)])
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(tmp_path / name), picture)
+    face = 'pattern = "checkerboard"\ncolumns = 6\nrows = 8\nsquare = 0.03\n'
+    here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]\n"
+    target = tmp_path / "target.toml"
+    target.write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
+    words = [str(tmp_path / name) for name in ("a.png", "b.png")]
+    assert run(["detect", *words, "--target", str(target), "--json"]) == 0
+    said = capsys.readouterr()
+    assert [json.loads(line)["faces"] for line in said.out.splitlines()] == [[], []]
+    assert said.err.count("write columns = 8 and rows = 6") == 1
+    assert run(["intrinsics", *words, "--target", str(target)]) == 1
+    assert "write columns = 8 and rows = 6" in capsys.readouterr().err

@@ -4,7 +4,9 @@ from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
+from boards import checkerboard, picture_of, placed
 from builders import TARGET_TEXT, make_site, site_text
 
 from trigpoint.checks import Check
@@ -121,3 +123,20 @@ def test_command_exits_1_where_something_is_wrong(
     assert run(["doctor", "--site", str(path), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)
     assert [f["name"] for f in findings if f["level"] == "error"] == ["target of r1"]
+
+
+def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_write(
+    quick: None, tmp_path: Path
+) -> None:
+    site = write_site(tmp_path)
+    text = site.read_text()
+    [source] = [line for line in text.splitlines() if line.startswith("source")][:1]
+    site.write_text(text.replace(source, 'source = "dir://shots"', 1))
+    face = 'pattern = "checkerboard"\ncolumns = 6\nrows = 8\nsquare = 0.03\n'
+    here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]\n"
+    (tmp_path / "target.toml").write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
+    (tmp_path / "shots").mkdir()
+    cv2.imwrite(str(tmp_path / "shots" / "0.png"), picture_of([placed(checkerboard(8, 6))]))
+    findings = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
+    assert [one.level for one in findings] == ["error"]
+    assert "write columns = 8 and rows = 6" in findings[0].remedy

@@ -1,0 +1,48 @@
+"""A checkerboard that the target file describes the wrong way round.
+
+Which square is black at the top left says how corners are numbered. A board whose columns and rows
+were exchanged, or whose corner squares are white, has all of its corners and not its colours: it is
+not found, and whoever wrote the file must be told why. Nothing is guessed: it stays not found.
+"""
+
+from msgspec.structs import replace
+
+from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.target import Face
+
+
+def other_colours(look: Appearance) -> Appearance | None:
+    """A look of the same corners with black and white exchanged; None where a half turn makes them
+    the same, so that no description is wrong."""
+    face = look.face
+    if (face.columns + face.rows) % 2 == 1:
+        return None
+    exchanged = replace(face, inverted=not face.inverted)
+    return Appearance(exchanged, look.target, look.face_id)
+
+
+def turned(face: Face) -> Face:
+    """The same board, described as it is when turned by a quarter."""
+    exchanges = face.columns % 2 == 0 and face.rows % 2 == 0
+    return replace(
+        face, columns=face.rows, rows=face.columns, inverted=face.inverted is not exchanges
+    )
+
+
+def remedy(look: Appearance) -> str:
+    """What to write for a board that was seen with black and white exchanged, in one line."""
+    face = look.face
+    top_left = "black" if face.inverted else "white"
+    inverted = f"inverted = {str(not face.inverted).lower()}"
+    lines = f"write {inverted}"
+    if face.columns % 2 == 0:
+        lines = (
+            f"write columns = {face.rows} and rows = {face.columns}, as it is when turned by a "
+            f"quarter, or {inverted}"
+        )
+    where = f"face {face.id} of target «{look.target}»" if look.target else f"face {face.id}"
+    return (
+        f"{where}: a checkerboard of {face.columns} × {face.rows} squares is seen, but the square "
+        f"at its top left is {top_left} where the target file has it "
+        f"{'white' if face.inverted else 'black'}, so it is not used; {lines}"
+    )

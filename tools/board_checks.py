@@ -1,0 +1,36 @@
+"""What `doctor` sees in the pictures of a site's cameras, where they are files on this machine."""
+
+from itertools import islice
+
+from trigpoint.checks import Check
+from trigpoint.config import Site
+from trigpoint.edge.detector import detector_for
+from trigpoint.errors import TrigpointError
+from trigpoint.target import load_target
+
+from .detect import stills
+
+# So many pictures are enough to see how a board is printed, and take a second.
+_PICTURES = 10
+
+
+def check_boards(site: Site, camera: str) -> list[Check]:
+    """Boards that the target files describe wrongly; what a live camera sees, its agent says."""
+    scheme, _, place = site.camera(camera).source.partition("://")
+    if scheme not in ("dir", "file"):
+        return []
+    path = site.path(place.partition("?")[0])
+    try:
+        targets = [load_target(site.path(site.target_name(robot))) for robot in site.robots]
+        detector = detector_for(targets)
+        for still in islice(stills([path]), _PICTURES):
+            detector.detect(still.picture)
+    except TrigpointError as reason:
+        return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
+    return [Check(f"boards of {camera}", "error", *_parted(line)) for line in detector.misdescribed]
+
+
+def _parted(line: str) -> tuple[str, str]:
+    """What is wrong, and what to do."""
+    wrong, _, remedy = line.rpartition("; ")
+    return wrong, remedy
