@@ -1,6 +1,7 @@
 """`trigpoint router`: joins the machines of a site, and its segments with each other."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from trigpoint.access import Kind
 from trigpoint.bus_opening import means_of
 from trigpoint.bus_zenoh import open_router
 from trigpoint.config import Site, check_name, load_site
+from trigpoint.errors import InputError
 from trigpoint.node import Node, stop_on_signals
 
 _log = logging.getLogger(__name__)
@@ -18,7 +20,10 @@ _LOOK_S = 2.0
 
 
 def main(
-    site: Annotated[Path, typer.Option(help="The site file.")] = Path("site.toml"),
+    site: Annotated[
+        list[Path] | None,
+        typer.Option(help="The site file; given again, further sites that this router joins."),
+    ] = None,
     name: Annotated[str, typer.Option(help="The router's name.")] = "main",
 ) -> None:
     """A Zenoh router with the site's rules: others connect to bus.listen, it to bus.connect.
@@ -26,8 +31,11 @@ def main(
     When the file that says who may come in changes, it is opened anew, which ends every link.
     """
     check_name(Kind.ROUTER, name)
-    loaded = load_site(site)
-    stop = Router(loaded, name)
+    first, *others = [load_site(path) for path in site or [Path("site.toml")]]
+    for other in others:
+        if (other.bus.tls is None) != (first.bus.tls is None):
+            raise InputError(f"sites {first.name} and {other.name}: only one of them has [bus.tls]")
+    stop = Router(first, others, name)
     stop_on_signals([stop])
     stop.run()
 
@@ -35,8 +43,8 @@ def main(
 class Router:
     """Runs until it is stopped."""
 
-    def __init__(self, site: Site, name: str) -> None:
-        self._site, self._name = site, name
+    def __init__(self, site: Site, others: Sequence[Site], name: str) -> None:
+        self._site, self._others, self._name = site, others, name
         self._node: Node | None = None
         self._is_stopped = False
 
@@ -48,9 +56,9 @@ class Router:
     def run(self) -> None:
         """Be the router, and again whenever the rules change."""
         while not self._is_stopped:
-            rules = means_of(self._site, None, is_router=True).rules
+            rules = means_of(self._site, None, is_router=True, others=self._others).rules
             before = rules() if rules else None
-            with open_router(self._site) as bus:
+            with open_router(self._site, *self._others) as bus:
                 self._node = Node(
                     bus,
                     site=self._site.name,

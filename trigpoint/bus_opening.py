@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -36,10 +36,17 @@ class Means:
     keeps_gate: bool = True
 
 
-def means_of(site: Site, me: tuple[Kind, str] | None, *, is_router: bool = False) -> Means:
+def means_of(
+    site: Site,
+    me: tuple[Kind, str] | None,
+    *,
+    is_router: bool = False,
+    others: Sequence[Site] = (),
+) -> Means:
     """The means of a process of the site; raise ConfigError where a file of it is wrong.
 
-    `me`: whose certificate it shows; None: that of the person who sits here.
+    `me`: whose certificate it shows; None: that of the person who sits here. `others`: further
+    sites that a router joins.
     """
     for name in site.bus.open_doors:
         _log.warning(
@@ -67,8 +74,8 @@ def means_of(site: Site, me: tuple[Kind, str] | None, *, is_router: bool = False
     shown.append(security.router_credentials(site))
     return Means(
         files,
-        door=lambda: security.door(site),
-        rules=lambda: security.fingerprint(site),
+        door=lambda: security.door(site, *others),
+        rules=lambda: security.fingerprint(site, *others),
         warning=lambda: security.first_complaint(shown),
     )
 

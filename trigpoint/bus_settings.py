@@ -13,6 +13,7 @@ Peers pass nothing on between peers, only for clients (measured, 1.10); hence th
 `[bus.tls]` whoever connects shows its own certificate, and the gate the machine's (`security`).
 """
 
+import base64
 import socket
 import zlib
 from dataclasses import dataclass
@@ -46,16 +47,22 @@ class Multicast:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """What a session of a secured site shows, and whom it believes: paths of PEM files."""
+    """What a session of a secured site shows, and whom it believes: paths of PEM files.
+
+    `anchors`: the PEM text of all who are believed, where that is more than `trust` holds.
+    """
 
     trust: str
     certificate: str
     key: str
+    anchors: bytes = b""
 
     def values(self) -> dict[str, object]:
         """Zenoh's settings below `transport/link/tls`."""
-        return {
-            "root_ca_certificate": self.trust,
+        whom: dict[str, object] = {"root_ca_certificate": self.trust}
+        if self.anchors:
+            whom = {"root_ca_certificate_base64": base64.b64encode(self.anchors).decode()}
+        return whom | {
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
@@ -96,7 +103,7 @@ class Settings:
             "mode": self.mode,
             "listen/endpoints": list(self.listen),
             "connect/endpoints": list(self.connect),
-            "connect/retry": {"period_init_ms": 500, "period_max_ms": 2000},
+            "connect/retry": {"period_init_ms": 500, "period_max_ms": 1000},
             # A client's first try ends after this; one refused by a dead route took 10 s without.
             # A peer opens at once and keeps trying on its own.
             "connect/timeout_ms": {"client": CLIENT_TRY_MS, "peer": -1, "router": -1},

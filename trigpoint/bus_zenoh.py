@@ -97,9 +97,10 @@ def open_bus(
     return bus
 
 
-def open_router(site: Site) -> "ZenohBus":
-    """Open the bus as the site's router: whoever connects to it reaches everyone else."""
-    means = means_of(site, None, is_router=True)
+def open_router(site: Site, *others: Site) -> "ZenohBus":
+    """Open the bus as the site's router: whoever connects to it reaches everyone else. `others`:
+    further sites whose nodes it lets in, each to its own keys."""
+    means = means_of(site, None, is_router=True, others=others)
     rate = site.router.picture_rate
     settings = router_settings(site.name, site.bus, means.door(), picture_rate=rate)
     session = open_session(settings)

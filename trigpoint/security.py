@@ -9,7 +9,7 @@ import logging
 import os
 import stat
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -47,7 +47,9 @@ class Credentials:
     def files(self) -> TlsFiles:
         """As a session is given them."""
         return TlsFiles(
-            *(str(path.absolute()) for path in (self.trust, self.certificate, self.key))
+            trust=str(self.trust.absolute()),
+            certificate=str(self.certificate.absolute()),
+            key=str(self.key.absolute()),
         )
 
     def complaint(self, now: datetime) -> str:
@@ -114,17 +116,24 @@ def router_credentials(site: Site) -> Credentials:
     )
 
 
-def door(site: Site) -> Door:
+def door(site: Site, *others: Site) -> Door:
     """With what this machine lets others in: its router's certificate, and the rules for all whom
-    the trust file names."""
+    the trust file names; `others`: sites whose nodes a router lets in too."""
     credentials = router_credentials(site)
-    return Door(credentials.files, access_control(trusted(credentials.trust), sites=[site.name]))
+    trusts = [credentials.trust, *(directory(other) / TRUST for other in others)]
+    identities = [identity for path in trusts for identity in trusted(path)]
+    names = [site.name, *(other.name for other in others)]
+    files = credentials.files
+    if others:
+        files = replace(files, anchors=b"".join(path.read_bytes() for path in trusts))
+    return Door(files, access_control(identities, sites=names))
 
 
-def fingerprint(site: Site) -> object:
+def fingerprint(site: Site, *others: Site) -> object:
     """Something that changes when what `door` reads does."""
     credentials = router_credentials(site)
-    paths = (credentials.trust, credentials.certificate, credentials.key)
+    paths = [credentials.trust, credentials.certificate, credentials.key]
+    paths += [directory(other) / TRUST for other in others]
     return tuple(path.read_bytes() for path in paths)
 
 
