@@ -106,7 +106,7 @@ def _drawn(title: str, series: Series, record: "Record") -> str:
     for share in (0.0, 0.5, 1.0):
         y = _HEIGHT - share * (_HEIGHT - 12)
         lines.append(f'<line x1="{_LEFT}" x2="{_WIDTH}" y1="{y}" y2="{y}" stroke="#bbb"/>')
-        text = f"{share * most:.4g}"
+        text = f"{share * most:,.0f}"
         lines.append(f'<text x="{_LEFT - 6}" y="{y + 4}" text-anchor="end">{text}</text>')
     for number, (name, points) in enumerate(sorted(series.items())):
         colour = _COLOURS[number % len(_COLOURS)]

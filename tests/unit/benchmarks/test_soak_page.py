@@ -1,6 +1,7 @@
 """The page of a soak run says what was broken, and what memory did after it settled."""
 
 import pytest
+
 from benchmarks.soak import Break, Record, Sample
 from benchmarks.soak_page import memory_ratio_parts, page
 
