@@ -25,7 +25,8 @@ from . import node as recorder
 from . import replay as player
 from .recording import Recording, open_recording
 from .replay_pace import Controls, keyboard, span_of
-from .viewer import Viewer
+from .viewer import WEB_PORT, Viewer
+from .viewer_page import LOOPBACK
 
 if TYPE_CHECKING:
     import rerun as rr  # half a second to import, which `record` and `replay` need not wait
@@ -34,6 +35,18 @@ SiteFile = Annotated[Path, typer.Option(help="The site file.")]
 Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with one.")]
 Web = Annotated[
     bool, typer.Option("--web", help="Serve to a browser on this machine and print the address.")
+]
+
+Port = Annotated[
+    int,
+    typer.Option(
+        help="Of the page with --web; the data are at the next port. 0: ports that are free.",
+        min=0,
+        max=65534,
+    ),
+]
+Host = Annotated[
+    str, typer.Option(help="The address of this machine that --web is open to; else itself alone.")
 ]
 
 _FLUSH_TIMEOUT_S = 1.0
@@ -118,7 +131,7 @@ def _seconds(text: str, option: str) -> float:
     return float(match[1]) * (60.0 if match[2] == "min" else 1.0)
 
 
-def view(site: SiteFile, web: Web = False) -> None:
+def view(site: SiteFile, web: Web = False, port: Port = WEB_PORT, host: Host = LOOPBACK) -> None:
     """Show the live site in rerun until stopped (Ctrl-C) or until its window is closed."""
     from .view import KIND, LiveView
 
@@ -127,7 +140,7 @@ def view(site: SiteFile, web: Web = False) -> None:
         robot: load_target(loaded.path(loaded.target_name(robot))) for robot in loaded.robots
     }
     with (
-        Viewer(is_web=web) as viewer,
+        _viewer(None, web, port, host) as viewer,
         _streaming(loaded.name, viewer) as stream,
         open_bus(loaded) as bus,
         stopped_by_signals(Node(bus, site=loaded.name, kind=KIND, name=_own_name())) as node,
@@ -147,19 +160,27 @@ def review(
             metavar="FILE.rrd", help="Write a rerun file and open nothing.", dir_okay=False
         ),
     ] = None,
+    overlay: Annotated[
+        list[Path],
+        typer.Option(help="A network.json or truth.json to draw too; those beside it always are."),
+    ] = [],  # noqa: B006 - typer makes a list of it anew
+    port: Port = WEB_PORT,
+    host: Host = LOOPBACK,
 ) -> None:
     """Show a recorded session in rerun."""
+    from .overlay import load_overlay, overlays_beside
     from .review import write_rrd
 
     recording = open_recording(session)
+    overlays = [*overlays_beside(recording.path), *map(load_overlay, overlay)]
     if save is not None:
-        shown = write_rrd(recording, save)
+        shown = write_rrd(recording, save, overlays)
         typer.echo(f"{save}: {shown} messages, {save.stat().st_size / 1e6:.1f} MB")
         return
     with tempfile.TemporaryDirectory(prefix="trigpoint-review-") as folder:
         file = Path(folder) / f"{recording.path.stem}.rrd"
-        write_rrd(recording, file)
-        with Viewer(file, is_web=web) as viewer, suppress(KeyboardInterrupt):
+        write_rrd(recording, file, overlays)
+        with _viewer(file, web, port, host) as viewer, suppress(KeyboardInterrupt):
             _say_viewer(viewer)
             while viewer.is_running:
                 time.sleep(_LOOK_PERIOD_S)
@@ -252,6 +273,17 @@ def _streaming(site: str, viewer: Viewer) -> "Iterator[rr.RecordingStream]":
         if viewer.is_running:
             stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
         stream.disconnect()
+
+
+def _viewer(file: Path | None, web: bool, port: int, host: str) -> Viewer:
+    if web and host != LOOPBACK:
+        typer.echo(
+            f"warning: whoever reaches {host}:{port} sees everything of this site; a tunnel "
+            f"(ssh -L {port}:{LOOPBACK}:{port} -L {port + 1}:{LOOPBACK}:{port + 1}) shows it to "
+            "you alone",
+            err=True,
+        )
+    return Viewer(file, is_web=web, port=port if web else 0, host=host if web else LOOPBACK)
 
 
 def _own_name() -> str:

@@ -1,5 +1,7 @@
 """What of a site is shown where, so that all of it is seen without a click."""
 
+import math
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -21,7 +23,9 @@ _SO_FAR = rrb.VisibleTimeRanges(
 def blueprint(site: Site, extent: tuple[Array, Array] | None) -> rrb.Blueprint:
     """The map large on the left, pictures on the right, plots, log and legend below.
 
-    `extent`: two corners of what stands in the map, for the eye's place; None: rerun chooses.
+    `extent`: two corners of what stands in the map, for the eye's place; None: rerun chooses. The
+    time follows what comes; where nothing comes any more, it stands at the end («paused» would be
+    at the beginning, and no blueprint can say a time).
     """
     pictures = [_picture_view(camera) for camera in site.cameras]
     return rrb.Blueprint(
@@ -32,12 +36,16 @@ def blueprint(site: Site, extent: tuple[Array, Array] | None) -> rrb.Blueprint:
                 column_shares=[3, 2],
             ),
             rrb.Horizontal(
-                _plot("Cameras, ± cm", style.CAMERA_SIGMAS),
-                _plot("Robots, ± cm", style.ROBOT_SIGMAS),
-                _plot("Odometry alone off by, cm", style.DRIFT),
+                _plot("Cameras: log10 cm", style.CAMERA_SIGMAS),
+                _plot("Robots: log10 cm", style.ROBOT_SIGMAS),
+                _plot("Headings: log10 mrad", style.HEADING_SIGMAS),
+                rrb.Tabs(
+                    _plot("Odometry off, cm", style.DRIFT),
+                    _plot("Latency, ms", style.LATENCY),
+                ),
                 rrb.TextLogView(origin=style.LOG, name="Log", columns=_LOG_COLUMNS),
                 rrb.TextDocumentView(origin=style.LEGEND, name="Legend"),
-                column_shares=[3, 2.4, 2.7, 2.7, 3.2],
+                column_shares=[3, 2.4, 2.7, 2.7, 3.2, 2.6],
             ),
             row_shares=[5, 2],
         ),
@@ -51,7 +59,7 @@ def _map_view(site: Site, extent: tuple[Array, Array] | None) -> rrb.Spatial3DVi
     dots = [f"{style.robot_path(r)}/corrections" for r in site.robots]
     return rrb.Spatial3DView(
         origin="/map",
-        name="Map",
+        name=f"Map (ellipsoids: {style.SIGMAS_DRAWN:.0f} sigma, {style.MAGNIFIED:.0f} × larger)",
         overrides={entity: [_SO_FAR] for entity in (*lines, *dots)},
         line_grid=rrb.LineGrid3D(spacing=1.0, color=[160, 170, 190, 60]),
         background=[24, 27, 33],
@@ -101,7 +109,8 @@ def _picture_view(camera: str) -> rrb.Spatial2DView:
 
 
 def _grid_columns(count: int) -> int:
-    return 1 if count == 1 else 2 if count <= 8 else 3
+    """Pictures as large as their column lets them be: it is twice as high as it is wide."""
+    return max(1, math.ceil(math.sqrt(count / 2)))
 
 
 def _plot(name: str, origin: str) -> rrb.TimeSeriesView:

@@ -1,11 +1,12 @@
 """One camera in rerun: its frustum, uncertainty, picture, and what was sighted in it."""
 
 from collections import deque
+from datetime import UTC, datetime
 
 import numpy as np
 import rerun as rr
 
-from trigpoint.clock import to_ns
+from trigpoint.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array, to_quaternion
 from trigpoint.messages import CameraInfo, FaceSighting, Picture, PoseEstimate, Sightings
@@ -19,6 +20,8 @@ _NAME_ABOVE = np.array([0.0, 0.0, 0.3])
 _SEEN_STEP_PX = 12.0
 _SHOWN_NS = to_ns(1.0)
 _PICTURES_ARE_LIVE_NS = to_ns(3.0)
+_LATENCY_PERIOD_NS = to_ns(0.5)
+_LATEST_NS = to_ns(10.0)  # more is a replay, whose stamps are of another time
 
 
 class CameraScene:
@@ -31,7 +34,7 @@ class CameraScene:
         self._colour = style.camera_colour(index)
         self._path, self._frustum = style.camera_path(name), style.frustum_path(name)
         self._picture = style.picture_path(name)
-        self._frustum_ns = 0
+        self._frustum_ns = self._latency_ns = 0
         self._is_located = False
         self._recent: deque[Sightings] = deque(maxlen=64)
         self._seen: deque[Array] = deque(maxlen=512)
@@ -46,7 +49,8 @@ class CameraScene:
         border = rr.LineStrips2D([frame], colors=[self._colour], radii=[style.ui_points(1.0)])
         self._columns.fixed(f"{self._picture}/border", border)
         line = rr.SeriesLines(colors=[self._colour], names=[self._name], widths=[2.0])
-        self._columns.fixed(f"{style.CAMERA_SIGMAS}/{self._name}", line)
+        for group in (style.CAMERA_SIGMAS, style.HEADING_SIGMAS, style.LATENCY):
+            self._columns.fixed(f"{group}/{self._name}", line)
 
     def add_info(self, message: CameraInfo) -> None:
         self._camera = message.camera
@@ -77,7 +81,11 @@ class CameraScene:
             **style.text_only(f"{self._name} {style.centimetres(sigma_m)}"),
         )
         sigmas = f"{style.CAMERA_SIGMAS}/{self._name}"
-        self._columns.row(sigmas, stamp_ns, rr.Scalars, scalars=[100 * sigma_m])
+        centimetres = style.decades(100 * sigma_m)
+        self._columns.row(sigmas, stamp_ns, rr.Scalars, scalars=[centimetres])
+        heading = style.decades(1000 * style.heading_sigma(message.covariance))
+        headings = f"{style.HEADING_SIGMAS}/{self._name}"
+        self._columns.row(headings, stamp_ns, rr.Scalars, scalars=[heading])
 
     def add_picture(self, message: Picture) -> None:
         """Show a picture with the sightings that were made in it, which come before or after."""
@@ -100,6 +108,14 @@ class CameraScene:
         elif picture_ns is None or message.stamp_ns - picture_ns > _PICTURES_ARE_LIVE_NS:
             self._wipe_before(message.stamp_ns)
             self._draw(message.stamp_ns, message.faces)
+
+    def add_latency(self, stamp_ns: int, received_ns: int) -> None:
+        """How much later than the exposure a sighting came."""
+        after_ns = received_ns - stamp_ns
+        if 0 <= after_ns < _LATEST_NS and stamp_ns - self._latency_ns >= _LATENCY_PERIOD_NS:
+            self._latency_ns = stamp_ns
+            entity = f"{style.LATENCY}/{self._name}"
+            self._columns.row(entity, stamp_ns, rr.Scalars, scalars=[after_ns / 1e6])
 
     def finish(self, stamp_ns: int) -> None:
         """Take old sightings away at the end."""
@@ -174,13 +190,16 @@ class LogLine:
         self._columns = columns
 
     def __call__(self, stamp_ns: int, level: str, text: str) -> None:
-        self._columns.row(style.LOG, stamp_ns, rr.TextLog, text=[text], level=[level])
+        # The log's own column of times is too narrow to be read, and cannot be widened.
+        time = datetime.fromtimestamp(stamp_ns // NANOSECONDS, UTC).strftime("%H:%M:%S")
+        said = f"{time} {text}"
+        self._columns.row(style.LOG, stamp_ns, rr.TextLog, text=[said], level=[level])
 
 
 def draw_ellipsoid(
     columns: Columns, entity: str, estimate: PoseEstimate, colour: style.Colour
 ) -> None:
-    """A pose's position uncertainty, `style.SIGMAS_DRAWN` sigma large."""
+    """A pose's position uncertainty, as large as the map's title says."""
     half_sizes, axes = style.ellipsoid(estimate.covariance[:3, :3])
     columns.row(
         entity,

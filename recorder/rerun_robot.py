@@ -66,7 +66,7 @@ class RobotScene:
         )
         if self._target:
             self._columns.fixed(f"{body}/target", _target_mesh(self._target))
-        for group in (style.ROBOT_SIGMAS, style.DRIFT):
+        for group in (style.ROBOT_SIGMAS, style.HEADING_SIGMAS, style.DRIFT):
             line = rr.SeriesLines(colors=[self._colour], names=[self._name], widths=[2.0])
             self._columns.fixed(f"{group}/{self._name}", line)
 
@@ -93,7 +93,11 @@ class RobotScene:
         draw_ellipsoid(self._columns, f"{self._path}/uncertainty", message, self._colour)
         self._name_body(message.stamp_ns, message.pose, f" {style.centimetres(sigma_m)}")
         sigmas = f"{style.ROBOT_SIGMAS}/{self._name}"
-        self._columns.row(sigmas, message.stamp_ns, rr.Scalars, scalars=[100 * sigma_m])
+        centimetres = style.decades(100 * sigma_m)
+        self._columns.row(sigmas, message.stamp_ns, rr.Scalars, scalars=[centimetres])
+        heading = style.decades(1000 * style.heading_sigma(message.covariance))
+        headings = f"{style.HEADING_SIGMAS}/{self._name}"
+        self._columns.row(headings, message.stamp_ns, rr.Scalars, scalars=[heading])
 
     def add_correction(self, message: PoseEstimate) -> None:
         """A dot where the robot was told that it is; standing still adds none."""
@@ -146,9 +150,11 @@ class RobotScene:
         map_from_base = map_from_odom @ message.pose
         self._recent.append((message.stamp_ns, map_from_base))
         if self._reckoned.add(message.stamp_ns, map_from_base.translation):
-            text = f"{self._name} by odometry alone"
+            # No text: it would lie over the robot's own; the legend says whose colour this is.
             where = map_from_base.translation
-            self._mark("odometry_alone", message.stamp_ns, where, style.DEAD_RECKONING, text)
+            dot = style.dot(style.DEAD_RECKONING, 5.0)
+            entity = f"{self._path}/odometry_alone"
+            self._columns.row(entity, message.stamp_ns, rr.Points3D, positions=[where], **dot)
         if not self._is_corrected:
             self._move_body(message.stamp_ns, map_from_base)
             self._name_body(message.stamp_ns, map_from_base, "")

@@ -60,8 +60,11 @@ class Scene:
         for part in (*self.cameras.values(), *self.robots.values()):
             part.announce()
 
-    def add(self, topic: Topic, node: str, message: Message) -> None:
-        """Show one message; `node`: the camera or robot that its key names."""
+    def add(self, topic: Topic, node: str, message: Message, received_ns: int = 0) -> None:
+        """Show one message; `node`: the camera or robot that its key names; `received_ns`: when it
+        came, 0 where that is not known."""
+        if received_ns and node in self.cameras and isinstance(message, Sightings):
+            self.cameras[node].add_latency(message.stamp_ns, received_ns)
         if isinstance(message, Diagnostics):
             self._add_diagnostics(message)
         elif isinstance(message, Transforms):
@@ -190,8 +193,10 @@ def _legend(site: Site) -> str:
         "**Orange line**: the same drive by odometry alone  \n"
         "**White dots**: corrections that the robot was sent  \n"
         "**Pyramids**: the located cameras with their newest picture  \n"
-        f"**Ellipsoids**: uncertainty of a position, drawn at {style.SIGMAS_DRAWN:.0f} sigma; the "
-        "label says one sigma  \n"
+        f"**Ellipsoids**: a position's {style.SIGMAS_DRAWN:.0f} sigma, drawn "
+        f"{style.MAGNIFIED:.0f} times larger; the label says one sigma  \n"
+        "**Green, white**: the truth, another network, where they lie beside the session  \n"
+        "**Plots**: sigmas as decimal logarithms: 0 is 1 cm (1 mrad), -1 a tenth  \n"
         "**Outlines on the floor**: where a camera sees the target  \n"
         "**Dots in the pictures**: where the target has been seen so far\n"
     )

@@ -33,13 +33,18 @@ DEAD_RECKONING: Colour = (255, 140, 60)
 CORRECTION: Colour = (255, 255, 255)
 TEXT: Colour = (245, 245, 245)
 
-SIGMAS_DRAWN = 20.0
-"""Ellipsoids have half-axes of twenty sigma: a good camera's sigma is a centimetre, a site's size
-tens of metres, so that one sigma could not be seen."""
+SIGMAS_DRAWN = 3.0
+MAGNIFIED = 5.0
+"""A good camera's sigma is a centimetre, a site's size tens of metres: three sigma could not be
+seen, so that ellipsoids are drawn larger, which the map's title says."""
 _THINNEST_M = 0.01
 
 LEGEND, LOG = "/legend", "/log"
 CAMERA_SIGMAS, ROBOT_SIGMAS, DRIFT = "/sigma/cameras", "/sigma/robots", "/drift"
+HEADING_SIGMAS, LATENCY = "/sigma/headings", "/latency"
+TRUTH: Colour = (120, 255, 150)
+OVERLAY: Colour = (255, 255, 255)
+_LEAST = 1e-6
 
 
 def ui_points(points: float) -> float:
@@ -104,12 +109,23 @@ def ellipsoid(covariance: Array) -> tuple[Array, Array]:
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     sigmas = np.sqrt(np.maximum(values, 0.0))
-    return np.maximum(SIGMAS_DRAWN * sigmas, _THINNEST_M), axes
+    return np.maximum(SIGMAS_DRAWN * MAGNIFIED * sigmas, _THINNEST_M), axes
 
 
 def position_sigma(covariance: Array) -> float:
     """Root of the trace of the position's part of a (6, 6), metres."""
     return float(np.sqrt(max(0.0, np.trace(covariance[:3, :3]))))
+
+
+def heading_sigma(covariance: Array) -> float:
+    """Standard deviation about the vertical axis of a (6, 6), radians."""
+    return float(np.sqrt(max(0.0, covariance[5, 5])))
+
+
+def decades(value: float) -> float:
+    """A sigma's decimal logarithm: rerun's plots have no logarithmic axis, and a camera's sigma
+    goes from a metre to a millimetre."""
+    return float(np.log10(max(value, _LEAST)))
 
 
 def centimetres(sigma_m: float) -> str:

@@ -1,6 +1,7 @@
 """A recorded session as a rerun file."""
 
 import logging
+from collections.abc import Collection
 from pathlib import Path
 
 from trigpoint import cdr
@@ -11,6 +12,7 @@ from trigpoint.network import decode_network
 from trigpoint.target import Target, parse_target
 from trigpoint.topics import CAMERA_POSE, node_of, topic_of
 
+from .overlay import Overlay, draw
 from .recording import NETWORK_ATTACHMENT, Recording
 from .rerun_blueprint import blueprint
 from .rerun_columns import Columns, open_stream
@@ -19,8 +21,8 @@ from .rerun_scene import Scene
 _LOG = logging.getLogger(__name__)
 
 
-def write_rrd(recording: Recording, path: Path) -> int:
-    """Write what `view` would have shown; return how many messages are in it.
+def write_rrd(recording: Recording, path: Path, overlays: Collection[Overlay] = ()) -> int:
+    """Write what `view` would have shown, with the overlays; return how many messages are in it.
 
     Messages that do not decode are left out, counted and named. Raises RecordingError where the
     session has no site.toml, OperationError where the file cannot be written.
@@ -35,6 +37,8 @@ def write_rrd(recording: Recording, path: Path) -> int:
     columns = Columns(stream)
     scene = Scene(site, attached_targets(recording, site), columns)
     scene.announce()
+    for overlay in overlays:
+        draw(overlay, columns)
     _place_cameras(recording, scene)
     shown = _show_all(recording, scene, columns)
     scene.finish()
@@ -91,7 +95,7 @@ def _show_all(recording: Recording, scene: Scene, columns: Columns) -> int:
     for sample in recording.samples():
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
-            scene.add(sample.topic, node_of(sample.key), message)
+            scene.add(sample.topic, node_of(sample.key), message, sample.log_ns)
         except MessageError as reason:
             if not unsound:
                 _LOG.warning("%s: %s at %d: %s", recording.path, sample.key, sample.log_ns, reason)

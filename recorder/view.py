@@ -32,7 +32,7 @@ class LiveView:
         self._site, self._stream = site, stream
         self._columns = Columns(stream)
         self._scene = Scene(site, targets, self._columns)
-        self._queue: deque[tuple[Topic, str, Message]] = deque()
+        self._queue: deque[tuple[Topic, str, Message, int]] = deque()
         self._lock = threading.Lock()
         self._shown_size = 0.0
 
@@ -48,7 +48,7 @@ class LiveView:
             if len(self._queue) >= QUEUE:
                 self._queue.popleft()
                 self._node.health.lose("drawing")
-            self._queue.append((topic, node_of(sample.key), message))
+            self._queue.append((topic, node_of(sample.key), message, sample.received_ns))
 
     def _draw(self) -> None:
         self._scene.announce()
@@ -66,8 +66,8 @@ class LiveView:
     def _draw_waiting(self) -> None:
         with self._lock:
             waiting, self._queue = self._queue, deque()
-        for topic, name, message in waiting:
-            self._scene.add(topic, name, message)
+        for topic, name, message, received_ns in waiting:
+            self._scene.add(topic, name, message, received_ns)
         self._node.health.count("drawn", len(waiting))
         self._columns.flush()
 

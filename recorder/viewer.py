@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -25,6 +25,11 @@ from .viewer_page import LOOPBACK, ViewerPage
 
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 2.0
+WEB_PORT = 9080
+"""Of the page, where none is given: a fixed one, so that a tunnel to it works (and to the next
+one, where the data are)."""
+_MEMORY = "2GB"
+"""What the viewer may hold; beyond, the oldest goes. A live site may be watched for weeks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +43,14 @@ class Ports:
 class Viewer:
     """A running viewer; ends with `close`, or by itself when its window is closed."""
 
-    def __init__(self, file: Path | None = None, *, is_web: bool) -> None:
+    def __init__(
+        self, file: Path | None = None, *, is_web: bool, port: int = 0, host: str = LOOPBACK
+    ) -> None:
         """Start it, with a file or to be streamed to; raise OperationError where it cannot run.
 
-        Without `is_web` it opens a window, for which there must be a display.
+        Without `is_web` it opens a window, for which there must be a display. `port`: of the page;
+        the data are at the next one; 0: ports that are free. `host`: the address that both are
+        open to.
         """
         if not is_web and not has_display():
             raise OperationError(
@@ -50,6 +59,10 @@ class Viewer:
             )
         self._is_web = is_web
         self._ports = Ports(*free_ports(2))
+        self._host = host
+        if port:
+            _check_free(host, port)
+            self._ports = replace(self._ports, stream=port + 1)
         self._folder = tempfile.TemporaryDirectory(prefix="trigpoint-rerun-")
         self._output = (Path(self._folder.name) / "output.txt").open("w+b")
         self._process = self._start(file)
@@ -57,7 +70,12 @@ class Viewer:
         try:
             self._wait_until_ready()
             if is_web:
-                self._page = ViewerPage(files_port=self._ports.web, stream_port=self._ports.stream)
+                self._page = ViewerPage(
+                    files_port=self._ports.web,
+                    stream_port=self._ports.stream,
+                    port=port,
+                    host=host,
+                )
         except BaseException:
             self.close()
             raise
@@ -72,7 +90,9 @@ class Viewer:
         """What to open in a browser; "" where there is a window."""
         if self._page is None:
             return ""
-        return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.stream_url, safe='')}"
+        host = self._host
+        stream = f"rerun+http://{host}:{self._ports.stream}/proxy"
+        return f"http://{host}:{self._page.port}/?url={quote(stream, safe='')}"
 
     @property
     def process_id(self) -> int:
@@ -109,7 +129,14 @@ class Viewer:
 
     def _start(self, file: Path | None) -> subprocess.Popen[bytes]:
         command = [str(program()), *([str(file)] if file else [])]
-        command += ["--bind", LOOPBACK, "--port", str(self._ports.stream), "--hide-welcome-screen"]
+        command += [
+            "--bind",
+            self._host,
+            "--port",
+            str(self._ports.stream),
+            "--hide-welcome-screen",
+        ]
+        command += ["--memory-limit", _MEMORY, "--server-memory-limit", _MEMORY]
         if self._is_web:
             command += ["--serve-web", "--web-viewer-port", str(self._ports.web)]
         try:
@@ -136,6 +163,19 @@ class Viewer:
             if time.monotonic() > deadline:
                 raise OperationError(f"rerun's viewer did not start in {START_TIMEOUT_S:.0f} s")
             time.sleep(0.05)
+
+
+def _check_free(host: str, port: int) -> None:
+    for one in (port, port + 1):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, one))
+            except OSError as reason:
+                raise OperationError(
+                    f"the viewer's port {one} on {host} cannot be had ({reason.strerror}); stop "
+                    "what uses it, or give another --port"
+                ) from None
 
 
 def program() -> Path:

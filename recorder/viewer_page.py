@@ -18,16 +18,19 @@ _PIECE = 1 << 16
 
 
 class ViewerPage:
-    """The page on a port of its own choice, until `close`."""
+    """The page, until `close`."""
 
-    def __init__(self, *, files_port: int, stream_port: int) -> None:
-        """`files_port`: rerun's web server; `stream_port`: where the page may fetch data."""
-        origin = f"http://{LOOPBACK}:{files_port}"
+    def __init__(
+        self, *, files_port: int, stream_port: int, port: int = 0, host: str = LOOPBACK
+    ) -> None:
+        """`files_port`: rerun's web server; `stream_port`: where the page may fetch data; `port`:
+        the page's own, 0: a free one; `host`: the address that it is open to."""
+        origin = f"http://{host}:{files_port}"
         policy = (
             "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; "
-            f"connect-src 'self' data: blob: http://{LOOPBACK}:{stream_port}"
+            f"connect-src 'self' data: blob: http://{host}:{stream_port}"
         )
-        self._server = ThreadingHTTPServer((LOOPBACK, 0), _handler(origin, policy))
+        self._server = ThreadingHTTPServer((host, port), _handler(origin, policy))
         self._server.daemon_threads = True
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, name="viewer page"

@@ -17,6 +17,8 @@ from trigpoint.errors import InputError, read_text
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network, load_covariance, load_network
 
+from .network_changes import changes, changes_json, changes_table, check_file
+
 _HEAD = ("camera", "camera", "metres")
 _MOST_TAPE_SIGMA_M = 1.0
 
@@ -76,6 +78,10 @@ class Comparison:
 
 def main(
     network: Annotated[Path, typer.Argument(help="A network.json, or the folder it is in.")],
+    newer: Annotated[
+        Path | None,
+        typer.Argument(help="Or a later network.json: which cameras moved since the first."),
+    ] = None,
     measured: Annotated[
         Path | None,
         typer.Option(help="A tape measure's distances: rows of camera,camera,metres[,sigma]."),
@@ -88,8 +94,12 @@ def main(
     """The distances between cameras with their standard deviations, beside a tape measure's.
 
     The standard deviations come from the joint covariance, so what all cameras are off together
-    does not count.
+    does not count. Given two networks: how far each camera moved between them, and how surely.
     """
+    if newer is not None:
+        found = changes(load_network(network), load_network(check_file(newer)))
+        typer.echo(changes_json(found) if json else changes_table(found))
+        return
     if not 0 < tape_sigma <= _MOST_TAPE_SIGMA_M:
         raise InputError(
             f"--tape-sigma {tape_sigma:g}: must be above 0 and at most {_MOST_TAPE_SIGMA_M:g} m"

@@ -166,7 +166,7 @@ def test_a_replayed_session_is_recorded_again_byte_for_byte(desk: Desk, tmp_path
 
 
 def test_a_view_ends_in_order(desk: Desk) -> None:
-    process = desk.start("view", "--site", "site.toml", "--web")
+    process = desk.start("view", "--site", "site.toml", "--web", "--port", "0")
     assert process.stdout is not None
     assert "http://127.0.0.1:" in process.stdout.readline()
     with driving(desk.bus) as sent:

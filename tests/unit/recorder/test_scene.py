@@ -164,7 +164,7 @@ def test_an_ellipsoid_has_the_covariances_axes() -> None:
     turn = Pose.planar(0, 0, 0.3).rotation
     covariance = turn @ np.diag([0.04**2, 0.02**2, 0.01**2]) @ turn.T
     half_sizes, axes = style.ellipsoid(covariance)
-    again = axes @ np.diag((half_sizes / style.SIGMAS_DRAWN) ** 2) @ axes.T
+    again = axes @ np.diag((half_sizes / (style.SIGMAS_DRAWN * style.MAGNIFIED)) ** 2) @ axes.T
     assert again == pytest.approx(covariance)
     assert np.linalg.det(axes) == pytest.approx(1.0)
 
