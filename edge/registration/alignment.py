@@ -44,11 +44,13 @@ _LEAST_OWN = 1e-6 * np.eye(_OWN)
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """`step`: (n, 2) from where the pattern was drawn to where it is, pixels; `is_clear`: (n,)
-    whether the picture shows it; `sigma`: (n,) of a step's coordinate, by what is left; `blur`: the
-    better one; `change`: (4,) by how much; `usual`: what most corners have."""
+    whether the picture shows it; `is_whole`: (n,) whether all about it looks as printed; `sigma`:
+    (n,) of a step's coordinate, by what is left; `blur`: the better one; `change`: (4,) by how
+    much; `usual`: what most corners have."""
 
     step: Array
     is_clear: np.ndarray
+    is_whole: np.ndarray
     sigma: Array
     blur: Blur
     change: Array
@@ -87,7 +89,7 @@ def aligned(
     spread = np.maximum(0.5 * (match.inverse[:, 0, 0] + match.inverse[:, 1, 1]), 0.0)
     sigma = np.sqrt(match.power * spread) / np.maximum(match.gain, 1e-6 * _WHITE)
     mended = blur.changed(change, least=LEAST_VARIANCE if is_balanced else LEAST_SOFT_VARIANCE)
-    return Alignment(step, clear, sigma, mended, change, most)
+    return Alignment(step, clear, ~odd, sigma, mended, change, most)
 
 
 def _rows(patches: Patches, blur: Blur) -> np.ndarray:

@@ -22,9 +22,11 @@ LEAST_CORNERS = 4
 # any noise the best one was off by so much, RMS.
 LEAST_SIGMA_PX = 0.003
 # Registered corners that lie this far off their plane are not believed: pixels, and share of the
-# spacing; more is allowed where all scatter, since real boards are not flat.
+# spacing; more is allowed where all scatter. A corner that looks as printed is where the paper has
+# it, which is not flat to better than the second share; one with something before it may be off.
 LEAST_WILD_PX = 0.1
-LEAST_WILD_SHARE = 0.04
+LEAST_WILD_SHARE = 0.01
+WHOLE_WILD_SHARE = 0.04
 # Corners that are so near their plane need no lens of their own, pixels.
 ENOUGH_PX = 0.03
 # What the picture's noise says of a face's sigma is worth so many squares of what its corners
@@ -98,7 +100,7 @@ def measured(
         pixels,
         size,
         least_px=LEAST_WILD_PX,
-        least_share=LEAST_WILD_SHARE,
+        least_share=np.where(found.is_whole[clear], WHOLE_WILD_SHARE, LEAST_WILD_SHARE),
         enough_px=ENOUGH_PX,
         start=found.fit,
     )

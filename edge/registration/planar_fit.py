@@ -27,8 +27,9 @@ CHAOS_SHARE = 0.4
 _RADIAL_PRIOR = 0.5  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
-# Numbers of a homography and a lens.
-_LENS_FREEDOM = 10
+# Numbers of a homography and a lens: two more than its radial ones are its centre, which is not quite
+# the picture's.
+_LENS_FREEDOM = 12
 # After a step that moves every corner by less, the next one moves none by a thousandth of a pixel:
 # of a homography alone, and with a lens.
 _SMALL_STEP_PX, _SMALL_LENS_STEP_PX = 0.1, 0.02
@@ -204,7 +205,11 @@ def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, 
     numbers = np.concatenate([(homography / homography[2, 2]).reshape(-1)[:8], fit.radial])
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ normal.T
     error, jacobian = _linearised(numbers, homogeneous, (pixels - fit.centre) / fit.scale)
-    explained = np.linalg.qr(jacobian)[0].T @ error
+    rows = jacobian.reshape(2, len(points), -1)
+    further = np.zeros((2, len(points), 2))
+    further[0, :, 0] = further[1, :, 1] = 1
+    every = np.concatenate([rows, further], axis=-1).reshape(2 * len(points), -1)
+    explained = np.linalg.qr(every)[0].T @ error
     return fit.scale**2 * max(0.0, float(error @ error - explained @ explained)), freedom
 
 
@@ -221,13 +226,14 @@ def sound_corners(
     size: tuple[int, int],
     *,
     least_px: float = LEAST_WILD_PX,
-    least_share: float = LEAST_WILD_SHARE,
+    least_share: float | Array = LEAST_WILD_SHARE,
     enough_px: float | None = None,
     start: PlanarFit | None = None,
 ) -> tuple[np.ndarray, PlanarFit | None]:
     """Which corners (n,) lie where a flat face has them, and the fit to those.
 
-    `least_px` and `least_share` (of the spacing): what is never called wild; `enough_px`: of
+    `least_px` and `least_share` (of the spacing; one, or (n,)): what is never called wild;
+    `enough_px`: of
     `settled_fit`, the same where it is left out; `start`: a fit that is nearly right. Drops the
     worst beyond WILD_SIGMAS of the others' spread, again and again; no corner is sound where fewer
     than four remain or all scatter.
@@ -236,13 +242,17 @@ def sound_corners(
     if len(points) < 4:
         return ~keep, None
     spacing = _spacing(pixels)
-    least = max(least_px, least_share * spacing)
+    least = np.broadcast_to(np.maximum(least_px, least_share * spacing), len(points))
     fit = start or fit_plane(points, pixels, size, has_lens=False)
     if fit is None or median(fit.residuals(points, pixels)) > max(2.0, CHAOS_SHARE * spacing):
         return np.zeros(len(points), dtype=bool), None
     while keep.sum() >= 4:
         fit = settled_fit(
-            points[keep], pixels[keep], size, least if enough_px is None else enough_px, start=fit
+            points[keep],
+            pixels[keep],
+            size,
+            float(least.min()) if enough_px is None else enough_px,
+            start=fit,
         )
         if fit is None:
             break
@@ -250,11 +260,11 @@ def sound_corners(
         usual = median(distances[keep]) / 1.18  # the median of a Rayleigh distribution
         if usual > max(LEAST_WILD_PX, SCATTER_SHARE * spacing):
             break
-        limit = max(least, WILD_SIGMAS * usual)
-        worst = float(np.max(distances[keep]))
-        if worst <= limit:
+        beyond = distances / np.maximum(least, WILD_SIGMAS * usual)
+        worst = float(np.max(beyond[keep]))
+        if worst <= 1:
             return keep, fit
-        keep &= distances < max(limit, 0.7 * worst)
+        keep &= beyond < max(1.0, 0.7 * worst)
     return np.zeros(len(points), dtype=bool), None
 
 

@@ -54,11 +54,12 @@ _AROUND_PX = MOST_HALF_PX + 6
 @dataclass(frozen=True, slots=True)
 class Registration:
     """Where corners are. `pixels`: (n, 2); `is_clear`: (n,) whether the picture shows the corner as
-    the pattern has it; `sigma`: (n,) of a coordinate by the picture's noise, pixels; `blur`: of the
-    picture there; `fit`: the last one used."""
+    the pattern has it, `is_whole`: with nothing before any of it; `sigma`: (n,) of a coordinate by
+    the picture's noise, pixels; `blur`: of the picture there; `fit`: the last one used."""
 
     pixels: Array
     is_clear: np.ndarray
+    is_whole: np.ndarray
     sigma: Array
     blur: Blur
     fit: PlanarFit
@@ -135,7 +136,7 @@ class _Face:
 
     def settled(self, found: Alignment) -> Registration:
         """What was found, after more rounds for those corners alone that still move."""
-        clear, sigma = found.is_clear, found.sigma
+        clear, whole, sigma = found.is_clear, found.is_whole, found.sigma
         moves = np.linalg.norm(found.step, axis=1)
         for _ in range(LATE_ROUNDS):
             late = np.flatnonzero(clear & (moves > SETTLED_STEP_PX))
@@ -143,10 +144,11 @@ class _Face:
                 break
             again = self._aligned(late, found.usual)
             clear[late], sigma[late] = again.is_clear, again.sigma
+            whole[late] = again.is_whole
             moves[late] = np.linalg.norm(again.step, axis=1)
         # A corner that still moves has not found its place.
         clear &= moves <= SETTLED_STEP_PX
-        return Registration(self.pixels, clear, sigma, self.blur, self.fit)
+        return Registration(self.pixels, clear, whole, sigma, self.blur, self.fit)
 
     def _aligned(
         self, which: np.ndarray, usual: Usual | None, *, is_far: bool = False
