@@ -221,8 +221,12 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     face = board.look.face
     grey = _shown(source.grey, face)
     points, size = face.corners[board.ids, :2], (grey.shape[1], grey.shape[0])
-    fit = settled_fit(points, source.pixels(board.pixels), size, ENOUGH_PX)
-    found = measured(grey, CornerPattern.of(face), fit, is_over=is_over) if fit else None
+    starts = np.full((face.corner_count, 2), np.nan)
+    starts[board.ids] = pixels = source.pixels(board.pixels)
+    fit = settled_fit(points, pixels, size, ENOUGH_PX)
+    if fit is None:
+        return None
+    found = measured(grey, CornerPattern.of(face), fit, starts=starts, is_over=is_over)
     if found is None or len(found.corners) < LEAST_SHARE * face.corner_count:
         return None
     is_there = weighed(grey, face, found.fit, found.corners).is_board

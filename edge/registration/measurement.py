@@ -75,20 +75,25 @@ def measured(
     pattern: CornerPattern,
     fit: PlanarFit,
     *,
+    starts: Array | None = None,
     blur: Blur | None = None,
     is_rough: bool = False,
     is_over: IsOver = never,
 ) -> Measured | None:
     """Every corner that the picture shows of a face that lies about where `fit` has it.
 
-    `blur`, `is_rough` and `is_over`: as of `registered`. None where the picture shows none, or
+    `starts`: (m, 2) for every corner of the face, where it was found already, not a number where
+    not; `blur`, `is_rough` and `is_over`: as of `registered`. None where the picture shows none, or
     those that it shows lie on no plane, or the time is over.
     """
     size = (grey.shape[1], grey.shape[0])
     ids = in_view(fit, pattern.points, size)
     if len(ids) == 0:
         return None
-    found = registered(grey, pattern, fit, ids, blur=blur, is_rough=is_rough, is_over=is_over)
+    near = None if starts is None else starts[ids]
+    found = registered(
+        grey, pattern, fit, ids, starts=near, blur=blur, is_rough=is_rough, is_over=is_over
+    )
     if found is None:
         return None
     clear = found.is_clear

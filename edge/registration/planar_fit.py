@@ -27,9 +27,8 @@ CHAOS_SHARE = 0.4
 _RADIAL_PRIOR = 0.5  # of each coefficient, at the corner of the picture
 _PRIOR_SIGMA_PX = 0.3  # what one residual is worth against that prior
 _ITERATIONS = 12
-# Numbers of a homography and a lens: two more than its radial ones are its centre, which is not quite
-# the picture's.
-_LENS_FREEDOM = 12
+# Numbers of a homography and a lens.
+_LENS_FREEDOM = 10
 # After a step that moves every corner by less, the next one moves none by a thousandth of a pixel:
 # of a homography alone, and with a lens.
 _SMALL_STEP_PX, _SMALL_LENS_STEP_PX = 0.1, 0.02
@@ -38,7 +37,12 @@ _LEAST_DAMPING = 1e-7
 _DAMPING_STEP = 10.0
 _TINY = 1e-12
 _RUNAWAY = 1e4
-_MOST_RADIAL = 6.0  # 180 degrees in a circle of 0.4 of the picture's diagonal
+# The centre of a lens is not quite the picture's. Each half diagonal that it lies aside counts
+# like a residual of so many pixels: in a picture of 640 x 480, a sixtieth of a pixel for each
+# pixel, which is little against what it explains of a wide lens, and much against a sharp noise.
+_CENTRE_WEIGHT_PX = 6.7
+# 180 degrees in a circle of 0.4 of the picture's diagonal.
+_MOST_RADIAL = 6.0
 _NEWTON_STEPS = 4
 # What no ray in front of the camera comes near to, of its length; and of the quadratic's slope,
 # how much at least is left with the second coefficient.
@@ -205,12 +209,20 @@ def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, 
     numbers = np.concatenate([(homography / homography[2, 2]).reshape(-1)[:8], fit.radial])
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ normal.T
     error, jacobian = _linearised(numbers, homogeneous, (pixels - fit.centre) / fit.scale)
-    rows = jacobian.reshape(2, len(points), -1)
-    further = np.zeros((2, len(points), 2))
-    further[0, :, 0] = further[1, :, 1] = 1
-    every = np.concatenate([rows, further], axis=-1).reshape(2 * len(points), -1)
-    explained = np.linalg.qr(every)[0].T @ error
+    error, jacobian = _with_centre(error, jacobian, fit.scale)
+    explained = np.linalg.qr(jacobian)[0].T @ error
     return fit.scale**2 * max(0.0, float(error @ error - explained @ explained)), freedom
+
+
+def _with_centre(error: Array, jacobian: Array, scale: float) -> tuple[Array, Array]:
+    """Residuals (2n + 2,) and derivative (2n + 2, 12) with the lens's centre free too, near the
+    picture's: two more numbers, and two more residuals that hold them."""
+    n = len(error) // 2
+    every = np.zeros((2 * n + 2, 12))
+    every[:-2, :10] = jacobian
+    every[:n, 10] = every[n:-2, 11] = 1
+    every[-2, 10] = every[-1, 11] = _CENTRE_WEIGHT_PX / scale
+    return np.append(error, [0.0, 0.0]), every
 
 
 def _normalising(points: Array) -> Array:

@@ -71,12 +71,14 @@ def registered(
     fit: PlanarFit,
     ids: np.ndarray,
     *,
+    starts: Array | None = None,
     blur: Blur | None = None,
     is_rough: bool = False,
     is_over: IsOver = never,
 ) -> Registration | None:
     """The corners `ids` (n,) of a face that lies about where `fit` has it: to a pixel or so, or to
     two or three where `is_rough` (then it is brought near by a wider drawing of a few corners).
+    `starts`: (n, 2) where corners were found already, to a pixel or so, not a number where not.
     While corners are far, the light counts as even. None where `is_over` becomes true before they
     have settled."""
     blur, is_far = SHARP if blur is None else blur, False
@@ -84,7 +86,7 @@ def registered(
         fit, is_far = _approached(grey, pattern, fit, _spread(ids), blur)
         if is_over():
             return None
-    face = _Face.at(grey, pattern, ids, fit, blur)
+    face = _Face.at(grey, pattern, ids, fit, blur, starts)
     found = face.moved(is_far=is_far)
     usual, before = _usual_length(found), np.inf
     for _ in range(ROUNDS - 1):
@@ -104,7 +106,8 @@ def registered(
 @dataclass(slots=True, eq=False)
 class _Face:
     """What is known of a face between the rounds. `pixels`: (n, 2) where the corners `ids` are;
-    `nearest`: (n, 2) the whole pixels about which they are looked at."""
+    `nearest`: (n, 2) the whole pixels about which they are looked at; `starts`: (n, 2) where they
+    were found before, not a number where they were not."""
 
     grey: np.ndarray
     pattern: CornerPattern
@@ -113,14 +116,23 @@ class _Face:
     blur: Blur
     pixels: Array
     nearest: Array
+    starts: Array
 
     @classmethod
     def at(
-        cls, grey: np.ndarray, pattern: CornerPattern, ids: np.ndarray, fit: PlanarFit, blur: Blur
+        cls,
+        grey: np.ndarray,
+        pattern: CornerPattern,
+        ids: np.ndarray,
+        fit: PlanarFit,
+        blur: Blur,
+        starts: Array | None,
     ) -> "_Face":
-        """A face that lies where `fit` has it."""
+        """A face that lies where `fit` has it, or its corners where they were found."""
         pixels = fit.project(pattern.points[ids])
-        return cls(grey, pattern, ids, fit, blur, pixels, np.rint(pixels))
+        starts = np.full(pixels.shape, np.nan) if starts is None else starts
+        pixels = np.where(np.isnan(starts), pixels, starts)
+        return cls(grey, pattern, ids, fit, blur, pixels, np.rint(pixels), starts)
 
     def moved(self, *, is_far: bool = False) -> Alignment:
         """A round for all corners: the clear ones are moved, the blur is mended."""
@@ -129,10 +141,12 @@ class _Face:
         return found
 
     def refit(self, clear: np.ndarray) -> None:
-        """Take the plane through the clear corners, and put the others where that has them."""
+        """Take the plane through the clear corners, and put the others where they were found, or
+        where that has them."""
         size = (self.grey.shape[1], self.grey.shape[0])
         points = self.pattern.points[self.ids]
-        self.fit, self.pixels = _refitted(self.fit, points, self.pixels, clear, size)
+        self.fit, pixels = _refitted(self.fit, points, self.pixels, clear, size)
+        self.pixels = np.where(clear[:, None] | np.isnan(self.starts), pixels, self.starts)
 
     def settled(self, found: Alignment) -> Registration:
         """What was found, after more rounds for those corners alone that still move."""

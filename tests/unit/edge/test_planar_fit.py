@@ -90,7 +90,7 @@ def test_scatter_is_that_of_the_corners_and_not_of_the_lens(has_lens: bool) -> N
         assert fit is not None
         one, more = scatter_about(fit, POINTS, pixels)
         squares, freedom = squares + one, freedom + more
-    assert freedom == 8 * (96 - 12)
+    assert freedom == 8 * (96 - 10)
     assert np.sqrt(squares / freedom) == pytest.approx(0.01, rel=0.08)
 
 
