@@ -1,0 +1,100 @@
+"""A simulated robot of each protocol behind a pseudo-terminal: its odometry, and where it is."""
+
+import json
+import os
+import time
+import tty
+from contextlib import closing
+
+import numpy as np
+import pytest
+from robot_desk import MAP, Desk, desk
+
+from trigpoint.cdr import decode
+from trigpoint.config import parse_site
+from trigpoint.geometry import Pose
+from trigpoint.messages import PoseEstimate
+from trigpoint.robot.guess import guessed
+from trigpoint.tools.simulation.world import load_world
+from trigpoint.topics import CORRECTED
+
+__all__ = ["desk"]  # the fixture
+
+WHEELS = {
+    "ros_arduino_bridge": "[robots.r1.wheels]\ndiameter = 0.146\ntrack = 0.2969\nticks = 8384\n"
+}
+MAP_FROM_ODOM = Pose.planar(10.0, 3.0, 1.0)
+
+
+def speak(desk: Desk, protocol: str) -> None:
+    text = desk.site.text + f'protocol = "{protocol}"\n' + WHEELS.get(protocol, "")
+    (desk.folder / "site.toml").write_text(text)
+    desk.site = parse_site(text, directory=desk.folder)
+    desk.start_firmware("--protocol", protocol)
+
+
+@pytest.mark.parametrize("protocol", ["create2", "mavlink", "ros_arduino_bridge"])
+def test_odometry_is_the_worlds_and_the_robots_place_is_on_the_bus(
+    desk: Desk, protocol: str
+) -> None:
+    speak(desk, protocol)
+    world = load_world("lab", seed=1).odometry("r1")
+    corrected = desk.bus.subscribe(CORRECTED, CORRECTED.key("lab", "r1"))
+    with desk.bridge() as node:
+        desk.place(node, MAP_FROM_ODOM)
+        messages = desk.take(60)
+    # Counts begin at the bridge's start, in a frame of their own: compared is the way between.
+    seconds = np.array([(message.stamp_ns - desk.epoch_ns) / 1e9 for message in messages])
+    numbers = np.clip(np.round(seconds / 0.02).astype(int), 0, len(world.stamps_s) - 1)
+    ways = [messages[0].pose.inverse() @ message.pose for message in messages]
+    truth = [world.poses[numbers[0]].inverse() @ world.poses[number] for number in numbers]
+    apart = np.array([way.difference(true) for way, true in zip(ways, truth, strict=True)])
+    # Half a reading's time at 0.4 m/s, a count of the wheels, and what arrival says of time.
+    assert np.median(np.abs(apart).max(axis=1)) < 0.02
+    assert node.health.total("frames_established") == 1
+    assert node.health.lost("odometry_impossible") == 0
+    last = None
+    while (sample := corrected.take(0.2)) is not None:
+        last = decode(CORRECTED.type_name, sample.payload)
+    assert isinstance(last, PoseEstimate)
+    by_stamp = {message.stamp_ns: message for message in messages}
+    at = by_stamp.get(last.stamp_ns, messages[-1])
+    np.testing.assert_allclose(last.pose.difference(MAP_FROM_ODOM @ at.pose)[:2], 0, atol=0.05)
+
+
+@pytest.mark.parametrize("protocol", ["trigpoint", "create2", "mavlink", "ros_arduino_bridge"])
+def test_protocol_of_a_robot_is_guessed(desk: Desk, protocol: str) -> None:
+    speak(desk, protocol)
+    time.sleep(0.2)
+    found = guessed(str(desk.port))
+    assert found is not None
+    assert found.protocol == protocol
+
+
+def test_nobody_at_a_port_is_no_guess() -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    try:
+        assert guessed(os.ttyname(theirs), listen_s=0.05) is None
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_map_that_the_site_does_not_know_is_asked_for(desk: Desk) -> None:
+    """The bridge asks `fusion/map` by itself, and only while corrections want to place a robot."""
+    asked = []
+
+    def answer(_request: bytes) -> bytes:
+        asked.append(time.monotonic())
+        return json.dumps({"map_id": str(MAP)}).encode()
+
+    desk.start_firmware()
+    with desk.bridge(), closing(desk.bus.serve("lab/fusion/map", answer)):
+        desk.take(20)
+        assert not asked
+        desk.correct(desk.take(10)[-3], MAP_FROM_ODOM)
+        deadline = time.monotonic() + 10.0
+        while not asked and time.monotonic() < deadline:
+            desk.take(5)
+        assert asked
