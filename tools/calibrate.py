@@ -19,7 +19,9 @@ from trigpoint.network import encode_network
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.tools.calibration_report import REPORT, write_report
 from trigpoint.tools.truth import NetworkError, load_truth, network_error
+from trigpoint.words import Progress
 
+from .noise_words import noise_text
 from .session_inputs import session_inputs
 
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
@@ -99,11 +101,14 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
     pipeline = Pipeline(inputs, is_live=False)
     if not any(isinstance(message, Odometry) for _, message in messages):
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
+    progress = Progress("calibrate", len(messages))
     for node, message in messages:
         pipeline.push(node, message)
         if isinstance(message, Odometry):
             pipeline.advance()
+        progress.step()
     pipeline.finish()
+    progress.close()
     for reason, count in sorted(pipeline.left_out.items()):
         typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
     if pipeline.last_problem:
@@ -169,7 +174,7 @@ def _print(results: Results, error: NetworkError | None) -> None:
         for reason in camera.undetermined:
             typer.echo(f"            not determined: {reason}")
     if results.network.statistics.chi2_per_dof is not None:
-        typer.echo(f"chi² per degree of freedom: {results.network.statistics.chi2_per_dof:.3f}")
+        typer.echo(noise_text(results.network.statistics.chi2_per_dof))
     if error and error.distance is not None:
         typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
         typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")

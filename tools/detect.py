@@ -18,8 +18,10 @@ from trigpoint.edge.sources.picture_files import is_picture, pictures_in, read_p
 from trigpoint.errors import InputError
 from trigpoint.messages import FaceSighting
 from trigpoint.target import load_target
+from trigpoint.words import counted
 
 from .detect_drawing import draw_faces
+from .detect_hints import LEAST_PICTURES, Hints
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +54,14 @@ def main(
     """The faces of a target in pictures: which, where their corners are, and how well known."""
     quieten_opencv()
     cv2.setNumThreads(1)  # as the agent does, so that the times are those of the agent
-    detector = detector_for([load_target(target)])
+    wanted = load_target(target)
+    detector = detector_for([wanted])
     check_all(pictures)
     if draw is not None:
         _make_folder(draw)
     first: Still | None = None
     said = 0
+    total = _Sum(Hints(wanted))
     for still in stills(pictures, topic):
         first = first or still
         if sequence and still.picture.shape != first.picture.shape:
@@ -65,6 +69,7 @@ def main(
         began_s = time.perf_counter()
         faces = detector.detect(still.picture)
         milliseconds = (time.perf_counter() - began_s) * 1e3
+        total.add(still, faces)
         typer.echo((_json if json_lines else _text)(still, faces, milliseconds))
         for line in detector.misdescribed[said:]:
             typer.echo(f"{target}: {line}", err=True)
@@ -72,6 +77,32 @@ def main(
         if draw is not None:
             file = draw / f"{still.stem}.png"
             cv2.imwrite(str(file), draw_faces(still.picture, faces))
+    for line in total.lines():
+        typer.echo(line, err=True)
+
+
+class _Sum:
+    """What came of all pictures."""
+
+    def __init__(self, hints: Hints) -> None:
+        self._hints = hints
+        self._pictures = self._with_faces = self._faces = 0
+
+    def add(self, still: Still, faces: tuple[FaceSighting, ...]) -> None:
+        self._pictures += 1
+        self._with_faces += bool(faces)
+        self._faces += len(faces)
+        if not faces:
+            self._hints.keep(still.picture)
+
+    def lines(self) -> Iterator[str]:
+        """The sum, and what to do where nothing was found in many pictures."""
+        yield (
+            f"{counted(self._pictures, 'picture')}: {counted(self._faces, 'face')} in "
+            f"{self._with_faces} of them"
+        )
+        if not self._faces and self._pictures >= LEAST_PICTURES:
+            yield self._hints.text()
 
 
 def stills(paths: Sequence[Path], topics: Sequence[str] = ()) -> Iterator[Still]:

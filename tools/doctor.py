@@ -12,6 +12,7 @@ from trigpoint.checks import Check
 from trigpoint.config import CameraConfig, Site, load_site, parse_site
 from trigpoint.errors import InputError, TargetError
 from trigpoint.target import load_target
+from trigpoint.words import counted
 
 from .clock_checks import check_time_service
 from .machine_checks import (
@@ -108,15 +109,22 @@ def _check_target(site: Site, robot: str) -> Check:
         target = load_target(site.path(site.target_name(robot)))
     except TargetError as reason:
         return Check(f"target of {robot}", "error", str(reason), "try `trigpoint target check`")
-    return Check(f"target of {robot}", "ok", f"«{target.name}», {len(target.faces)} faces")
+    return Check(
+        f"target of {robot}", "ok", f"«{target.name}», {counted(len(target.faces), 'face')}"
+    )
 
 
 def _check_camera(site: Site, name: str) -> list[Check]:
     findings = [] if site.camera(name).intrinsics else [_no_lens(name)]
     scheme, _, place = site.camera(name).source.partition("://")
     if scheme == "v4l2":
-        device = _device(place.partition("?")[0])
-        findings.append(_check_device(f"camera {name}", device, "video"))
+        device = _check_device(f"camera {name}", _device(place.partition("?")[0]), "video")
+        if device.level != "ok":
+            return [*findings, device, _shutter(name, site.camera(name))]
+    if not missing_packages("edge"):
+        from .camera_checks import check_camera  # needs the edge extra
+
+        findings += check_camera(site, name)
     if scheme in _LIVE:
         findings.append(_shutter(name, site.camera(name)))
     return findings + _check_boards(site, name)

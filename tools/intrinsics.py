@@ -65,6 +65,8 @@ def main(
     if out is not None:
         for file in _write(out, found, searched.count):
             typer.echo(f"wrote {file}", err=json_text)
+    else:
+        typer.echo("nothing was written; --out FILE.yaml keeps it", err=True)
 
 
 def _targets(target: Path | None, site: Path | None) -> list[Target]:

@@ -19,7 +19,7 @@ from trigpoint.errors import BusError
 from trigpoint.topics import ODOMETRY
 
 EXTRAS: dict[str, tuple[str, ...]] = {
-    "edge": ("cv2",),
+    "edge": ("cv2", "av"),
     "robot": ("serial", "cobs"),
     "fusion": ("cv2", "scipy"),
     "recorder": ("mcap", "rerun"),

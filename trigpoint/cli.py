@@ -130,6 +130,7 @@ GROUPS = {
 }
 
 EXTRAS: dict[str, str] = {
+    "av": "edge",
     "cv2": "edge",
     "serial": "robot",
     "cobs": "robot",

@@ -58,11 +58,21 @@ def _truth(results: CalibrationResults) -> str:
     return tile(centimetres(results.error.distance), words)
 
 
+def noise_words(chi2: float) -> str:
+    """What χ² says, and what follows where it is far from 1."""
+    words = "χ² per degree of freedom; 1 where noise is what it was said to be"
+    if chi2 > 2.0:
+        return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
+    if chi2 < 0.5:
+        return f"{words}; sigmas are rather too large: corners or odometry are better than said"
+    return words
+
+
 def _noise(results: CalibrationResults) -> str:
     chi2 = results.network.statistics.chi2_per_dof
     if chi2 is None:
         return ""
-    return tile(f"{chi2:.2f}", "χ² per degree of freedom; 1 where noise is what it was said to be")
+    return tile(f"{chi2:.2f}", noise_words(chi2))
 
 
 def _rejected(results: CalibrationResults) -> str:

@@ -1,0 +1,15 @@
+"""A site under fire: all that a week in the field may bring at drawn moments, and the network at
+the end is the undisturbed one's. A minute here; `python -m benchmarks.fire` takes ten."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from under_fire import carry_out
+
+
+@pytest.mark.timeout(300)
+def test_minute_under_fire_ends_in_the_undisturbed_network(
+    tmp_path: Path, free_port: Callable[[], int]
+) -> None:
+    carry_out(tmp_path, free_port(), seconds=45.0, seed=9)

@@ -1,0 +1,107 @@
+"""A run under fire from its first program to its last."""
+
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from builders import eventually
+from drives import lab_plan, make_session
+from field import Drive, Field, Program, answers, lay_out, meeting_point
+from fire import MORE, Fire, Watchman, kill_and_restart
+
+from trigpoint.bus import Bus
+from trigpoint.network import Network, load_network
+from trigpoint.tools.simulation.targets import target_of, target_text
+from trigpoint.tools.status import look, wanted_of
+
+MOST_MB = 450.0
+"""Fusion with its solver takes 250 MB before the first message, and 600 under a flood once."""
+
+
+def carry_out(folder: Path, port: int, *, seconds: float, seed: int) -> None:
+    """Drive for so long under fire; raises AssertionError where anything goes wrong."""
+    session = make_session(lab_plan("charuco", seconds=seconds))
+    (folder / "other.toml").write_text(target_text(target_of("checkerboard")))
+    field = lay_out(folder, port, session, more=MORE)
+    programs: list[Program] = []
+
+    def start(*words: str) -> Program:
+        program = Program(field, *words)
+        programs.append(program)
+        return program
+
+    with ExitStack() as stack:
+        stack.callback(lambda: [program.kill() for program in programs])
+        bus = stack.enter_context(meeting_point(field))
+        start("record", "--out", str(field.folder / "session"))
+        fusion = start("fusion", "--out", str(field.out))
+        assert eventually(lambda: answers(bus, "clock") is not None, 60.0), fusion.said
+        drive = Drive(field)
+        stack.callback(drive.close)
+        watchman = Watchman(bus, lambda: list(programs))
+        stack.callback(watchman.close)
+        fire = Fire(field, drive, seed)
+        stack.callback(fire.close)
+        fire.start(seconds - 5.0)
+        time.sleep(seconds * 0.4)
+        watchman.is_paused.set()
+        programs.remove(fusion)
+        fusion = kill_and_restart(fusion, field, lambda: start("fusion", "--out", str(field.out)))
+        assert eventually(lambda: answers(bus, "fusion/map") is not None, 60.0), fusion.said
+        watchman.is_paused.clear()
+        drive.finish()
+        fire.close()
+        check_status(field, fusion)
+        assert eventually(lambda: is_settled(field, bus), 60.0), fusion.said
+        watchman.close()
+        check_stops(programs)
+        assert set(fire.done) == set(fire.attacks)
+        assert watchman.asked > seconds / 2
+        assert not watchman.unanswered, fusion.said
+        assert max(watchman.most_mb.values()) < MOST_MB, watchman.most_mb
+        check_network(load_network(field.out), drive.undisturbed(), fusion)
+
+
+def check_status(field: Field, fusion: Program) -> None:
+    """`status` says who is there, and what is wrong with what comes in."""
+    with field.session_of_bus() as bus:
+        status = look(bus, "lab", threading.Event(), wanted=wanted_of(field.site))
+    nodes = {node.name: node for node in status.nodes}
+    assert nodes["fusion/fusion"].state != "silent"
+    assert nodes["recorder/main"].state != "silent"
+    assert nodes["edge/noisy"].state == "missing"
+    left_out = nodes["fusion/fusion"].totals
+    for reason in ("far_ahead", "unknown_sender", "two_senders", "unknown_target"):
+        assert left_out.get(f"left_out.{reason}", 0) > 0, (reason, left_out)
+    assert left_out.get("rejected", 0) > 0
+    assert "two send on lab/camera/twice/sightings: the sessions" in fusion.said
+
+
+def is_settled(field: Field, bus: Bus) -> bool:
+    """Whether fusion has used all that the drive's cameras saw."""
+    answer = answers(bus, "fusion/network")
+    if answer is None:
+        return False
+    cameras = {n: c for n, c in answer["cameras"].items() if n in field.session.plan.cameras}
+    return all(camera["status"] == "located" for camera in cameras.values())
+
+
+def check_stops(programs: list[Program]) -> None:
+    """Each ends by itself, and in order."""
+    for program in reversed(programs):
+        assert program.stop() >= 0, program.said
+        assert program.process.returncode == 0, program.said
+        assert "Traceback" not in program.said, program.said
+
+
+def check_network(network: Network, expected: Network, fusion: Program) -> None:
+    """The drive's cameras are where they are without the fire, within a tenth of a sigma."""
+    for name, record in expected.cameras.items():
+        mine = network.cameras[name]
+        assert mine.map_from_camera is not None, fusion.said
+        assert record.map_from_camera is not None
+        apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
+        sigma = np.sqrt(np.diagonal(record.covariance_matrix))
+        assert np.abs(apart / sigma).max() < 0.1, (name, apart / sigma, fusion.said)
