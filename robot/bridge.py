@@ -79,7 +79,7 @@ class Location:
 class Offset:
     """What turns this machine's monotonic clock into Unix time: nanoseconds to add.
 
-    Taken once: the odometry's stamps must not jump when somebody sets the machine's clock.
+    Taken anew only where a clock that was set is believed: stamps must not jump as it is set.
     """
 
     unix_minus_elapsed_ns: int
@@ -156,6 +156,17 @@ class Bridge:
     def unix_ns(self, elapsed_ns: int) -> int:
         """Unix time on the scale of the odometry's stamps."""
         return elapsed_ns + self._offset.unix_minus_elapsed_ns
+
+    def follow(self, offset: Offset) -> None:
+        """Stamp by this machine's clock as it was set: its odometry goes on, and what corrections
+        are held against is of the time before."""
+        with self._lock:
+            moved_ns = offset.unix_minus_elapsed_ns - self._offset.unix_minus_elapsed_ns
+            self._offset = offset
+            self._stream.shift(moved_ns)
+            self._limits.restart()
+            self._gate.restart()
+            self._blend.restart()
 
     def on_event(self, event: Event) -> Odometry | None:
         """Take in one event; returns the odometry message that it leads to."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from trigpoint.bus import Bus, Publisher
 from trigpoint.cdr import encode, warm_up
-from trigpoint.clock import Clock, SystemClock, to_ns, to_seconds
+from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.config import Site
 from trigpoint.errors import ConfigError, read_text
 from trigpoint.node import Node
@@ -34,7 +34,7 @@ class RobotNode:
         self, bus: Bus, node: Node, site: Site, robot: str, *, clock: Clock | None = None
     ) -> None:
         self._bus, self._node, self._site, self._robot = bus, node, site, robot
-        self._clock = clock or SystemClock()
+        self._clock = clock or node.clock
         config = site.robot(robot)
         url = port_url(site, robot)
         self._offset = measured_offset(self._clock)
@@ -91,14 +91,11 @@ class RobotNode:
 
     def _firmware_clock_s(self) -> float:
         """What the firmware's clock reads, 0 where that is not known. Called once a second, so it
-        also looks whether somebody set this machine's clock."""
-        moved_ns = measured_offset(self._clock).unix_minus_elapsed_ns
-        moved_ns -= self._offset.unix_minus_elapsed_ns
-        if abs(moved_ns) > _STEP_NS:
-            self._node.health.fail(
-                f"this machine's clock was set by {to_seconds(moved_ns):+.3f} s since the bridge "
-                "started; the odometry keeps its time: restart the bridge to follow"
-            )
+        also looks whether the node's clock follows this machine's, which was set."""
+        offset = measured_offset(self._clock)
+        if abs(offset.unix_minus_elapsed_ns - self._offset.unix_minus_elapsed_ns) > _STEP_NS:
+            self._offset = offset
+            self._bridge.follow(offset)
         zero_ns = self._bridge.clock.machine_ns(0)
         return 0.0 if zero_ns is None else to_seconds(self._clock.elapsed_ns() - zero_ns)
 

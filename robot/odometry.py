@@ -1,6 +1,6 @@
 """Readings of the firmware become messages of the bus: time, frame names, restarts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
@@ -44,6 +44,11 @@ class OdometryStream:
     def restart(self) -> None:
         """The firmware was restarted: what it counts now begins where the robot was last."""
         self._is_restarted = self._last is not None
+
+    def shift(self, by_ns: int) -> None:
+        """Stamps go on by a clock that is this much later than the one before."""
+        if self._last is not None:
+            self._last = replace(self._last, stamp_ns=self._last.stamp_ns + by_ns)
 
     def add(self, reading: Reading, stamp_ns: int) -> Odometry | None:
         """The message of a reading; None where its time is not after the last one's."""

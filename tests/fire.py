@@ -208,8 +208,10 @@ class Watchman:
                 self.most_mb[program.name] = max(self.most_mb.get(program.name, 0.0), memory)
             for path in () if self.is_paused.is_set() else ("clock", "fusion/map"):
                 self.asked += 1
+                began_s = time.monotonic()
                 if answers(self._bus, path) is None and not self.is_paused.is_set():
-                    self.unanswered.append(path)
+                    after_s = time.monotonic() - began_s
+                    self.unanswered.append(f"{path} at {began_s:.0f} s, within {after_s:.1f} s")
 
     def close(self) -> None:
         self._stopping.set()

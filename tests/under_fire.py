@@ -12,7 +12,12 @@ from drives import lab_plan, make_session
 from field import Drive, Field, Program, answers, lay_out, meeting_point
 from fire import MORE, Fire, Watchman, kill_and_restart
 
+from trigpoint import cdr, topics
 from trigpoint.bus import Bus
+from trigpoint.fusion.checkpoint import read_checkpoint
+from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.messages import Odometry
 from trigpoint.network import Network, load_network
 from trigpoint.tools.simulation.targets import target_of, target_text
 from trigpoint.tools.site_status import NodeStatus
@@ -62,9 +67,9 @@ def carry_out(folder: Path, port: int, *, seconds: float, seed: int) -> None:
         check_stops(programs)
         assert set(fire.done) == set(fire.attacks)
         assert watchman.asked > seconds / 2
-        assert not watchman.unanswered, fusion.said
+        assert not watchman.unanswered, (watchman.unanswered, fusion.said)
         assert max(watchman.most_mb.values()) < MOST_MB, watchman.most_mb
-        check_network(load_network(field.out), drive.undisturbed(), fusion)
+        check_network(network_of(field, fusion), drive.undisturbed(), fusion)
 
 
 def check_status(field: Field, fusion: Program) -> None:
@@ -80,10 +85,13 @@ def check_status(field: Field, fusion: Program) -> None:
     assert eventually(is_heard, 20.0), (nodes, fusion.said)
     assert nodes["edge/noisy"].state == "missing"
     left_out = nodes["fusion/fusion"].totals
-    for reason in ("far_ahead", "unknown_sender", "two_senders", "unknown_target"):
+    for reason in ("unknown_sender", "two_senders", "unknown_target"):
         assert left_out.get(f"left_out.{reason}", 0) > 0, (reason, left_out)
     assert left_out.get("rejected", 0) > 0
-    assert "two send on lab/camera/twice/sightings: the sessions" in fusion.said
+    # One of its lives at least; how often it was done before and after the kill is drawn.
+    said = "".join(log.read_text() for log in field.folder.glob("fusion-*.log"))
+    assert "is stamped 3600 s ahead of this machine's clock" in said
+    assert "two send on lab/camera/twice/sightings: the sessions" in said
 
 
 def is_settled(field: Field, bus: Bus) -> bool:
@@ -101,6 +109,24 @@ def check_stops(programs: list[Program]) -> None:
         assert program.stop() >= 0, program.said
         assert program.process.returncode == 0, program.said
         assert "Traceback" not in program.said, program.said
+
+
+def network_of(field: Field, fusion: Program) -> Network:
+    """What fusion wrote as it stopped; on a machine so busy that its last solution would have taken
+    longer than a stop may, what comes of all that it took in."""
+    if "would take longer than a stop may" not in fusion.said:
+        return load_network(field.out)
+    inputs = load_inputs(field.site, network=None)
+    pipeline = Pipeline(inputs, is_live=False)
+    for key, payload in read_checkpoint(field.out / "checkpoint.bin"):
+        topic = topics.topic_of(key)
+        assert topic is not None
+        message = cdr.decode(topic.type_name, payload)
+        pipeline.push(topics.node_of(key), message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    return pipeline.network()
 
 
 def check_network(network: Network, expected: Network, fusion: Program) -> None:

@@ -77,3 +77,11 @@ def test_moment_of_a_reading_is_that_reading() -> None:
 def test_moments_outside_of_the_history_are_unknown() -> None:
     assert history().at(to_ns(0.5)) is None  # dropped: longer ago than the span
     assert history().at(to_ns(2.1)) is None
+
+
+def test_odometry_goes_on_where_a_clock_that_was_set_back_is_followed() -> None:
+    stream = OdometryStream("r1")
+    taken(stream, 1.0, to_ns(100.0))
+    stream.shift(-to_ns(10.0))
+    message = taken(stream, 1.1, to_ns(90.0) + 1)
+    assert message.pose.translation[0] == 1.1
