@@ -9,7 +9,7 @@ from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array, hat
 
-from .bundle_adjustment import Scene, Solution, adjusted
+from .bundle_adjustment import STEPS, Scene, Solution, adjusted
 from .calibration_start import equidistant_start, polynomial_from, pose_through
 from .calibration_views import View
 
@@ -57,10 +57,11 @@ def fit(
     *,
     start: Fit | None = None,
     weights: Array | None = None,
+    steps: int = STEPS,
 ) -> Fit | None:
     """The least-squares fit of a model; `size`: width, height; `start`: a fit of any model to the
-    same views; `weights`: (views,), of each view. None where there is no such lens, or it folds
-    back within the picture."""
+    same views; `weights`: (views,), of each view; `steps`: how many at most. None where
+    there is no such lens, or it folds back within the picture."""
     if start is None:
         first = equidistant_start(views, size)
         if first is None:
@@ -75,7 +76,8 @@ def fit(
             tuple(one.error for one in sound),
         )
     scene = Scene.of(views, weights)
-    found = [adjusted(scene, lens, start.camera_from_face) for lens in _starts(model, start, views)]
+    poses = start.camera_from_face
+    found = [adjusted(scene, lens, poses, steps=steps) for lens in _starts(model, start, views)]
     best = min((one for one in found if one), key=lambda one: one.cost, default=None)
     if best is None or not _is_unfolded(best, views):
         return None

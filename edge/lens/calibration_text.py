@@ -40,12 +40,13 @@ def advice(found: Calibration) -> str:
 def calibration_text(found: Calibration) -> str:
     """Some lines for a person: what was used, the model and why, every number with its sigma."""
     camera, known = found.camera, found.known
+    coordinate_px = found.fit.rms_px / math.sqrt(2)
     lines = [
         f"{len(found.used)} views used, {found.looks} of them different, {len(found.rejected)} "
         f"rejected{_spare(found)}",
         *(f"  rejected {bad.name}: {bad.rms_px:.2f} px" for bad in found.rejected),
         f"model {camera.model.value}; error on views left out, by model: {_held_out(found)}",
-        f"residuals {found.fit.rms_px:.3f} px a corner, {known.noise_px:.3f} px a coordinate; "
+        f"residuals {found.fit.rms_px:.3f} px a corner, {coordinate_px:.3f} px a coordinate; "
         f"{100 * covered_share(found):.0f} % of the picture covered; "
         f"disagreement between views {known.disagreement:.2f}",
     ]

@@ -5,11 +5,18 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from boards import NOWHERE, target_of
 from builders import REAL_DATA
 
 from trigpoint.cli import run
+from trigpoint.edge.lens.calibration import calibrate
+from trigpoint.geometry.camera import LensModel
+from trigpoint.target import Face, Pattern
+from trigpoint.tools.intrinsics_search import Searched, search
 
+FISHEYE = REAL_DATA / "boards" / "camodocal"
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
 FACE = """\
 name = "board"
@@ -56,3 +63,28 @@ def test_lens_of_a_video_camera(tmp_path: Path, capsys: pytest.CaptureFixture[st
     # Published from pictures of its own, better spread over the view than these.
     assert abs(lens["k"][0] - published[0][0]) < 5 * sigma["fx"]
     assert abs(lens["k"][4] - published[1][1]) < 5 * sigma["fy"]
+
+
+@pytest.fixture(scope="module")
+def fisheye_views() -> Searched:
+    if not FISHEYE.is_dir():
+        pytest.skip(f"the real pictures of {FISHEYE.name} are not here")
+    face = Face(0, Pattern.CHECKERBOARD, 10, 7, 0.03, **NOWHERE)
+    return search([FISHEYE], [target_of(face)], jobs=1)
+
+
+def test_fisheye_lens_is_found_from_every_picture_that_shows_the_board(
+    fisheye_views: Searched,
+) -> None:
+    found = calibrate(fisheye_views.views, fisheye_views.size)
+    assert len(found.used) >= 60
+    assert found.camera.model is LensModel.EQUIDISTANT
+    assert found.fit.rms_px / np.sqrt(2) <= 0.25
+    assert found.doubts == ()
+
+
+def test_halves_of_a_real_set_agree_within_two_sigmas(fisheye_views: Searched) -> None:
+    first, second = (calibrate(fisheye_views.views[half::2], fisheye_views.size) for half in (0, 1))
+    assert first.camera.model is second.camera.model is LensModel.EQUIDISTANT
+    apart = first.camera.parameters - second.camera.parameters
+    assert np.all(np.abs(apart) < 2 * np.hypot(first.known.sigma, second.known.sigma))
