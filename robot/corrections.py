@@ -22,7 +22,9 @@ _TAKE_S = 0.2
 
 
 class Corrections:
-    """`hand_on` gets what the bridge approved of. `subscribe` before anything else is started."""
+    """`hand_on` gets what the bridge approved of. `is_held`: whether none may be handed on now
+    (a ROS 2 robot's stamps are not of this machine's clock, so nothing holds its corrections).
+    `subscribe` before anything else is started."""
 
     def __init__(
         self,
@@ -31,11 +33,12 @@ class Corrections:
         health: Health,
         clock: Clock,
         hand_on: Callable[[RobotCorrection], None],
+        is_held: Callable[[], bool] = bool,
     ) -> None:
         self._verifier = correction_verifier(site, clock)
         self._missed = MissedCorrections()
         self._bridge, self._health, self._clock = bridge, health, clock
-        self._hand_on = hand_on
+        self._hand_on, self._is_held = hand_on, is_held
 
     def run(self, corrections: Subscription, node: Node, pulse: Pulse) -> None:
         """Until the node stops."""
@@ -56,6 +59,9 @@ class Corrections:
             return
         if missing := self._missed.before(mark, sample.sender):
             self._health.lose("corrections", missing)
+        if self._is_held():
+            self._health.lose("corrections_held_by_the_clock")
+            return
         assert isinstance(correction, PoseEstimate)  # held by the topic's type
         now_ns = self._clock.elapsed_ns()
         handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)

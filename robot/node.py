@@ -13,6 +13,7 @@ from trigpoint.node import Node
 from trigpoint.topics import ODOMETRY
 
 from .bridge import Bridge, first_number
+from .clock_watch import ClockWatch
 from .corrections import Corrections, subscribed
 from .line import Line
 from .offset import measured_offset
@@ -51,7 +52,21 @@ class RobotNode:
             handle=self._handle,
             failed=node.health.fail,
         )
-        self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
+        self._clock_watch = ClockWatch(
+            bus,
+            node,
+            site,
+            lambda: self._bridge.unix_ns(self._clock.elapsed_ns()),
+            config.odometry.bearable_clock_offset_s,
+        )
+        self._corrections = Corrections(
+            site,
+            self._bridge,
+            node.health,
+            self._clock,
+            self._hand_on,
+            lambda: self._clock_watch.is_off,
+        )
         self._odometry_key = ODOMETRY.key(site.name, robot)
         self._publisher: Publisher | None = None
         self._places: Places | None = None
@@ -70,6 +85,7 @@ class RobotNode:
         node.work("corrects", lambda pulse: self._corrections.run(corrections, node, pulse))
         question = MapQuestion(self._bus, node, self._site.name, self._bridge, self._clock)
         node.work("asks", question.run)
+        node.work("clock", self._clock_watch.run)
         url = port_url(self._site, self._robot)
         if (lasting := lasting_name(url)) not in ("", url):
             _log.info("%s: port %s is also %s, a name that stays", node.label, url, lasting)

@@ -10,8 +10,6 @@ from trigpoint.checks import Check
 from trigpoint.config import OdometryNoise, Site
 
 _ASK_S = 5.0
-_SPEED = 1.0
-"""m/s: what robots of this kind drive at."""
 _UNITS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 _OFFSET = re.compile(r"^\s*Offset: ([+-]?[0-9.]+)(us|ms|s|min)", re.MULTILINE)
 _CHRONY_OFFSET, _CHRONY_LEAP = 4, 13
@@ -28,12 +26,6 @@ class TimeService:
     offset_s: float
 
 
-def bearable_s(noise: OdometryNoise) -> float:
-    """How far a clock may be off: it shifts a correction by speed times that, and this is as much
-    as the odometry itself errs while the robot drives for a second."""
-    return noise.distance * _SPEED**0.5 / _SPEED
-
-
 def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
     """What the time service says of its offset, beside what the site's robots can bear."""
     service = time_service(ask or _output)
@@ -45,7 +37,7 @@ def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
             "install chrony, with the same server on every machine of the site",
         )
     noises = [robot.odometry for robot in site.robots.values()] if site else [OdometryNoise()]
-    limit_s = min(bearable_s(noise) for noise in noises)
+    limit_s = min(noise.bearable_clock_offset_s for noise in noises)
     text = f"{service.name}: {1e3 * service.offset_s:+.3f} ms off"
     if abs(service.offset_s) <= limit_s:
         return Check("time service", "ok", text)

@@ -26,6 +26,8 @@ _ENDPOINT = re.compile(
 )
 # Rows that come more slowly than this make a picture that takes half a second.
 _LONGEST_LINE_DELAY_S = 1e-3
+# To what NTP keeps clocks on a local network (chrony's documentation: well below a millisecond).
+_NTP_S = 1e-3
 ROS2_PROTOCOL = "ros2"
 _RTSP_OFFSET_SIGMA_S = 0.2
 """A network camera's pictures are stamped as they arrive, or by a clock that nobody has checked:
@@ -154,6 +156,12 @@ class OdometryNoise(Struct, frozen=True, forbid_unknown_fields=True):
     tilt_turn: NotNegative = 0.0
     distance_scale: NotNegative = 0.0
     heading_scale: NotNegative = 0.0
+
+    @property
+    def bearable_clock_offset_s(self) -> float:
+        """How far a clock may be off: it shifts a correction by speed times that, and this is as
+        much as the odometry itself errs in a second at 1 m/s; at least what NTP keeps."""
+        return max(self.distance, _NTP_S)
 
 
 class SafetyConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,0 +1,94 @@
+"""Whether this machine's clock agrees with fusion's well enough for corrections.
+
+A correction is of a moment. Where the clock of the robot's machine is off by δ, it is taken for
+where the robot was δ earlier or later: wrong by speed times δ. So corrections are held while the
+clock is off by more than the robot's odometry bears; what a round trip leaves open is allowed.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from trigpoint.bus import Bus, Reply
+from trigpoint.clock import to_seconds
+from trigpoint.config import Site
+from trigpoint.node import Node
+from trigpoint.topics import command_key
+from trigpoint.watchdog import Pulse
+
+_ASK_EVERY_S = 2.0
+_ANSWER_S = 1.0
+_KEPT = 8
+"""The best of so many questions tells: the one whose answer came soonest."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """Fusion's clock minus ours, seconds; the truth is within `uncertainty_s` of it."""
+
+    offset_s: float
+    uncertainty_s: float
+
+    def exceeds(self, limit_s: float) -> bool:
+        """Whether the clock is off by more for certain."""
+        return abs(self.offset_s) - self.uncertainty_s > limit_s
+
+
+class ClockWatch:
+    """A node's thread that asks fusion for its time. `now_ns`: Unix time as the odometry is
+    stamped; `limit_s`: what the odometry bears."""
+
+    def __init__(
+        self, bus: Bus, node: Node, site: Site, now_ns: Callable[[], int], limit_s: float
+    ) -> None:
+        self._bus, self._node, self._now_ns, self._limit_s = bus, node, now_ns, limit_s
+        self._key = command_key(site.name, "clock")
+        self._offsets: deque[ClockOffset] = deque(maxlen=_KEPT)
+        self.is_off = False
+        node.health.gauge("clock_offset_ms", lambda: 1e3 * self._best.offset_s)
+
+    @property
+    def _best(self) -> ClockOffset:
+        known = list(self._offsets)
+        return min(known, key=lambda one: one.uncertainty_s, default=ClockOffset(0.0, 0.0))
+
+    def run(self, pulse: Pulse) -> None:
+        """Until the node stops."""
+        while True:
+            pulse.beat()
+            self.ask()
+            if self._node.stopping.wait(_ASK_EVERY_S):
+                return
+
+    def ask(self) -> None:
+        """Ask once; where nobody answers, what was known holds."""
+        before_ns = self._now_ns()
+        replies = self._bus.query(self._key, timeout_s=_ANSWER_S)
+        after_ns = self._now_ns()
+        theirs = [found for reply in replies if (found := _now_ns(reply)) is not None]
+        if len(theirs) != 1:
+            return
+        middle_ns, half_ns = (before_ns + after_ns) // 2, (after_ns - before_ns) // 2
+        self._offsets.append(ClockOffset(to_seconds(theirs[0] - middle_ns), to_seconds(half_ns)))
+        self._judge()
+
+    def _judge(self) -> None:
+        best = self._best
+        self.is_off = best.exceeds(self._limit_s)
+        if self.is_off:
+            self._node.health.fail(
+                f"this machine's clock is {1e3 * best.offset_s:+.1f} ms from fusion's, and the "
+                f"robot's odometry bears {1e3 * self._limit_s:.1f} ms: corrections are held; "
+                "synchronise the clocks (trigpoint doctor)"
+            )
+
+
+def _now_ns(reply: Reply) -> int | None:
+    """The time in a reply; None where it is an error or says none."""
+    if reply.error:
+        return None
+    try:
+        return int(json.loads(reply.payload)["now_ns"])
+    except (ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,85 @@
+"""Corrections are held while the clock is off by more than the odometry bears, and only then."""
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+from builders import make_site
+
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.node import Node
+from trigpoint.robot.clock_watch import ClockOffset, ClockWatch
+
+NOW_NS = 1_800_000_000_000_000_000
+LIMIT_S = 0.006
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "uncertainty_s", "is_off"),
+    [
+        (0.005, 0.0, False),
+        (0.007, 0.0005, True),
+        (-0.007, 0.0005, True),
+        (0.007, 0.002, False),
+        (3.0, 0.5, True),
+    ],
+)
+def test_only_what_is_certain_holds(offset_s: float, uncertainty_s: float, is_off: bool) -> None:
+    assert ClockOffset(offset_s, uncertainty_s).exceeds(LIMIT_S) == is_off
+
+
+class Desk:
+    """A bridge's machine with a clock that the test sets, and fusion, whose answers take time."""
+
+    def __init__(self, broker: MemoryBroker) -> None:
+        self.bus, self.fusion = broker.session(), broker.session()
+        self.now_ns, self.ahead_ns, self.way_ns = NOW_NS, 0, 0
+        self.node = Node(self.bus, site="lab", kind="robot", name="r1")
+        self.watch = ClockWatch(self.bus, self.node, make_site(), lambda: self.now_ns, LIMIT_S)
+        self.served = self.fusion.serve("lab/clock", self._answer)
+
+    def _answer(self, _: bytes) -> bytes:
+        self.now_ns += self.way_ns
+        said = json.dumps({"now_ns": self.now_ns + self.ahead_ns}).encode()
+        self.now_ns += self.way_ns
+        return said
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    desk = Desk(MemoryBroker())
+    with closing(desk.bus), closing(desk.fusion):
+        yield desk
+
+
+def test_clock_that_is_off_holds_until_it_is_set_right(desk: Desk) -> None:
+    desk.watch.ask()
+    assert not desk.watch.is_off
+    desk.ahead_ns = 20_000_000
+    for _ in range(8):
+        desk.watch.ask()
+    assert desk.watch.is_off
+    assert "is +20.0 ms from fusion's" in desk.node.health.last_error
+    desk.ahead_ns = -1_000_000
+    for _ in range(8):
+        desk.watch.ask()
+    assert not desk.watch.is_off
+
+
+def test_slow_answer_does_not_hold_but_a_quick_one_tells(desk: Desk) -> None:
+    desk.ahead_ns, desk.way_ns = 20_000_000, 50_000_000
+    desk.watch.ask()
+    assert not desk.watch.is_off
+    desk.way_ns = 1_000_000
+    desk.watch.ask()
+    assert desk.watch.is_off
+
+
+def test_nobody_who_answers_and_garbage_hold_nothing(desk: Desk) -> None:
+    desk.served.close()
+    desk.watch.ask()
+    for said in (b"", b"[]", b'{"now_ns": "noon"}', b'{"now": 1}'):
+        with closing(desk.fusion.serve("lab/clock", lambda _, said=said: said)):
+            desk.watch.ask()
+    assert not desk.watch.is_off
