@@ -1,6 +1,6 @@
 """Rows for rerun, gathered and sent as columns: twenty times cheaper than a call a row."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -45,8 +45,14 @@ class _Table:
 class Columns:
     """Gathers rows and sends them to a recording; used by one thread."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream = stream
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        *,
+        keeps: Callable[[type], bool] = lambda _archetype: True,
+    ) -> None:
+        """`keeps`: which archetypes' rows are sent; the others are passed over."""
+        self._stream, self._keeps = stream, keeps
         self._tables: dict[tuple[str, type, frozenset[str]], _Table] = {}
         self._bytes = 0
 
@@ -54,6 +60,8 @@ class Columns:
         self, entity: str, time_ns: int, archetype: type[Any], /, **components: Sequence[Any]
     ) -> None:
         """Add one row; each component is given as the list of its instances."""
+        if not self._keeps(archetype):
+            return
         key = (entity, archetype, frozenset(components))
         table = self._tables.get(key)
         if table is None:
@@ -68,6 +76,8 @@ class Columns:
 
     def picture(self, entity: str, time_ns: int, data: bytes) -> None:
         """Add one JPEG picture."""
+        if not self._keeps(rr.EncodedImage):
+            return
         self.row(entity, time_ns, rr.EncodedImage, blob=[data], media_type=["image/jpeg"])
         self._bytes += len(data)
 

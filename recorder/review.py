@@ -4,13 +4,15 @@ import logging
 from collections.abc import Collection
 from pathlib import Path
 
+import rerun as rr
+
 from trigpoint import cdr
 from trigpoint.config import Site, parse_site
 from trigpoint.errors import MessageError, OperationError
 from trigpoint.messages import PoseEstimate
 from trigpoint.network import decode_network
 from trigpoint.target import Target, parse_target
-from trigpoint.topics import CAMERA_POSE, node_of, topic_of
+from trigpoint.topics import CAMERA_POSE, IMAGE, TOPICS, Topic, node_of, topic_of
 
 from .overlay import Overlay, draw
 from .recording import NETWORK_ATTACHMENT, Recording
@@ -34,16 +36,25 @@ def write_rrd(recording: Recording, path: Path, overlays: Collection[Overlay] = 
         stream.save(path)
     except (OSError, RuntimeError) as reason:
         raise OperationError(f"{path}: cannot be written ({reason}); give another file") from None
-    columns = Columns(stream)
-    scene = Scene(site, attached_targets(recording, site), columns)
+    targets = attached_targets(recording, site)
+    columns = Columns(stream, keeps=lambda archetype: archetype is not rr.EncodedImage)
+    scene = Scene(site, targets, columns)
     scene.announce()
     for overlay in overlays:
         draw(overlay, columns)
     _place_cameras(recording, scene)
-    shown = _show_all(recording, scene, columns)
+    shown, unsound = _show_all(recording, scene, columns, TOPICS)
+    _warn(recording, unsound, scene.strangers)
     scene.finish()
     columns.flush()
     stream.send_blueprint(blueprint(site, scene.extent))
+    # Pictures come last: they are nearly all of the bytes, and a viewer that takes its time over
+    # them shows the whole map and every plot meanwhile.
+    pictures = Columns(stream, keeps=lambda archetype: archetype is rr.EncodedImage)
+    scene = Scene(site, targets, pictures)
+    _place_cameras(recording, scene)
+    _show_all(recording, scene, pictures, (IMAGE, CAMERA_POSE))
+    pictures.flush()
     stream.flush()
     stream.disconnect()
     return shown
@@ -90,9 +101,12 @@ def _place_cameras(recording: Recording, scene: Scene) -> None:
             scene.add(CAMERA_POSE, name, estimate)
 
 
-def _show_all(recording: Recording, scene: Scene, columns: Columns) -> int:
+def _show_all(
+    recording: Recording, scene: Scene, columns: Columns, topics: Collection[Topic]
+) -> tuple[int, int]:
+    """How many messages are shown, and how many do not decode."""
     shown, unsound = 0, 0
-    for sample in recording.samples():
+    for sample in recording.samples(topics):
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
             scene.add(sample.topic, node_of(sample.key), message, sample.log_ns)
@@ -104,8 +118,7 @@ def _show_all(recording: Recording, scene: Scene, columns: Columns) -> int:
         shown += 1
         if columns.is_full:
             columns.flush()
-    _warn(recording, unsound, scene.strangers)
-    return shown
+    return shown, unsound
 
 
 def _warn(recording: Recording, unsound: int, strangers: int) -> None:
