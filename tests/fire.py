@@ -11,7 +11,7 @@ from signal import SIGSTOP
 
 import numpy as np
 from builders import eventually
-from field import Drive, Field, Program, answers
+from field import Drive, Field, Program
 
 from trigpoint import cdr, topics
 from trigpoint.bus import Bus, Publisher
@@ -19,7 +19,7 @@ from trigpoint.clock import to_ns
 from trigpoint.fusion.checkpoint import read_checkpoint
 from trigpoint.geometry import Pose
 from trigpoint.messages import FaceSighting, Odometry, Sightings
-from trigpoint.topics import Topic
+from trigpoint.topics import Topic, command_key
 
 MORE = """
 [cameras.noisy]
@@ -209,9 +209,13 @@ class Watchman:
             for path in () if self.is_paused.is_set() else ("clock", "fusion/map"):
                 self.asked += 1
                 began_s = time.monotonic()
-                if answers(self._bus, path) is None and not self.is_paused.is_set():
+                if not self._is_answered(path) and not self.is_paused.is_set():
                     after_s = time.monotonic() - began_s
                     self.unanswered.append(f"{path} at {began_s:.0f} s, within {after_s:.1f} s")
+
+    def _is_answered(self, path: str) -> bool:
+        """Also by a refusal: there is no map before the first odometry."""
+        return bool(self._bus.query(command_key("lab", path), timeout_s=10.0))
 
     def close(self) -> None:
         self._stopping.set()
