@@ -29,8 +29,10 @@ types: $(INSTALLED)
 imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
-bench: $(WITH_BENCH)  ## ratios against the bare libraries, printed and written as JSON
+bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
 	$(BIN)/python -m benchmarks
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.stops
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.fire
 
 study: $(WITH_BENCH)  ## accuracy over simulated sessions, to docs/accuracy.md; goes on where it was
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)

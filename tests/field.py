@@ -190,10 +190,9 @@ class Drive:
         self.thread = threading.Thread(target=self._run, name="drive")
         self.thread.start()
 
-    @property
-    def seconds(self) -> float:
-        """From the first message to the last."""
-        return (self.messages[-1][1].stamp_ns - self.start_ns) / 1e9 / self._factor
+    def put(self, name: str, sent: Sent) -> None:
+        """Send something else as one of the drive's nodes."""
+        self._publishers[name].put(cdr.encode(sent))
 
     def _run(self) -> None:
         for name, message in self.messages:

@@ -120,12 +120,8 @@ class Fire:
 
     def an_hour_ahead(self) -> None:
         """By the bridge itself, whose clock is wrong for a moment."""
-        publisher = self.drive.buses["r1"].publisher(
-            topics.ODOMETRY, topics.ODOMETRY.key("lab", "r1")
-        )
         ahead_ns = time.time_ns() + to_ns(3600.0)
-        publisher.put(cdr.encode(Odometry(ahead_ns, "r1/odom", "r1/base", Pose.identity())))
-        publisher.close()
+        self.drive.put("r1", Odometry(ahead_ns, "r1/odom", "r1/base", Pose.identity()))
 
     def five_thousand_faces(self) -> None:
         self._strangers[0].put(topics.SIGHTINGS, "c1", cdr.encode(self._sightings(5000)))
