@@ -134,6 +134,16 @@ class Bridge:
         self._answer_ms = 0.0
 
     @property
+    def robot(self) -> str:
+        """The robot's name."""
+        return self._robot
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the robot drives on a plane."""
+        return self._planar
+
+    @property
     def clock(self) -> FirmwareClock:
         """The firmware's clock as known so far."""
         return self._clock
@@ -152,6 +162,12 @@ class Bridge:
     def vitals(self) -> Vitals:
         """What the firmware says of itself."""
         return self._vitals
+
+    @property
+    def state(self) -> str:
+        """How it stands with the robot's place, for people."""
+        with self._lock:
+            return self._gate.state
 
     def unix_ns(self, elapsed_ns: int) -> int:
         """Unix time on the scale of the odometry's stamps."""

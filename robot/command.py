@@ -15,6 +15,9 @@ from .node import KIND, RobotNode
 from .protocol import check_protocol
 from .ros2 import RosRobotNode
 
+# How long a dry run waits for a bus that it can do without.
+_LOOK_S = 1.0
+
 
 def main(
     site: Annotated[Path, typer.Option(help="The site file.")],
@@ -23,8 +26,9 @@ def main(
         bool,
         typer.Option(
             "--dry-run",
-            help="Only look: say for five seconds what the robot sends. Nothing goes to the bus, "
-            "and to the robot only the questions who it is and what its clock reads.",
+            help="Only look: say for five seconds what the robot sends and what it would be sent. "
+            "Nothing goes to the bus, and to the robot only the questions who it is and what its "
+            "clock reads.",
         ),
     ] = False,
 ) -> None:
@@ -32,7 +36,7 @@ def main(
     loaded = load_site(site)
     check_protocol(loaded.robot(robot))  # a wrong name is told before anything is opened
     if dry_run:
-        look(loaded, robot, typer.echo)
+        look(loaded, robot, typer.echo, open_bus=lambda one: open_bus(one, patience_s=_LOOK_S))
         return
     with open_bus(loaded, (Kind.ROBOT, robot)) as bus:
         node = Node(bus, site=loaded.name, kind=KIND, name=robot)

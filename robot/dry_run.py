@@ -1,24 +1,36 @@
-"""What `--dry-run` does: talk to the robot for a few seconds and say what came; no bus."""
+"""What `--dry-run` does: read the robot for a few seconds, say what came and what would be sent.
+
+Corrections on the bus are judged as always; what would go to the robot is said instead. To the
+robot goes only the question who it is and what its clock reads.
+"""
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+import numpy as np
+
+from trigpoint.bus import Bus, Subscription
 from trigpoint.clock import Clock, SystemClock, to_ns
-from trigpoint.config import Site
-from trigpoint.errors import OperationError
+from trigpoint.config import ROS2_PROTOCOL, Site
+from trigpoint.errors import BusError, MessageError, OperationError
 from trigpoint.health import Health
 
 from .bridge import Bridge
+from .corrections import Corrections, subscribed
 from .line import Line
 from .node import port_url, protocol_setup
 from .offset import measured_offset
 from .port import PortOpener
-from .protocol import Event, Mismatched, make_protocol
+from .protocol import Event, Mismatched, RobotCorrection, Takes, Traits, make_protocol
+from .relocation import ask_for_map
+from .ros2 import FOREIGN, TRAITS, foreign_keys, reading_of, ros_topic
 
 SECONDS = 5.0
 _TROUBLE = ("serial_framing_errors", "serial_checksum_errors", "serial_content_errors")
+_SLICE_S = 0.05
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,29 +56,36 @@ class Glance:
 
 
 class _Session:
-    """The threads and what they saw."""
+    """The robot's end: the threads on its line, or its topic on the bus, and what they saw."""
 
     def __init__(self, site: Site, robot: str, clock: Clock) -> None:
-        config, url = site.robot(robot), port_url(site, robot)
+        self.site, self.robot, self.clock = site, robot, clock
+        self.config = site.robot(robot)
         self.health = Health(clock)
-        protocol = make_protocol(protocol_setup(site, robot, clock))
-        offset = measured_offset(clock)
-        self.bridge = Bridge(robot, config, self.health, offset, protocol.traits)
         self.stopping = threading.Event()
         self.trouble = ""
         self.pose = (0.0, 0.0, 0.0)
-        PortOpener(url, config.baud).open().close()  # raises at once where it cannot be opened
+        self._line: Line | None = None
+        traits = TRAITS
+        if self.config.protocol_name != ROS2_PROTOCOL:
+            traits = self._open_line()
+        self.traits = traits
+        offset = measured_offset(clock)
+        self.bridge = Bridge(robot, self.config, self.health, offset, traits)
+
+    def _open_line(self) -> Traits:
+        url = port_url(self.site, self.robot)
+        opener = PortOpener(url, self.config.baud)
+        opener.open().close()  # raises at once where it cannot be opened
+        protocol = make_protocol(protocol_setup(self.site, self.robot, self.clock))
         self._line = Line(
-            PortOpener(url, config.baud).open,
-            protocol,
-            clock=clock,
-            handle=self._handle,
-            failed=self._fail,
+            opener.open, protocol, clock=self.clock, handle=self.handle, failed=self._fail
         )
+        return protocol.traits
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        runs = (self._line.read_until, self._line.write_until)
+        runs = (self._line.read_until, self._line.write_until) if self._line else ()
         threads = [threading.Thread(target=run, args=(self.stopping,)) for run in runs]
         for thread in threads:
             thread.start()
@@ -77,7 +96,7 @@ class _Session:
             for thread in threads:
                 thread.join()
 
-    def _handle(self, event: Event) -> None:
+    def handle(self, event: Event) -> None:
         if isinstance(event, Mismatched):
             self._fail(event.text)
         odometry = self.bridge.on_event(event)
@@ -90,34 +109,110 @@ class _Session:
         self.stopping.set()
 
 
+class _Listener:
+    """What the bus has for the robot, and a ROS 2 robot's odometry on it."""
+
+    def __init__(self, session: _Session, bus: Bus, say: Say) -> None:
+        self._session, self._bus, self._say = session, bus, say
+        self._samples = subscribed(bus, session.site, session.robot)
+        self._corrections = Corrections(
+            session.site, session.bridge, session.health, session.clock, self._would_send
+        )
+        self._odometry: list[Subscription] = []
+        if session.config.protocol_name == ROS2_PROTOCOL:
+            topic = ros_topic(session.site, session.robot)
+            self._odometry = [bus.subscribe(FOREIGN, key) for key in foreign_keys(topic)]
+
+    def listen(self) -> None:
+        """Take in everything that came since."""
+        for samples in self._odometry:
+            while (sample := samples.take(0.0)) is not None:
+                try:
+                    events = reading_of(sample, self._session.bridge, self._session.clock)
+                except MessageError as reason:
+                    self._session.health.reject(sample, reason)
+                    continue
+                for event in events:
+                    self._session.handle(event)
+        while (sample := self._samples.take(0.0)) is not None:
+            self._corrections.take(sample)
+        if self._session.bridge.asks_for_map:
+            ask_for_map(
+                self._bus, self._session.site.name, self._session.bridge, self._session.clock
+            )
+
+    def _would_send(self, correction: RobotCorrection) -> None:
+        x, y, _ = (float(value) for value in correction.map_from_base.translation)
+        sigmas = np.sqrt(np.diag(correction.covariance)[[0, 1, 5]])
+        verb = "send" if self._session.traits.takes is Takes.CORRECTIONS else "take up"
+        anew = ", which places it anew" if correction.establishes else ""
+        self._say(
+            f"would {verb} a correction{anew}: x {x:.3f} m, y {y:.3f} m, heading "
+            f"{float(correction.map_from_base.heading):.3f} rad, sigmas {sigmas[0]:.4f} m, "
+            f"{sigmas[1]:.4f} m, {sigmas[2]:.4f} rad"
+        )
+
+
 def look(
     site: Site,
     robot: str,
-    say: Callable[[str], None],
+    say: Say,
     *,
+    open_bus: Callable[[Site], Bus],
     seconds: float = SECONDS,
     clock: Clock | None = None,
 ) -> None:
-    """Say each second what the robot sends; raise OperationError where it does not work."""
+    """Say each second what the robot sends, and what it would be sent; raise OperationError where
+    it does not work."""
     clock = clock or SystemClock()
     session = _Session(site, robot, clock)
-    say(f"port {port_url(site, robot)} is open at {site.robot(robot).baud} baud")
-    with session.running():
+    _say_begin(session, say)
+    with ExitStack() as stack:
+        listener = _listener(session, say, stack, open_bus)
+        stack.enter_context(session.running())
         end_ns = clock.elapsed_ns() + to_ns(seconds)
-        is_greeted, before = False, 0
-        while clock.elapsed_ns() < end_ns and not clock.wait(session.stopping, 1.0):
+        is_greeted, before, said_ns = False, 0, clock.elapsed_ns()
+        while clock.elapsed_ns() < end_ns and not clock.wait(session.stopping, _SLICE_S):
+            if listener is not None:
+                listener.listen()
             who = session.bridge.connected
             if who is not None and not is_greeted:
                 is_greeted = True
                 say(f"robot «{who.robot}», firmware «{who.firmware}», boot {who.boot}")
-            before = _say_second(session, say, before)
+            if clock.elapsed_ns() >= said_ns + to_ns(1.0):
+                said_ns += to_ns(1.0)
+                before = _say_second(session, say, before)
     if session.trouble:
         raise OperationError(session.trouble)
     if not session.health.total("odometry"):
-        raise OperationError(_why_nothing(session, robot))
+        raise OperationError(_why_nothing(session))
 
 
-def _say_second(session: _Session, say: Callable[[str], None], before: int) -> int:
+def _say_begin(session: _Session, say: Say) -> None:
+    config = session.config
+    if config.protocol_name == ROS2_PROTOCOL:
+        topic = ros_topic(session.site, session.robot)
+        say(f"robot on the bus; odometry is looked for on {' and '.join(foreign_keys(topic))}")
+    else:
+        say(f"port {port_url(session.site, session.robot)} is open at {config.baud} baud")
+    for lack in session.traits.lacks:
+        say(f"note: {lack}")
+
+
+def _listener(
+    session: _Session, say: Say, stack: ExitStack, open_bus: Callable[[Site], Bus]
+) -> _Listener | None:
+    """None where the bus cannot be opened: a serial robot can be looked at all the same."""
+    try:
+        return _Listener(session, stack.enter_context(open_bus(session.site)), say)
+    except BusError as reason:
+        if session.config.protocol_name == ROS2_PROTOCOL:
+            raise
+        say(f"note: without the bus no corrections come ({reason})")
+        return None
+
+
+def _say_second(session: _Session, say: Say, before: int) -> int:
     total, health = session.health.total("odometry"), session.health
     glance = Glance(
         total - before,
@@ -128,10 +223,18 @@ def _say_second(session: _Session, say: Callable[[str], None], before: int) -> i
         sum(health.lost(name) for name in _TROUBLE),
     )
     say(str(glance))
+    if health.total("corrections"):
+        say(f"     corrections: {health.total('corrections')} came; place {session.bridge.state}")
     return total
 
 
-def _why_nothing(session: _Session, robot: str) -> str:
+def _why_nothing(session: _Session) -> str:
+    robot = session.robot
+    if session.config.protocol_name == ROS2_PROTOCOL:
+        return (
+            f"no odometry of robot {robot} comes on the bus; does its bridge run as a client of "
+            "this site (docs/ros2.md), and is `topic` right?"
+        )
     if session.bridge.connected is not None:
         return f"robot {robot} answers but sends no odometry; look at its firmware"
     if sum(session.health.lost(name) for name in _TROUBLE):

@@ -21,19 +21,21 @@ class MapQuestion:
 
     def __init__(self, bus: Bus, node: Node, site: str, bridge: Bridge, clock: Clock) -> None:
         self._bus, self._node, self._bridge, self._clock = bus, node, bridge, clock
-        self._key = command_key(site, "fusion/map")
+        self._site = site
 
     def run(self, pulse: Pulse) -> None:
         """Until the node stops."""
         while not self._node.stopping.wait(_ASK_EVERY_S):
             pulse.beat()
             if self._bridge.asks_for_map:
-                self._ask()
+                ask_for_map(self._bus, self._site, self._bridge, self._clock)
 
-    def _ask(self) -> None:
-        replies = self._bus.query(self._key, timeout_s=_ANSWER_S)
-        maps = [found for reply in replies if (found := _map_id(reply)) is not None]
-        self._bridge.hear_map(maps, self._clock.elapsed_ns())
+
+def ask_for_map(bus: Bus, site: str, bridge: Bridge, clock: Clock) -> None:
+    """Ask once, and tell the bridge what was answered."""
+    replies = bus.query(command_key(site, "fusion/map"), timeout_s=_ANSWER_S)
+    maps = [found for reply in replies if (found := _map_id(reply)) is not None]
+    bridge.hear_map(maps, clock.elapsed_ns())
 
 
 def _map_id(reply: Reply) -> UUID | None:

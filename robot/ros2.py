@@ -24,7 +24,7 @@ from .bridge import Bridge
 from .corrections import Corrections, subscribed
 from .offset import measured_offset
 from .places import Places
-from .protocol import Connected, Reading, RobotCorrection, StampClock, Takes, Traits
+from .protocol import Connected, Event, Reading, RobotCorrection, StampClock, Takes, Traits
 from .relocation import MapQuestion
 
 _log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ TRAITS = Traits(
 )
 _TAKE_S = 0.2
 # As many as half a minute of a fast robot; a plain subscription, for ROS publishers keep no past.
-_FOREIGN = Topic("ros_odom", "{id}", ODOMETRY.type_name, Delivery.RELIABLE, queue=4096)
+FOREIGN = Topic("ros_odom", "{id}", ODOMETRY.type_name, Delivery.RELIABLE, queue=4096)
 _RMW_TYPE = "nav_msgs::msg::dds_::Odometry_"
 
 
@@ -55,9 +55,8 @@ class RosRobotNode:
         self._bus, self._node, self._site, self._robot = bus, node, site, robot
         self._clock = clock or SystemClock()
         config = site.robot(robot)
-        self._planar = config.planar
         self._key = ODOMETRY.key(site.name, robot)
-        self._expressions = foreign_keys(config.topic or self._key)
+        self._expressions = foreign_keys(ros_topic(site, robot))
         offset = measured_offset(self._clock)
         self._bridge = Bridge(robot, config, node.health, offset, TRAITS)
         self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
@@ -72,7 +71,7 @@ class RosRobotNode:
         self._places = Places(self._bus, name, self._robot)
         corrections = subscribed(self._bus, self._site, self._robot)
         for expression in self._expressions:
-            samples = self._bus.subscribe(_FOREIGN, expression)
+            samples = self._bus.subscribe(FOREIGN, expression)
             node.health.watch(f"odometry {expression}", samples)
             node.work(f"reads {expression}", self._reader(samples))
         node.work("corrects", lambda pulse: self._corrections.run(corrections, node, pulse))
@@ -94,17 +93,13 @@ class RosRobotNode:
         if sample.sender == self._bus.identity:
             return  # what we brought ourselves
         try:
-            message = decode(ODOMETRY.type_name, sample.payload)
+            events = reading_of(sample, self._bridge, self._clock)
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return
-        assert isinstance(message, Odometry)  # held by the type
-        received_ns = self._clock.elapsed_ns()
-        pose = _level(message.pose) if self._planar else message.pose
-        if self._bridge.connected is None:
-            self._bridge.on_event(Connected(self._robot, f"ROS 2, {message.frame_id}", 0))
-        reading = Reading(message.stamp_ns, received_ns, pose, message.linear, message.angular)
-        odometry = self._bridge.on_event(reading)
+        odometry = None
+        for event in events:
+            odometry = self._bridge.on_event(event)
         if odometry is None:
             return
         # What came on our own key, all others have read there.
@@ -113,10 +108,29 @@ class RosRobotNode:
             self._node.health.count(f"sent {self._key}")
         location = self._bridge.locate()
         if location is not None and self._places is not None:
-            self._places.publish(location, own_odom=message.frame_id or "odom")
+            who = self._bridge.connected
+            self._places.publish(location, own_odom=who.firmware if who else "odom")
 
     def _hand_on(self, _correction: RobotCorrection) -> None:
         """Nothing to send at once: the next odometry carries the pose on."""
+
+
+def ros_topic(site: Site, robot: str) -> str:
+    """Where a robot's odometry is: the site file's topic, or the site's own key."""
+    return site.robot(robot).topic or ODOMETRY.key(site.name, robot)
+
+
+def reading_of(sample: Sample, bridge: Bridge, clock: Clock) -> list[Event]:
+    """What a sample of odometry says; raise MessageError where it is none. The first one connects
+    the robot, which is known by the name of its odometry frame."""
+    message = decode(ODOMETRY.type_name, sample.payload)
+    assert isinstance(message, Odometry)  # held by the type
+    pose = _level(message.pose) if bridge.is_planar else message.pose
+    received_ns = clock.elapsed_ns()
+    reading = Reading(message.stamp_ns, received_ns, pose, message.linear, message.angular)
+    if bridge.connected is None:
+        return [Connected(bridge.robot, message.frame_id or "odom", 0), reading]
+    return [reading]
 
 
 def _level(pose: Pose) -> Pose:

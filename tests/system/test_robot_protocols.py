@@ -2,18 +2,21 @@
 
 import json
 import os
+import threading
 import time
 import tty
 from contextlib import closing
 
 import numpy as np
 import pytest
-from robot_desk import MAP, Desk, desk
+from robot_desk import MAP, PERIOD_NS, Desk, desk
 
 from trigpoint.cdr import decode
+from trigpoint.clock import to_ns
 from trigpoint.config import parse_site
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
+from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.robot.dry_run import look
 from trigpoint.robot.guess import guessed
 from trigpoint.tools.simulation.world import load_world
 from trigpoint.topics import CORRECTED
@@ -98,3 +101,27 @@ def test_map_that_the_site_does_not_know_is_asked_for(desk: Desk) -> None:
         while not asked and time.monotonic() < deadline:
             desk.take(5)
         assert asked
+
+
+def test_dry_run_says_what_it_would_send_and_sends_nothing(desk: Desk) -> None:
+    desk.start_firmware()
+    world, said = load_world("lab", seed=1).odometry("r1"), []
+    answer = json.dumps({"map_id": str(MAP)}).encode()
+    with closing(desk.bus.serve("lab/fusion/map", lambda _: answer)):
+        run = threading.Thread(
+            target=look,
+            args=(desk.site, "r1", said.append),
+            kwargs={"open_bus": lambda _: desk.broker.session(), "seconds": 8.0},
+        )
+        run.start()
+        while run.is_alive():
+            run.join(0.1)
+            number = int((time.time_ns() - desk.epoch_ns - to_ns(0.1)) // PERIOD_NS)
+            pose = world.poses[min(number, len(world.stamps_s) - 1)]
+            stamp_ns = desk.epoch_ns + number * PERIOD_NS
+            desk.correct(Odometry(stamp_ns, "", "", pose), MAP_FROM_ODOM @ pose)
+    told = [line for line in said if line.startswith("would send a correction")]
+    assert told[0].startswith("would send a correction, which places it anew: x ")
+    assert len(told) > 1
+    assert any("corrections: " in line for line in said)
+    assert desk.noted("correction") == []
