@@ -128,10 +128,13 @@ class _Face:
         blur: Blur,
         starts: Array | None,
     ) -> "_Face":
-        """A face that lies where `fit` has it, or its corners where they were found."""
+        """A face that lies where `fit` has it, but for corners that were found further than a step
+        from there: within one the fit through all of them knows better."""
         pixels = fit.project(pattern.points[ids])
         starts = np.full(pixels.shape, np.nan) if starts is None else starts
-        pixels = np.where(np.isnan(starts), pixels, starts)
+        is_far = np.linalg.norm(starts - pixels, axis=1, keepdims=True) > LONGEST_STEP_PX
+        starts = np.where(is_far, starts, np.nan)
+        pixels = np.where(is_far, starts, pixels)
         return cls(grey, pattern, ids, fit, blur, pixels, np.rint(pixels), starts)
 
     def moved(self, *, is_far: bool = False) -> Alignment:
