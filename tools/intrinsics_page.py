@@ -5,7 +5,13 @@ from xml.etree.ElementTree import Element, tostring
 
 from trigpoint import __version__
 from trigpoint.edge.lens.calibration import Calibration
-from trigpoint.edge.lens.calibration_text import advice, covered_share, parameter_names, rounded
+from trigpoint.edge.lens.calibration_text import (
+    advice,
+    covered_share,
+    held_out_text,
+    parameter_names,
+    rounded,
+)
 
 from .intrinsics_drawing import coverage_drawing, element, field_drawing, scatter_drawing
 
@@ -66,13 +72,18 @@ def intrinsics_page(found: Calibration, *, name: str, pictures: int) -> str:
 
 def _introduction(found: Calibration, name: str, pictures: int) -> list[Element]:
     camera, sigma = found.camera, found.known.sigma[0]
-    title = f"{name}: focal length {rounded(camera.fx, sigma)} ± {rounded(sigma, sigma)} px"
+    known = f" ± {rounded(sigma, sigma)}" if found.has_sigmas else ""
+    title = f"{name}: focal length {rounded(camera.fx, sigma)}{known} px"
     lead = (
         f"{pictures} pictures of {camera.width} × {camera.height}; {len(found.used)} views of the "
-        f"target used, {len(found.rejected)} rejected. The model is {camera.model.value}. "
+        f"target used, {found.looks} of them different, {len(found.rejected)} rejected. "
+        f"The model is {camera.model.value}. "
         f"Residuals are {found.fit.rms_px:.2f} px a corner; {100 * covered_share(found):.0f} % of "
         "the picture is covered."
     )
+    if found.doubts:
+        said = [element("p", f"Not determined: {doubt}.") for doubt in found.doubts]
+        return [element("h1", title), element("p", lead), *said]
     advised = advice(found)
     more = [element("p", f"For a better one: {advised}.")] if advised else []
     return [element("h1", title), element("p", lead), *more]
@@ -82,10 +93,14 @@ def _numbers(found: Calibration) -> Element:
     names = parameter_names(found.camera.model)
     values = zip(names, found.camera.parameters.tolist(), found.known.sigma.tolist(), strict=True)
     words = (
-        "Sigmas are one standard deviation, by the size of the residuals. The coefficients of one "
-        "lens are strongly correlated: only together do they mean anything."
+        "Sigmas are one standard deviation, by the residuals and by how much views that differ "
+        "disagree; views that are alike count as one. The coefficients of one lens are "
+        "strongly correlated: only together do they mean anything."
     )
-    cells = ((name, rounded(value, sigma), rounded(sigma, sigma)) for name, value, sigma in values)
+    cells = (
+        (name, rounded(value, sigma), rounded(sigma, sigma) if found.has_sigmas else "–")
+        for name, value, sigma in values
+    )
     return _section("The lens", words, _table(("", "value", "sigma"), cells))
 
 
@@ -118,7 +133,7 @@ def _models(found: Calibration) -> Element:
         (
             one.model.value + (" (taken)" if one.model is found.camera.model else ""),
             f"{one.fit.rms_px:.3f}" if one.fit else "fits none",
-            f"{one.held_out_px:.3f}" if one.fit else "–",
+            held_out_text(one).removesuffix(" px"),
         )
         for one in found.tried
     )

@@ -16,7 +16,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 
 from .calibration_choice import Candidate, candidates, choose
-from .calibration_doubts import Doubt, doubts
+from .calibration_doubts import FEWEST_LOOKS, Doubt, doubts
 from .calibration_fit import Fit, Placed, place
 from .calibration_information import most_informative, view_information
 from .calibration_knowledge import Knowledge, knowledge
@@ -63,6 +63,11 @@ class Calibration:
     @property
     def camera(self) -> CameraModel:
         return self.fit.camera
+
+    @property
+    def has_sigmas(self) -> bool:
+        """Whether looks can be held against each other at all, which is what sigmas rest on."""
+        return self.looks >= FEWEST_LOOKS
 
     @property
     def coverage(self) -> Array:

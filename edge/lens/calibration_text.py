@@ -6,6 +6,7 @@ from trigpoint.camera_info import format_camera_info
 from trigpoint.geometry.camera import LensModel
 
 from .calibration import Calibration
+from .calibration_choice import Candidate
 
 COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
     LensModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
@@ -53,7 +54,8 @@ def calibration_text(found: Calibration) -> str:
     for name, value, sigma in zip(
         parameter_names(camera.model), camera.parameters, known.sigma, strict=True
     ):
-        lines.append(f"  {name:<3} {rounded(value, sigma)} ± {rounded(sigma, sigma)}")
+        known_by = f" ± {rounded(sigma, sigma)}" if found.has_sigmas else ", how well is not known"
+        lines.append(f"  {name:<3} {rounded(value, sigma)}{known_by}")
     lines += [f"not determined: {doubt}" for doubt in found.doubts]
     if not found.doubts and (advised := advice(found)):
         lines.append(f"for a better one: {advised}")
@@ -63,7 +65,8 @@ def calibration_text(found: Calibration) -> str:
 def calibration_record(found: Calibration, *, name: str = "camera") -> dict[str, object]:
     """The same for programs; `intrinsics` is as in network.json, `camera_info` ROS's YAML."""
     camera, known = found.camera, found.known
-    fx, fy, cx, cy, *d = known.sigma.tolist()
+    # A sigma that nothing is known of is null.
+    fx, fy, cx, cy, *d = known.sigma.tolist() if found.has_sigmas else [None] * len(known.sigma)
     return {
         "intrinsics": {
             "model": camera.model.value,
@@ -97,10 +100,14 @@ def _spare(found: Calibration) -> str:
 
 
 def _held_out(found: Calibration) -> str:
-    return ", ".join(
-        f"{one.model.value} {one.held_out_px:.3f} px" if one.fit else f"{one.model.value} fits none"
-        for one in found.tried
-    )
+    return ", ".join(f"{one.model.value} {held_out_text(one)}" for one in found.tried)
+
+
+def held_out_text(one: Candidate) -> str:
+    """A model's error on views that were left out, in words."""
+    if one.fit is None:
+        return "fits none"
+    return f"{one.held_out_px:.3f} px" if math.isfinite(one.held_out_px) else "not to be told"
 
 
 def _or_none(value: float) -> float | None:

@@ -160,6 +160,8 @@ def test_copies_of_one_view_determine_nothing() -> None:
         found = calibrate([noisy(view, str(i), i) for i in range(12)], SIZE)
         assert found.looks == 1
         [doubt] = found.doubts
+        assert calibration_record(found)["intrinsics"]["sigma"]["fx"] is None  # pyright: ignore[reportIndexIssue, reportArgumentType, reportCallIssue]
+        assert "fx" in calibration_text(found)
         assert "12 views of the board show one view of it" in str(doubt)
 
 
