@@ -9,7 +9,7 @@ import numpy as np
 
 from . import cdr_layout
 from .cdr_codecs import CODECS
-from .cdr_ros import Builder, store
+from .cdr_ros import Builder, full_definition, store
 from .errors import MessageError
 from .geometry import CameraModel, Pose
 from .messages import (
@@ -81,7 +81,7 @@ def type_name(message: Message) -> str:
 
 def definition(type_name: str) -> str:
     """The full `ros2msg` definition of a type, with the types that it uses."""
-    return store().generate_msgdef(type_name, ros_version=2)[0]
+    return full_definition(type_name)
 
 
 def type_hash(type_name: str) -> str:

@@ -16,18 +16,25 @@ from .geometry import Pose
 from .geometry.rotation import Array
 from .messages import SIGHTINGS
 
-_SIGHTINGS_DEFINITION = """std_msgs/Header header
+_SIGHTINGS_DEFINITION = """# The faces found in one image; empty when none was found.
+std_msgs/Header header          # stamp: middle of exposure; frame_id: <camera>/optical
 uint32 width
 uint32 height
 trigpoint_msgs/FaceSighting[] faces
 """
 
-_FACE_SIGHTING_DEFINITION = """string target
-int32 face
-uint16[] corners
-float32[] pixels
-float32 sigma
+_FACE_SIGHTING_DEFINITION = """# One detection of one face of a target in one image.
+string target                   # its name; empty when several robots carry the same pattern
+int32 face                      # id in the target file; -1 when the pattern does not say which
+uint16[] corners                # corner ids, only those seen
+float32[] pixels                # u0 v0 u1 v1 ..., raw (distorted) image coordinates, same order
+float32 sigma                   # standard deviation of a coordinate, pixels
 """
+_COMMENTED = {
+    SIGHTINGS: _SIGHTINGS_DEFINITION,
+    "trigpoint_msgs/FaceSighting": _FACE_SIGHTING_DEFINITION,
+}
+_SEPARATOR = "=" * 80 + "\n"
 
 
 @cache
@@ -107,3 +114,14 @@ def register(definitions: Mapping[str, str]) -> None:
     for name, text in definitions.items():
         if name not in types.types:
             types.register(get_types_from_msg(text, name))
+
+
+def full_definition(type_name: str) -> str:
+    """A type's `ros2msg` definition with those of the types that it uses; ours with comments."""
+    first, *others = store().generate_msgdef(type_name, ros_version=2)[0].split(_SEPARATOR)
+    parts = [_COMMENTED.get(type_name, first)]
+    for other in others:
+        title = other.partition("\n")[0]
+        text = _COMMENTED.get(title.removeprefix("MSG: "))
+        parts.append(f"{title}\n{text}" if text else other)
+    return _SEPARATOR.join(parts)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trigpoint import messages
 from trigpoint.cdr import decode, definition, encode, type_hash, type_name, warm_up
@@ -223,3 +224,12 @@ def test_orientation_that_is_no_rotation_is_refused() -> None:
 def test_stamp_before_1970_is_refused() -> None:
     with pytest.raises(MessageError, match="before 1970"):
         encode(PoseStamped(-1, "map", Pose.identity()))
+
+
+def test_our_own_definitions_keep_their_comments_and_their_hash() -> None:
+    text = definition(messages.SIGHTINGS)
+    assert "# stamp: middle of exposure" in text
+    assert "MSG: trigpoint_msgs/FaceSighting\n# One detection" in text
+    again = get_typestore(Stores.EMPTY)
+    again.register(get_types_from_msg(text, messages.SIGHTINGS))
+    assert again.hash_rihs01(messages.SIGHTINGS) == type_hash(messages.SIGHTINGS)
