@@ -30,6 +30,7 @@ from trigpoint.target import Target
 
 WINDOW = 40.0  # of cost: 2e-9 of the best explanation
 _BEAM = 200
+_MOST_EXPLANATIONS = 20_000
 _REFINED = 30.0  # of cost: explanations near the best are solved over the pixels themselves
 _REFINEMENTS = 3
 _AT_MINIMUM = 1e-6  # of χ²: a reading that nothing pulls is solved already
@@ -80,11 +81,12 @@ class Oracle:
 
     @cached_property
     def explanations(self) -> list[Scored]:
-        """Every explanation within the window of the best one, best first."""
+        """Every explanation within the window of the best one, best first.
+
+        Raises ValueError where they are too many to be enumerated.
+        """
         beam = self._searched(np.inf, _BEAM)
         found = self._searched(min(beam.values()) + WINDOW, None)
-        # Of those whose cost is known without their poses, too.
-        found = self._costs(list(found))
         best = min(found.values())
         near = [e for e, cost in found.items() if cost < best + _REFINED]
         far = [e for e, cost in found.items() if cost >= best + _REFINED]
@@ -111,6 +113,8 @@ class Oracle:
                 for node, cost in nodes.items()
                 for longer in self._extended(node, cost, view, limit - after)
             ]
+            if width is None and len(grown) > _MOST_EXPLANATIONS:
+                raise ValueError(f"{len(grown)} explanations of {view + 1} pictures are too many")
             if width is not None:
                 grown = sorted(grown, key=lambda longer: longer.bound)[:width]
             costs = {longer.node: longer.bound for longer in grown if longer.is_exact}
