@@ -93,7 +93,9 @@ def _honesty(scores: list[Score]) -> str:
     if not squares:
         return "–"
     value = np.sqrt(np.mean(squares))
-    error = np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * value) if squares[1:] else 0.0
+    if len(squares) == 1:
+        return f"{value:.2f}"
+    error = np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * value)
     return f"{value:.2f} ± {error:.2f}"
 
 
