@@ -288,7 +288,7 @@ def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
     if not found:
         return grey
     left = grey.copy()
-    level = float(np.median(grey[::_COARSE, ::_COARSE]))
+    level = median(grey[::_COARSE, ::_COARSE].reshape(-1))
     for outline in _outlines(found):
         cv2.fillConvexPoly(left, np.rint(outline).astype(np.int32), (level,))
     return left

@@ -11,6 +11,7 @@ from math import log
 
 import numpy as np
 
+from trigpoint.edge.image.median import median
 from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
@@ -95,7 +96,7 @@ def _contrast(rising: Array) -> float:
         [-(rising[1:] + rising[:-1]).ravel(), -(rising[:, 1:] + rising[:, :-1]).ravel()]
     )
     steps = steps[~np.isnan(steps)]
-    return max(1.0, float(np.median(steps))) if len(steps) else 1.0
+    return max(1.0, median(steps)) if len(steps) else 1.0
 
 
 def _beside(ids: np.ndarray, face: Face) -> np.ndarray:
