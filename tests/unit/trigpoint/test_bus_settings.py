@@ -1,7 +1,10 @@
 import pytest
+from builders import make_odometry
 
-from trigpoint.bus_settings import LOOPBACK, session_settings
+from trigpoint.bus_settings import LOOPBACK, QUEUE_BATCHES, Door, TlsFiles, session_settings
+from trigpoint.cdr import encode
 from trigpoint.config import BusConfig, TlsConfig, endpoint_port
+from trigpoint.topics import ODOMETRY
 
 
 def test_without_a_bus_table_nothing_leaves_this_machine() -> None:
@@ -55,3 +58,23 @@ def test_scouting_looks_for_peers_on_the_link() -> None:
     assert settings.multicast is not None
     assert settings.multicast.interface == "auto"
     assert settings.locators == ()
+
+
+def test_what_a_link_may_hold_is_as_much_as_a_publisher_keeps() -> None:
+    """After a break all of it is asked for at once; held up for long, the link would be cut off."""
+    batch = 65_535
+    odometry = len(encode(make_odometry(10**18)))
+    assert QUEUE_BATCHES * batch >= ODOMETRY.cache * odometry
+
+
+def test_certificates_are_shown_where_a_link_leaves_and_where_one_ends() -> None:
+    files = TlsFiles("trust.pem", "own.pem", "own.key")
+    bus = BusConfig(connect=("tls/10.0.0.1:7447",), tls=TlsConfig())
+    values = session_settings("lab", bus, files).values()
+    assert values["transport/link/tls"] == files.values()
+    assert files.values()["enable_mtls"] is True
+    assert files.values()["verify_name_on_connect"] is True
+    listening = BusConfig(listen=("tls/0.0.0.0:7447",), tls=TlsConfig())
+    gate = session_settings("lab", listening).gate_settings(Door(files, {"enabled": True}))
+    assert gate.values()["access_control"] == {"enabled": True}
+    assert "transport/link/tls" not in session_settings("lab", listening).values()
