@@ -271,7 +271,8 @@ def _streaming(site: str, viewer: Viewer) -> "Iterator[rr.RecordingStream]":
         yield stream
     finally:
         if viewer.is_running:
-            stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+            with suppress(RuntimeError):  # it ended just now: nobody is there to be shown the rest
+                stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
         stream.disconnect()
 
 
