@@ -47,6 +47,11 @@ class Outbox:
             self._items.append(send)
             self._changed.notify_all()
 
+    @property
+    def waiting(self) -> int:
+        """How many wait behind the one that is being sent."""
+        return len(self._items)
+
     def flush(self, timeout_s: float) -> bool:
         """Wait until all is sent; whether it is in time."""
         with self._changed:

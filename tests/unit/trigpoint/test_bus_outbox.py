@@ -1,0 +1,58 @@
+"""What is to be sent waits for nobody."""
+
+import threading
+
+import pytest
+
+from trigpoint.bus_outbox import Outbox
+from trigpoint.errors import BusError
+
+
+class Link:
+    """Somebody who reads only while the gate is open."""
+
+    def __init__(self) -> None:
+        self.gate = threading.Event()
+        self.got: list[int] = []
+
+    def send(self, number: int) -> None:
+        self.gate.wait(10.0)
+        self.got.append(number)
+
+
+def test_put_returns_while_nobody_reads_and_the_oldest_is_lost() -> None:
+    link, outbox = Link(), Outbox("sends", capacity=5)
+    outbox.put(lambda: link.send(0))
+    while outbox.flush(0.0) or outbox.waiting:  # until the thread is at the first one
+        pass
+    for number in range(1, 10):
+        outbox.put(lambda number=number: link.send(number))
+    assert link.got == []
+    assert outbox.lost == 4
+    link.gate.set()
+    assert outbox.flush(10.0)
+    assert link.got == [0, 5, 6, 7, 8, 9]
+    assert outbox.close(10.0)
+
+
+def test_close_leaves_behind_what_nobody_reads() -> None:
+    link, outbox = Link(), Outbox("sends")
+    for number in range(3):
+        outbox.put(lambda number=number: link.send(number))
+    assert not outbox.close(0.1)
+    with pytest.raises(BusError):
+        outbox.put(lambda: None)
+    link.gate.set()
+    assert outbox.close(10.0)
+
+
+def test_what_the_bus_refuses_is_lost_and_ends_nothing() -> None:
+    def refuse() -> None:
+        raise BusError("no")
+
+    outbox, sent = Outbox("sends"), threading.Event()
+    outbox.put(refuse)
+    outbox.put(sent.set)
+    assert sent.wait(10.0)
+    assert outbox.lost == 1
+    assert outbox.close(10.0)

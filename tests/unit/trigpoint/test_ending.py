@@ -1,0 +1,66 @@
+"""The time that a stop may take."""
+
+import subprocess
+import sys
+import time
+
+from trigpoint.ending import STOP_S, Ending
+
+HANGS = """
+import signal, sys, time
+from trigpoint import cli
+from trigpoint.node import stop_on_signals
+def main() -> None:
+    stop_on_signals([])
+    print("ready", flush=True)
+    if sys.argv[1] == "writes":
+        from trigpoint.ending import ENDING
+        with ENDING.writing():
+            time.sleep(3.5)
+        print("written", flush=True)
+    time.sleep(60)
+kind = sys.argv[1]
+sys.argv[1:] = ["edge"]
+sys.argv.append(kind)
+cli.COMMANDS["edge"] = cli.Command("__main__:command", "Hangs.", service=True)
+def command(kind: str) -> None:
+    sys.argv[1] = kind
+    main()
+if __name__ == "__main__":
+    cli.main()
+"""
+
+
+def stopped(kind: str) -> tuple[int, float, str]:
+    """How a program that hangs ends after SIGTERM: status, seconds, what it said."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGS, kind], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    began_s = time.monotonic()
+    process.terminate()
+    said, _ = process.communicate(timeout=30)
+    return process.returncode, time.monotonic() - began_s, said
+
+
+def test_program_that_hangs_ends_all_the_same() -> None:
+    status, took_s, _ = stopped("hangs")
+    assert status == 1
+    assert took_s < STOP_S + 6.0  # it would have gone on for a minute
+
+
+def test_file_that_is_being_written_is_finished() -> None:
+    status, _, said = stopped("writes")
+    assert (status, said) == (1, "written\n")
+
+
+def test_what_is_left_is_counted_from_the_first_time_it_is_asked() -> None:
+    ending = Ending()
+    assert ending.left_s() == float("inf")
+    assert ending.ask()
+    assert not ending.ask()
+    assert 0 < ending.left_s(0.5) <= STOP_S - 0.5
+    assert ending.left_s(STOP_S) == 0.0
+    ending.forget()
+    assert not ending.is_asked
