@@ -122,7 +122,6 @@ class Admission:
     def _is_of_now(self, sample: Sample, stamp_ns: int, at_ns: int, set_by_ns: int) -> bool:
         ahead_ns = stamp_ns - (sample.received_ns - set_by_ns)
         if ahead_ns <= AHEAD_NS:
-            self._ahead.pop(sample.key, None)
             return True
         self.counts["far_ahead"] += 1
         self._ahead[sample.key] = (
