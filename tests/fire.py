@@ -1,5 +1,6 @@
 """What a site may meet in a week, at drawn moments, while a drive goes on: see `Fire`."""
 
+import itertools
 import random
 import subprocess
 import sys
@@ -219,10 +220,12 @@ class Watchman:
 
 
 def flip_bit_of_odometry(field: Field) -> None:
-    """Damage one record of the checkpoint, near its start."""
+    """Damage one record of the checkpoint near its start; not the first one, which is where the
+    map begins."""
     path = field.out / "checkpoint.bin"
     data = bytearray(path.read_bytes())
-    payload = next(p for key, p in read_checkpoint(path) if key == "lab/robot/r1/odom")
+    odometry = (p for key, p in read_checkpoint(path) if key == "lab/robot/r1/odom")
+    payload = next(itertools.islice(odometry, 5, None))
     data[data.index(payload) + 20] ^= 1
     path.write_bytes(bytes(data))
 
