@@ -43,7 +43,7 @@ UNKNOWN_REACH_PX = 60.0
 # A face that came so near its prediction is first looked for just there the next time, pixels.
 NEAR_PX = 0.8
 # After this share of a picture's time no step is begun any more: the last one takes its time too.
-LAST_BEGIN = 0.5
+LAST_BEGIN = 0.7
 # An outline that reaches further was not projected in earnest, pixels.
 _FAR_PX = 10_000
 _COARSE = 8

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import (
+    Placed,
     checkerboard,
     cluttered_picture,
     fine_picture_of,
@@ -210,3 +211,46 @@ def test_board_that_is_described_as_it_is_makes_nobody_wonder() -> None:
     detector = detector_for([target_of(*both)])
     assert len(detector.detect(picture_of([placed(both[0])]))) == 1
     assert detector.misdescribed == ()
+
+
+FOCAL_PX, MIDDLE_PX = 200.0, np.array([322.0, 238.0])
+"""Of an equidistant lens that has 180 degrees in a circle of 628 pixels."""
+
+
+def through_a_fisheye(view: Placed) -> np.ndarray:
+    """The picture of a board alone, (480, 640) uint8: a ray for each fourth of a pixel."""
+    face, camera_from_face = view
+    fine = 4
+    u, v = np.meshgrid(*((np.arange(fine * n) + 0.5) / fine - 0.5 for n in (640, 480)))
+    place = (np.stack([u, v], axis=-1) - MIDDLE_PX) / FOCAL_PX
+    angle = np.linalg.norm(place, axis=-1, keepdims=True)
+    rays = np.concatenate([np.sinc(angle / np.pi) * place, np.cos(angle)], axis=-1)
+    plane = camera_from_face.rotation.T
+    origin = plane @ camera_from_face.translation
+    rays = rays @ plane.T
+    reach = origin[2] / rays[..., 2]
+    spot = np.floor((reach[..., None] * rays - origin)[..., :2] / face.square).astype(int)
+    on = (spot >= -2) & (spot < (face.columns, face.rows))
+    inside = (spot >= -1) & (spot < (face.columns - 1, face.rows - 1))
+    dark = inside.all(axis=-1) & (spot.sum(axis=-1) % 2 == 0) & (reach > 0)
+    light = np.where(dark, 30.0, np.where(on.all(axis=-1) & (reach > 0), 215.0, 110.0))
+    return cv2.resize(light, (640, 480), interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
+def fisheye_pixels(view: Placed) -> np.ndarray:
+    """Where its corners are, (n, 2)."""
+    face, camera_from_face = view
+    points = face.corners @ camera_from_face.rotation.T + camera_from_face.translation
+    across = np.linalg.norm(points[:, :2], axis=1)
+    angle = np.arctan2(across, points[:, 2])
+    return MIDDLE_PX + FOCAL_PX * (angle / across)[:, None] * points[:, :2]
+
+
+@pytest.mark.parametrize(("distance", "x", "yaw_deg"), [(0.1, 0.0, 10), (0.15, 0.25, 40)])
+def test_fisheye_costs_no_corner(distance: float, x: float, yaw_deg: float) -> None:
+    """Over most of the picture, and towards its rim."""
+    view = placed(EVEN, distance=distance, x=x, yaw_deg=yaw_deg, tilt_deg=8)
+    (face,) = detector_for([target_of(EVEN)]).detect(through_a_fisheye(view))
+    assert len(face.corners) == EVEN.corner_count
+    truth = fisheye_pixels(view)
+    assert min(np.abs(face.pixels - order).max() for order in (truth, truth[::-1])) < 0.15
