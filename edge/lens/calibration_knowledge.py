@@ -28,6 +28,8 @@ from .calibration_views import View
 BOW_SHARE = 0.003
 _BOWS = 3
 _LEAST = 1e-15
+# With hardly more looks than unknowns the correction for few looks says nothing any more.
+_MOST_SMALL_SAMPLE = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +53,16 @@ def knowledge(found: Fit, views: Sequence[View], looks: np.ndarray | None = None
     covariance = _inverse(lens.sum(axis=0))
     disagreement = _disagreement(lens, pulls / noise, covariance)
     usual = _with_bow(information.sum(axis=0) / (disagreement * noise) ** 2, count)
+    scatter = noise**2 * np.diag(covariance)
+    # A jackknife of few looks is too large by itself.
+    usual = scatter + np.maximum(usual - scatter, 0.0) * _small_sample(len(lens), count)
     variance = np.maximum(usual, _jackknifed(lens, pulls))
     return Knowledge(np.sqrt(variance), noise, disagreement)
+
+
+def _small_sample(looks: int, unknowns: int) -> float:
+    """By how much what looks say of each other is too little, since the lens was fitted to them."""
+    return min(looks / max(looks - unknowns, 1), _MOST_SMALL_SAMPLE)
 
 
 def look_weights(looks: np.ndarray) -> Array:
