@@ -64,6 +64,8 @@ class Line:
         self._changed = threading.Condition()
         # A port is not closed under the writer's hands: its descriptor might be another's by then.
         self._writing = threading.Lock()
+        # When the writer looks next by itself: what is due before that must wake it.
+        self._wakes_ns = 0
         self.opened = 0
 
     @property
@@ -126,7 +128,9 @@ class Line:
     def _wait_s(self) -> float:
         now_ns = self._clock.elapsed_ns()
         due_s = to_seconds(self._protocol.due_ns(now_ns) - now_ns)
-        return _LONGEST_WAIT_S if self._port is None else min(max(due_s, 0.0), _LONGEST_WAIT_S)
+        wait_s = _LONGEST_WAIT_S if self._port is None else min(max(due_s, 0.0), _LONGEST_WAIT_S)
+        self._wakes_ns = now_ns + to_ns(wait_s)
+        return wait_s
 
     def _open(self) -> None:
         port = self._open_port()
@@ -145,7 +149,8 @@ class Line:
             if data:
                 with self._changed:
                     events = self._protocol.receive(data, received_ns)
-                    self._changed.notify()
+                    if self._protocol.due_ns(received_ns) < self._wakes_ns:
+                        self._changed.notify()
                 self._give_out(events)
 
     def _write_due(self) -> None:

@@ -76,7 +76,7 @@ class RobotNode:
         warm_up()
         self._publisher = self._bus.publisher(ODOMETRY, self._odometry_key)
         if self._traits.takes is not Takes.CORRECTIONS:
-            self._places = Places(self._bus, self._site.name, self._robot)
+            self._places = Places(self._bus, self._site.name, self._robot, self._node.health)
         corrections = subscribed(self._bus, self._site, self._robot)
         self._show()
         node = self._node

@@ -2,6 +2,7 @@
 
 from trigpoint.bus import Bus
 from trigpoint.cdr import encode
+from trigpoint.health import Health
 from trigpoint.messages import PoseEstimate, Transform, Transforms
 from trigpoint.topics import CORRECTED, ROBOT_TF
 
@@ -9,9 +10,10 @@ from .bridge import Location
 
 
 class Places:
-    """One robot's."""
+    """One robot's; `health` counts what is sent."""
 
-    def __init__(self, bus: Bus, site: str, robot: str) -> None:
+    def __init__(self, bus: Bus, site: str, robot: str, health: Health) -> None:
+        self._health, self._keys = health, (CORRECTED.key(site, robot), ROBOT_TF.key(site, robot))
         self._pose = bus.publisher(CORRECTED, CORRECTED.key(site, robot))
         self._tf = bus.publisher(ROBOT_TF, ROBOT_TF.key(site, robot))
         self._odom, self._base = f"{robot}/odom", f"{robot}/base"
@@ -29,3 +31,5 @@ class Places:
                 Transform(at.stamp_ns, self._odom, self._base, at.odom_from_base),
             ]
         self._tf.put(encode(Transforms(tuple(transforms))))
+        for key in self._keys:
+            self._health.count(f"sent {key}")

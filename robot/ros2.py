@@ -68,7 +68,7 @@ class RosRobotNode:
         warm_up()
         node, name = self._node, self._site.name
         self._publisher = self._bus.publisher(ODOMETRY, self._key)
-        self._places = Places(self._bus, name, self._robot)
+        self._places = Places(self._bus, name, self._robot, node.health)
         corrections = subscribed(self._bus, self._site, self._robot)
         for expression in self._expressions:
             samples = self._bus.subscribe(FOREIGN, expression)
