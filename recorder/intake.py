@@ -14,6 +14,7 @@ from trigpoint.topics import IMAGE, TOPICS, Topic, key_matches, topic_of
 from trigpoint.watchdog import Pulse
 
 Take = Callable[[Topic, Sample, Message], None]
+Lose = Callable[[str, int], None]
 
 _PATIENCE_S = 0.2
 _LEAST_QUEUE = 64
@@ -41,9 +42,16 @@ class Intake:
     """
 
     def __init__(
-        self, bus: Bus, node: Node, site: Site, topics: Collection[Topic], take: Take
+        self,
+        bus: Bus,
+        node: Node,
+        site: Site,
+        topics: Collection[Topic],
+        take: Take,
+        lose: Lose = lambda _key, _count: None,
     ) -> None:
-        self._node, self._site, self._take = node, site, take
+        """`lose` is told how many more samples of a key the bus's full queue has dropped."""
+        self._node, self._site, self._take, self._lose = node, site, take, lose
         cdr.warm_up()
         for topic in topics:
             deep = replace(topic, queue=max(topic.queue, _LEAST_QUEUE))
@@ -52,13 +60,24 @@ class Intake:
             node.work(topic.name, partial(self._run, topic, subscription))
 
     def _run(self, topic: Topic, subscription: Subscription, pulse: Pulse) -> None:
+        told: dict[str, int] = {}
         while not self._node.stopping.is_set():
             pulse.beat()
             if sample := subscription.take(_PATIENCE_S):
                 self._hand_on(topic, sample)
+            self._tell_losses(subscription, told)
         subscription.close()
         while sample := subscription.take(0.0):
             self._hand_on(topic, sample)
+        self._tell_losses(subscription, told)
+
+    def _tell_losses(self, subscription: Subscription, told: dict[str, int]) -> None:
+        if subscription.dropped == 0:
+            return
+        for key, count in subscription.losses.items():
+            if more := count - told.get(key, 0):
+                told[key] = count
+                self._lose(key, more)
 
     def _hand_on(self, topic: Topic, sample: Sample) -> None:
         try:

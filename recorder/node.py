@@ -92,7 +92,7 @@ class Recorder:
         self._bus, self._node = bus, node
         node.health.gauge("file.depth", self._depth)
         topics = recorded_topics(self._site)
-        Intake(bus, node, self._site, topics, self._write)
+        Intake(bus, node, self._site, topics, self._write, self._lose)
         self._pulse = node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S)
         if self._sink is not None:
             self._sink.watch(self._pulse)
@@ -210,6 +210,11 @@ class Recorder:
             self._node.health.lose(f"file {sample.key}")
         if self.ring is not None and topic is CAMERA_POSE and isinstance(message, PoseEstimate):
             self._save_where_moved(sample, message)
+
+    def _lose(self, key: str, count: int) -> None:
+        """What the bus's queue has dropped is missing in the session, and is counted there too."""
+        if self._sink is not None:
+            self._sink.lose(key, count)
 
     def _save_where_moved(self, sample: Sample, pose: PoseEstimate) -> None:
         """A camera was moved: save what led to it, once for what is one event."""

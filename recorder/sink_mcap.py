@@ -160,6 +160,10 @@ class McapSink:
             return False
         return self._queue.put(Message(log_ns, published_ns, topic, key, payload, attachment))
 
+    def lose(self, key: str, count: int) -> None:
+        """Count messages of a key that were lost before they came here."""
+        self._queue.lose(key, count)
+
     def attach(self, name: str, data: bytes, media_type: str) -> None:
         """Attach a file, to this part and to those that follow."""
         with self._lock:

@@ -63,6 +63,11 @@ class Subscription(Protocol):
         """How many samples were lost: dropped from the full queue, or missed on the way."""
         ...
 
+    @property
+    def losses(self) -> dict[str, int]:
+        """Those that were dropped from the full queue, by key."""
+        ...
+
     def close(self) -> None: ...
 
 

@@ -1,7 +1,7 @@
 """The bounded queue between the bus's threads and ours; both buses use it."""
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -40,6 +40,7 @@ class SampleQueue(Generic[Item]):
         self._is_closed = False
         self._received = 0
         self._dropped = 0
+        self._lost: Counter[str] = Counter()
 
     def push(self, item: Item) -> None:
         """Append what came; called on the bus's thread."""
@@ -60,8 +61,11 @@ class SampleQueue(Generic[Item]):
         # Where nearly every share has one sample, there is no use in looking for the fullest.
         is_spread = 2 * len(self._shares) > self._capacity
         shares = self._shares
-        self._pop(next(iter(shares)) if is_spread else max(shares, key=lambda s: len(shares[s])))
+        item = self._pop(
+            next(iter(shares)) if is_spread else max(shares, key=lambda s: len(shares[s]))
+        )
         self._dropped += 1
+        self._lost[self._key_of(item)] += 1
 
     def _pop(self, share: str) -> Item:
         items = self._shares[share]
@@ -95,6 +99,12 @@ class SampleQueue(Generic[Item]):
     @property
     def received(self) -> int:
         return self._received
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """How many samples of each key were dropped from the full queue."""
+        with self._changed:
+            return dict(self._lost)
 
     @property
     def dropped(self) -> int:

@@ -1,4 +1,7 @@
-"""Garbage on the bus does not come in."""
+"""Garbage on the bus does not come in; what is dropped is counted by key."""
+
+import threading
+from collections import Counter
 
 import pytest
 from builders import eventually, make_odometry, make_site
@@ -7,10 +10,11 @@ from trigpoint import cdr
 from trigpoint.bus import Sample
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.errors import MessageError
-from trigpoint.messages import Odometry
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry, PoseStamped
 from trigpoint.node import Node
 from trigpoint.recorder.intake import Intake, recorded_topics, sound_message
-from trigpoint.topics import CAMERA_POSE, IMAGE, ODOMETRY, SIGHTINGS, TF, TOPICS, Topic
+from trigpoint.topics import CAMERA_POSE, IMAGE, ODOMETRY, SIGHTINGS, SUGGESTION, TF, TOPICS, Topic
 
 SITE = make_site()
 KEY = ODOMETRY.key("lab", "r1")
@@ -92,3 +96,34 @@ def test_what_has_arrived_when_the_node_stops_is_handed_on() -> None:
             publisher.put(PAYLOAD)
         Intake(bus, node, SITE, [ODOMETRY], take)
     assert len(taken) == 50
+
+
+def test_what_the_buss_queue_drops_is_told_by_key() -> None:
+    broker, taken, lost = MemoryBroker(), [], Counter()
+    first, may_go_on = threading.Event(), threading.Event()
+
+    def take(_topic: Topic, received: Sample, _message: object) -> None:
+        taken.append(received)
+        first.set()
+        may_go_on.wait(20)
+
+    def lose(key: str, count: int) -> None:
+        lost[key] += count
+
+    with (
+        broker.session() as bus,
+        broker.session() as sender,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        Intake(bus, node, SITE, [SUGGESTION], take, lose)
+        key = SUGGESTION.key("lab", "r1")
+        publisher = sender.publisher(SUGGESTION, key)
+        payload = cdr.encode(PoseStamped(5, "map", Pose.identity()))
+        publisher.put(payload)
+        assert first.wait(20)
+        for _ in range(200):
+            publisher.put(payload)
+        may_go_on.set()
+        assert eventually(lambda: len(taken) + lost[key] == 201)
+        node.stop()
+    assert lost[key] == 200 - 64  # the recorder's queue is deeper than the topic's own
