@@ -32,7 +32,8 @@ def cleaned(grid: Grid) -> Grid:
         lattice, low = _lattice(grid)
         x, y = (grid.places - low).T
         off = np.linalg.norm(_predicted(lattice)[y, x] - grid.pixels, axis=-1)
-        off = np.nan_to_num(off / _steps(lattice)[y, x], nan=0.0)
+        # Two corners in one place are a thousandth of a pixel apart.
+        off = np.nan_to_num(off / np.maximum(_steps(lattice)[y, x], 1e-3), nan=0.0)
         worst = float(off.max())
         if worst <= MOST_OFF:
             break
