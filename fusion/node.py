@@ -92,7 +92,9 @@ class FusionNode:
         name = self._site.name
         for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
             expression = topic.expression(name)
-            subscription = self._bus.subscribe(topic, expression, wanted=self._admission.knows)
+            subscription = self._bus.subscribe(
+                topic, expression, wanted=self._admission.knows, in_turns=True
+            )
             self._subscriptions.append((topic, subscription))
             self._node.health.watch(topic.name, subscription)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)

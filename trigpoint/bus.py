@@ -41,8 +41,7 @@ class Reply:
 
 
 class Subscription(Protocol):
-    """Samples of one key expression. Those of one key and sender come in their order; keys and
-    senders take turns."""
+    """Samples of one key expression, in the order in which they came."""
 
     def take(self, timeout_s: float) -> Sample | None:
         """The next sample, or None when the time is over or the subscription is closed."""
@@ -135,10 +134,16 @@ class Bus(Protocol):
         ...
 
     def subscribe(
-        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
+        self,
+        topic: Topic,
+        expression: str,
+        *,
+        wanted: Callable[[str], bool] | None = None,
+        in_turns: bool = False,
     ) -> Subscription:
         """Subscribe with the topic's delivery and queue. `wanted`: whether a key is; the others'
-        samples are not kept. It is called on the bus's thread."""
+        samples are not kept. It is called on the bus's thread. `in_turns`: keys and senders take
+        turns; else samples are taken in the order in which they came."""
         ...
 
     def declare_alive(self, key: str) -> Closable:

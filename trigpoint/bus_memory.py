@@ -149,7 +149,12 @@ class MemoryBus:
         return publisher
 
     def subscribe(
-        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
+        self,
+        topic: Topic,
+        expression: str,
+        *,
+        wanted: Callable[[str], bool] | None = None,
+        in_turns: bool = False,
     ) -> SampleQueue[Sample]:
         queue: SampleQueue[Sample] = SampleQueue(
             topic.queue,
@@ -157,6 +162,7 @@ class MemoryBus:
             lambda: self._unsubscribe(queue),
             key_of=lambda sample: sample.key,
             wanted=wanted,
+            in_turns=in_turns,
         )
         with self._broker.lock:
             if topic.cache:

@@ -13,8 +13,8 @@ Item = TypeVar("Item")
 class SampleQueue(Generic[Item]):
     """A Subscription that gives every key, and every sender on it, a share.
 
-    Within a share samples come in their order; the shares take turns, so that whoever sends much
-    waits for itself alone. Full, it drops the oldest sample of the largest share, and counts it.
+    Full, it drops the oldest sample of the largest share, and counts it: whoever sends much pushes
+    nobody else out.
     `push` and `miss` may be called from any thread; they only append and count. What is pushed is
     made a Sample when it is taken: the bus's thread has no time for it.
     """
@@ -28,10 +28,13 @@ class SampleQueue(Generic[Item]):
         key_of: Callable[[Item], str],
         share_of: Callable[[Item], str] | None = None,
         wanted: Callable[[str], bool] | None = None,
+        in_turns: bool = False,
     ) -> None:
         """`key_of`: an item's key; `share_of`: who shares with whom, the key where it is None;
-        `wanted`: whether a key's samples are kept at all."""
-        self._shares: dict[str, deque[Item]] = {}  # none is empty; the first is next
+        `wanted`: whether a key's samples are kept; `in_turns`: the shares take turns, so that
+        whoever sends much waits for itself alone; else samples are taken as they came."""
+        self._in_turns = in_turns
+        self._shares: dict[str, deque[tuple[int, Item]]] = {}  # none is empty; the first is next
         self._count = 0
         self._capacity, self._sample_of = capacity, sample_of
         self._key_of, self._share_of, self._wanted = key_of, share_of or key_of, wanted
@@ -53,7 +56,7 @@ class SampleQueue(Generic[Item]):
             self._received += 1
             if self._count == self._capacity:
                 self._drop()
-            self._shares.setdefault(share, deque()).append(item)
+            self._shares.setdefault(share, deque()).append((self._received, item))
             self._count += 1
             self._changed.notify()
 
@@ -69,11 +72,17 @@ class SampleQueue(Generic[Item]):
 
     def _pop(self, share: str) -> Item:
         items = self._shares[share]
-        item = items.popleft()
+        _, item = items.popleft()
         self._count -= 1
         if not items:
             del self._shares[share]
         return item
+
+    def _next_share(self) -> str:
+        """Whose turn it is; without turns, whose sample came first."""
+        if self._in_turns or len(self._shares) == 1:
+            return next(iter(self._shares))
+        return min(self._shares, key=lambda share: self._shares[share][0][0])
 
     def miss(self, count: int) -> None:
         """Count samples that were lost on the way; called on the bus's thread."""
@@ -86,7 +95,7 @@ class SampleQueue(Generic[Item]):
                 self._changed.wait_for(lambda: self._shares or self._is_closed, timeout_s)
             if not self._shares:
                 return None
-            share = next(iter(self._shares))
+            share = self._next_share()
             item = self._pop(share)
             if share in self._shares:  # to the end of the line
                 self._shares[share] = self._shares.pop(share)

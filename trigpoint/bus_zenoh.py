@@ -356,7 +356,12 @@ class ZenohBus:
         )
 
     def subscribe(
-        self, topic: Topic, expression: str, *, wanted: Callable[[str], bool] | None = None
+        self,
+        topic: Topic,
+        expression: str,
+        *,
+        wanted: Callable[[str], bool] | None = None,
+        in_turns: bool = False,
     ) -> SampleQueue[_Arrival]:
         def declare() -> SampleQueue[_Arrival]:
             queue = SampleQueue(
@@ -366,6 +371,7 @@ class ZenohBus:
                 key_of=_key_of,
                 share_of=_share_of,
                 wanted=wanted,
+                in_turns=in_turns,
             )
             undeclare = _subscribe(self._session, topic, expression, queue)
             return queue

@@ -51,6 +51,7 @@ def test_who_sends_much_pushes_out_nobody_and_others_wait_for_one_sample_of_it()
         lambda item: Sample(item[0], b"", "", item[1], 0),
         lambda: None,
         key_of=lambda item: item[0],
+        in_turns=True,
     )
     for number in range(3):
         queue.push(("quiet", number))
@@ -68,3 +69,10 @@ def test_what_nobody_wants_is_not_kept() -> None:
     for number in range(3):
         queue.push(number)
     assert (queue.received, queue.depth) == (1, 1)
+
+
+def test_without_turns_samples_are_taken_as_they_came() -> None:
+    queue = SampleQueue(9, sample_of, lambda: None, key_of=lambda number: str(number % 3))
+    for number in (0, 3, 1, 6, 2, 4):
+        queue.push(number)
+    assert [queue.take(0.0) for _ in range(6)] == [sample_of(n) for n in (0, 3, 1, 6, 2, 4)]
