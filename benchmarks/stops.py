@@ -85,7 +85,7 @@ def _field(folder: Path) -> Field:
     cv2.imwrite(str(folder / "pictures" / "0.png"), picture)
     for number in range(1, 1000):
         (folder / "pictures" / f"{number}.png").symlink_to(folder / "pictures" / "0.png")
-    return lay_out(folder, port, make_session(lab_plan("charuco", seconds=900.0)), more=MORE)
+    return lay_out(folder, port, make_session(lab_plan("charuco", seconds=120.0)), more=MORE)
 
 
 def _programs(field: Field, number: int) -> dict[str, tuple[str, ...]]:
