@@ -9,6 +9,7 @@ import pytest
 import zenoh
 from builders import site_text
 from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from trigpoint.access import Kind
 from trigpoint.cli import run
@@ -71,7 +72,7 @@ def test_only_a_routers_certificate_serves(site: Path) -> None:
     for stem in ("camera-c1", "router-hall"):
         certificate = load_certificate(site.parent / "secure" / f"{stem}.pem")
         use = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-        uses[stem] = x509.ExtendedKeyUsageOID.SERVER_AUTH in use
+        uses[stem] = ExtendedKeyUsageOID.SERVER_AUTH in use
     assert uses == {"camera-c1": False, "router-hall": True}
     found = load_certificate(site.parent / "secure" / "router-hall.pem")
     names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

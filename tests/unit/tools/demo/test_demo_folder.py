@@ -35,7 +35,9 @@ def test_site_has_the_worlds_cameras_and_the_meeting_point(folder):
     assert not site.bus.scouting
     assert "epoch_ns=1000000000000000000" in site.cameras["c1"].source
     assert "seed=2" in site.cameras["c6"].source
-    assert site.path(site.robot("r1").port) == folder.path / "r1.port"
+    port = site.robot("r1").port
+    assert port is not None
+    assert site.path(port) == folder.path / "r1.port"
     assert site.recorder.pictures
 
 
