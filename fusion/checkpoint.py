@@ -99,7 +99,8 @@ class Checkpoint:
         if self._path.exists():
             _log.info("the map before is kept as %s", set_aside(self._path))
         self._open()
-        self._synchronise()
+        self._synchronise()  # raises where not even the head of a new file is taken
+        self.trouble, self._unkept = "", 0  # what is missing is missing in the map before
 
     def close(self) -> None:
         self._try(self._synchronise)

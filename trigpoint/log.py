@@ -26,7 +26,15 @@ class Level(StrEnum):
     ERROR = "error"
 
 
-class _Timed(logging.Formatter):
+class _Worded(logging.Formatter):
+    """Level, logger, message; the level as `--log-level` has it."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
+        worded = {**vars(record), "levelname": record.levelname.lower()}
+        return super().formatMessage(logging.makeLogRecord(worded))
+
+
+class _Timed(_Worded):
     """2026-03-01 14:05:59.123+0100."""
 
     def formatTime(  # noqa: N802 - logging's name
@@ -38,7 +46,7 @@ class _Timed(logging.Formatter):
         return f"{moment:%Y-%m-%d %H:%M:%S}.{int(record.msecs):03d}{moment:%z}"
 
 
-class _Journal(logging.Formatter):
+class _Journal(_Worded):
     """Each line with its priority in front, also those of a traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
@@ -52,8 +60,6 @@ def set_up(level: Level) -> None:
     handler.setFormatter(formatter(sys.stderr, os.environ))
     logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
     logging.getLogger("trigpoint").setLevel(level.upper())
-    for name in Level:
-        logging.addLevelName(logging.getLevelNamesMapping()[name.upper()], name.value)
 
 
 def formatter(stream: TextIO, environment: Mapping[str, str]) -> logging.Formatter:

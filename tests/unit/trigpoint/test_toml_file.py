@@ -71,6 +71,7 @@ def test_text_that_is_no_toml_names_the_line() -> None:
 def test_wrong_choice_names_the_choices_and_the_nearest() -> None:
     text = (
         'name = "t"\n[[faces]]\nid = 0\npattern = "chaurco"\ncolumns = 5\nrows = 7\nsquare = 0.04\n'
+        "translation = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n"
     )
     with pytest.raises(TargetError) as caught:
         parse_target(text, file="t.toml")
