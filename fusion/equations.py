@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
+from .jitter import Jitter
 from .models import batch_jacobian, odometry_terms
 from .problem import Batch, Chain, Problem, RobotState, State, inner_nodes
 
@@ -58,12 +59,14 @@ class ChainEquations:
 
 @dataclass(slots=True)
 class NormalEquations:
-    """Half the Hessian and the gradient of the cost Σ|r/σ|² at a state."""
+    """Half the Hessian and the gradient of the cost Σ|r/σ|² at a state; `log_determinant`: of what
+    the pictures' jitter adds to their covariance."""
 
     chains: dict[str, ChainEquations]
     dense: Array
     gradient: Array
     cost: float
+    log_determinant: float = 0.0
 
 
 def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> NormalEquations:
@@ -136,19 +139,52 @@ def _add_batch(
     equations: NormalEquations, problem: Problem, batch: Batch, state: State, huber: float
 ) -> None:
     jacobian, residual, columns = batch_jacobian(problem, batch, state)
+    jitter = Jitter.of(problem, batch, state)
+    left = residual
+    if jitter is not None:
+        left = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
     with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(residual, axis=-1)
+        length = np.linalg.norm(left, axis=-1)
     weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
-    equations.cost += float(np.sum(np.where(weight < 1, huber * (2 * length - huber), length**2)))
+    if jitter is None:
+        counted = np.where(weight < 1, huber * (2 * length - huber), length**2)
+        equations.cost += float(np.sum(counted))
+    root = np.sqrt(weight)[..., None]
     if np.any(weight < 1):
-        root = np.sqrt(weight)[..., None]
         jacobian, residual = jacobian * root[..., None], residual * root
     n, _, _, q = jacobian.shape
     flat = jacobian.reshape(n, -1, q)
     transposed = np.swapaxes(flat, 1, 2)
     hessian = transposed @ flat
     gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
-    _scatter(equations, problem, batch.robot, batch.nodes, hessian, gradient, columns)
+    nodes = batch.nodes
+    if jitter is not None:
+        nodes = jitter.nodes
+        shared = np.broadcast_to(root, residual.shape).reshape(n, -1)
+        weighted = Jitter.from_jacobian(
+            jitter.jacobian * shared[..., None], batch.nodes, jitter.variances
+        )
+        hessian, gradient, cost = _without_jitter(weighted, flat, residual, hessian, gradient)
+        equations.cost += cost + float(np.sum(np.where(weight < 1, huber * (length - huber), 0.0)))
+        equations.log_determinant += weighted.log_determinant
+    _scatter(equations, problem, batch.robot, nodes, hessian, gradient, columns)
+
+
+def _without_jitter(
+    jitter: Jitter, jacobian: Array, residual: Array, hessian: Array, gradient: Array
+) -> tuple[Array, Array, float]:
+    """Hessian (g, q, q), gradient (g, q) and cost of each picture with its jitter eliminated."""
+    flat = residual.reshape(len(residual), -1)
+    coupling = jitter.summed(np.swapaxes(jitter.jacobian, 1, 2) @ jacobian)
+    pull = jitter.summed((np.swapaxes(jitter.jacobian, 1, 2) @ flat[..., None])[..., 0])
+    solved = np.linalg.solve(jitter.information, np.concatenate([coupling, pull[..., None]], -1))
+    back = np.swapaxes(coupling, 1, 2) @ solved
+    cost = float(np.sum(flat**2) - np.sum(pull * solved[..., -1]))
+    return (
+        jitter.summed(hessian) - back[..., :-1],
+        jitter.summed(gradient) - back[..., -1],
+        cost,
+    )
 
 
 def _add_odometry(

@@ -68,6 +68,20 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     )
 
 
+def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
+    """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot as it was
+    seen, in the map's axes."""
+    camera = state.cameras[batch.camera]
+    scene = _scene(problem, batch, state)
+    by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
+    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
+    by_base = np.empty((*by_map.shape[:-1], 6))
+    by_base[..., :3] = by_map
+    for axis in range(3):
+        by_base[..., 3 + axis] = -_cross(by_map, scene.in_seen_axes, axis)
+    return by_base
+
+
 @dataclass(frozen=True, slots=True)
 class _Scene:
     """A batch's corners (n, K, 3) at a state, by the axes that they are taken in: of the face, of

@@ -29,11 +29,13 @@ _DAMPING_END = 1e8
 
 @dataclass(frozen=True, slots=True)
 class Reduced:
-    """The dense part after the chains are eliminated: information and gradient at a state."""
+    """The dense part after the chains are eliminated: information and gradient at a state;
+    `log_determinant`: of what was eliminated."""
 
     layout: Layout
     information: Array
     gradient: Array
+    log_determinant: float = 0.0
 
     def covariance(self) -> Array:
         """Joint covariance of the dense part; infinite where nothing determines it."""
@@ -89,8 +91,11 @@ def solve(
 
 def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
     """Eliminate the chains."""
-    information, gradient, _ = eliminate(equations, 0.0)
-    return Reduced(problem.layout, information, gradient)
+    information, gradient, chains = eliminate(equations, 0.0)
+    eliminated_ = sum(chain.log_determinant for chain in chains.values())
+    return Reduced(
+        problem.layout, information, gradient, eliminated_ + equations.log_determinant
+    )
 
 
 def covariance_of(information: Array) -> Array:
