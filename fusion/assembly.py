@@ -219,6 +219,7 @@ def _batch(
         sources=np.array(indices),
         after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
         since_epoch_s=since_epoch_s,
+        jitter=data.jitter.get(chain.robot),
     )
 
 

@@ -1,0 +1,1 @@
+"""Data association: the one place that decides what explains a session."""

@@ -1,0 +1,60 @@
+"""How probable it is, before any data, that something other than a good sighting happened.
+
+Every decision of the association compares posteriors (`score` is minus twice the logarithm of one,
+up to a constant that all explanations of a session share); these are its priors, and `EVIDENCE` the
+one level at which it is held. Nothing else in the package is a threshold.
+"""
+
+import math
+from dataclasses import dataclass
+
+# What the explanations that place a camera elsewhere may hold together of the posterior.
+EVIDENCE = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Events:
+    """Prior probabilities, each for one occasion, and the room of places.
+
+    `wrong_sighting`: a sighting that shows something else than its robot as it stands;
+    `wild_corner`: a corner that is not where the face's are; `lift`: the robot is put down elsewhere
+    between two visits; `move`: a camera is moved between two visits to it; `room`: lengths (m) of
+    the box in which cameras hang and robots drive.
+    """
+
+    wrong_sighting: float = 0.02
+    wild_corner: float = 1e-3
+    lift: float = 1e-4
+    move: float = 1e-4
+    room: tuple[float, float, float] = (30.0, 30.0, 5.0)
+
+    @property
+    def pose_score(self) -> float:
+        """Of a pose that may be anywhere in the room: 2 ln V - 6 ln 2π, V in m³ rad³ (8π² turns)."""
+        volume = math.prod(self.room) * 8 * math.pi**2
+        return 2 * math.log(volume) - 6 * math.log(2 * math.pi)
+
+    @property
+    def wrong_score(self) -> float:
+        """Of a sighting that is wrong, beside the pose that its board has then."""
+        return 2 * math.log((1 - self.wrong_sighting) / self.wrong_sighting)
+
+    @property
+    def lift_score(self) -> float:
+        """Of a lift, beside where the robot is put down."""
+        return -2 * math.log(self.lift)
+
+    @property
+    def move_score(self) -> float:
+        """Of a move, beside where the camera is then."""
+        return -2 * math.log(self.move)
+
+    def wild_score(self, sigma_px: float, width: int, height: int) -> float:
+        """Of a corner that may be anywhere in the picture, in place of its χ²."""
+        density = 2 * math.pi * sigma_px**2 / (width * height)
+        return -2 * math.log(self.wild_corner * density)
+
+
+def window() -> float:
+    """The score by which one explanation must be worse than another to hold less than EVIDENCE."""
+    return -2 * math.log(EVIDENCE)

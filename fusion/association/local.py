@@ -1,0 +1,342 @@
+"""One visit by itself: every place of the camera, seen from where the robot then was, that its
+pictures and the odometry between them allow."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from ..assembly import Assembled, assemble
+from ..dataset import DataSet, Entry
+from ..faces import best_reading
+from ..models import base_jacobian, batch_jacobian
+from ..observations import Observation, Reading, Verdict, View
+from ..problem import Batch, CameraState, State
+from ..solver import solve
+from .events import Events
+from .system import System
+
+_HUBER = 4.0
+_MOST_ROUNDS = 10
+# What a step may still promise of χ²: far below what any decision rests on.
+_TOLERANCE = 0.03
+_MOST_STEPS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One place of a camera by one visit.
+
+    `map_from_camera`: in the frame in which odometry puts the robot (the first picture's pose is
+    exactly odometry's); `camera`: with lens and clock; `information`: of `columns` unknowns, pose
+    (6), then lens and clock where they are estimated, their priors included; `score`: of what is
+    not in them; `readings`: by index, None for a wrong sighting; `wild`: by index, each view's wild
+    corners; `poses`: where the robot stood.
+    """
+
+    camera: CameraState
+    information: Array
+    score: float
+    readings: dict[int, tuple[Reading | None, ...]]
+    wild: dict[int, tuple[np.ndarray, ...]]
+    poses: dict[int, Pose]
+
+    @property
+    def map_from_camera(self) -> Pose:
+        return self.camera.map_from_camera
+
+    @property
+    def evidence(self) -> float:
+        """The score with the camera's own unknowns integrated out."""
+        return self.score + float(np.linalg.slogdet(self.information)[1])
+
+    @property
+    def wrong(self) -> int:
+        """How many sightings are wrong by it."""
+        return sum(reading is None for row in self.readings.values() for reading in row)
+
+
+@dataclass(slots=True)
+class _Trial:
+    """How each picture is read at the moment, and which of its views are taken to be wrong."""
+
+    readings: dict[int, list[Reading]]
+    wrong: dict[int, list[bool]]
+    wild: dict[int, list[np.ndarray]]
+    poses: dict[int, Pose]
+
+
+@dataclass(frozen=True, slots=True)
+class _Corners:
+    """A view's weighted residual (k, 2), and its derivatives by the robot's pose (k, 2, 6) and by
+    the unknowns (k, 2, q)."""
+
+    residual: Array
+    by_base: Array
+    by_state: Array
+
+    def without(self, wild: np.ndarray) -> "_Corners":
+        return _Corners(self.residual[~wild], self.by_base[~wild], self.by_state[~wild])
+
+
+class LocalProblem:
+    """The chosen pictures of one camera by one robot, between which odometry is followed.
+
+    `poses`: by index where odometry puts the robot; `wrong_scores`: by index, of each view.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        observations: dict[int, Observation],
+        poses: dict[int, Pose],
+        wrong_scores: dict[int, tuple[float, ...]],
+        events: Events,
+    ) -> None:
+        self.data, self.observations, self.poses = data, observations, poses
+        self.wrong_scores, self.events = wrong_scores, events
+        first = next(iter(observations.values()))
+        self.camera, self.robot = first.camera, first.robot
+        self.target = data.targets[self.robot]
+
+    def mode_near(
+        self, start: CameraState, wrong: dict[int, tuple[bool, ...]] | None = None
+    ) -> Mode | None:
+        """The mode that a camera near `start` leads to; None where nothing fits.
+
+        `wrong`: by index, which views the start takes to be wrong.
+        """
+        first = {index: list(row) for index, row in (wrong or {}).items()}
+        trial = _Trial({}, first, {}, dict(self.poses))
+        camera, seen = start, set[tuple[object, ...]]()
+        for round_ in range(_MOST_ROUNDS):
+            self._read(trial, camera)
+            if all(all(row) for row in trial.wrong.values()):
+                return None
+            solved = self._solved(trial, camera, huber=_HUBER if round_ == 0 else np.inf)
+            if solved is None:
+                return None
+            camera = solved[1].cameras[self.camera]
+            self._move(trial, *solved)
+            self._judge(trial, *solved)
+            now = _signature(trial)
+            if now in seen:
+                break
+            seen.add(now)
+        return self._mode(trial, camera)
+
+    # -- how pictures are read --------------------------------------------------------------------
+
+    def _read(self, trial: _Trial, camera: CameraState) -> None:
+        """Read each view as it fits best where robot and camera are thought to be."""
+        from_map = camera.map_from_camera.inverse()
+        for index, observation in self.observations.items():
+            camera_from_base = from_map @ trial.poses[index]
+            best = [
+                best_reading(view, self.target, camera.lens, camera_from_base)
+                for view in observation.views
+            ]
+            trial.readings[index] = [reading for reading, _, _ in best]
+            hidden = [not np.isfinite(rms) for _, rms, _ in best]
+            before = trial.wrong.get(index, hidden)
+            trial.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
+            if index not in trial.wild:
+                trial.wild[index] = [np.zeros(len(v.corners), bool) for v in observation.views]
+
+    def _solved(
+        self, trial: _Trial, camera: CameraState, *, huber: float
+    ) -> tuple[Assembled, State] | None:
+        assembled = self._assembled(trial, camera)
+        solution = solve(
+            assembled.problem,
+            assembled.start,
+            huber=huber,
+            tolerance=_TOLERANCE,
+            most_iterations=_MOST_STEPS,
+        )
+        if not np.isfinite(solution.cost):
+            return None
+        return assembled, solution.state
+
+    def _assembled(self, trial: _Trial, camera: CameraState) -> Assembled:
+        entries = []
+        for index, observation in self.observations.items():
+            outliers = tuple(
+                np.ones_like(wild) if wrong else wild
+                for wrong, wild in zip(trial.wrong[index], trial.wild[index], strict=True)
+            )
+            chosen = tuple(trial.readings[index])
+            read = replace(observation, chosen=chosen, outliers=outliers)
+            entries.append(Entry(read.judged(Verdict.ACCEPTED), trial.poses[index]))
+        small = replace(self.data, entries=entries)
+        state = State({self.camera: camera}, self.data.first_state().robots)
+        return assemble(small, state, list(range(len(entries))), anchored=False, fill=False)
+
+    def _move(self, trial: _Trial, assembled: Assembled, state: State) -> None:
+        nodes = state.robots[self.robot].map_from_base
+        indices = list(self.observations)
+        for order, node in assembled.node_of.items():
+            trial.poses[indices[order]] = nodes[node]
+
+    # -- what is wrong ----------------------------------------------------------------------------
+
+    def _judge(self, trial: _Trial, assembled: Assembled, state: State) -> None:
+        """Say which corners are wild, and which sightings would better be wrong, or right."""
+        try:
+            system = System.of(assembled.problem, state)
+        except LinAlgError:
+            return
+        (batch,) = assembled.problem.batches
+        indices = list(self.observations)
+        whole = replace(batch, weights=self._weights(batch))
+        jacobian, residual, columns = batch_jacobian(assembled.problem, whole, state)
+        by_base = base_jacobian(assembled.problem, whole, state)
+        limit = self.events.pose_score + self.events.wrong_score
+        excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
+        for row, source in enumerate(batch.sources):
+            index, start = indices[int(source)], 0
+            rows = np.concatenate(
+                [system.node_rows(self.robot, int(batch.nodes[row])), system.dense_row + columns]
+            )
+            covariance = system.covariance[np.ix_(rows, rows)]
+            for order, view in enumerate(self.observations[index].views):
+                part = slice(start, start + len(view.corners))
+                start = part.stop
+                corners = _Corners(residual[row, part], by_base[row, part], jacobian[row, part])
+                trial.wild[index][order] = self._wild(view, corners)
+                is_wrong = trial.wrong[index][order]
+                score = self._innovation_score(
+                    corners.without(trial.wild[index][order]), covariance, is_used=not is_wrong
+                )
+                excess[is_wrong].append((score - limit, index, order))
+        most = max((gain for gain, *_ in excess[False]), default=0.0)
+        judged = set[int]()
+        for gain, index, order in sorted(excess[False], reverse=True):
+            # Of two that contradict each other in one picture, the other may be right.
+            if gain > max(0.0, most / 2) and index not in judged:
+                trial.wrong[index][order] = True
+                judged.add(index)
+        if most > 0:
+            return
+        for gain, index, order in excess[True]:
+            if gain < 0:
+                trial.wrong[index][order] = False
+
+    def _weights(self, batch: Batch) -> Array:
+        """1/sigma of every corner (n, K), also of those that are left out."""
+        weights = np.zeros_like(batch.weights)
+        for row, observation in enumerate(self.observations.values()):
+            each = np.concatenate([np.full(len(v.corners), 1 / v.sigma) for v in observation.views])
+            weights[row, : len(each)] = each
+        return weights
+
+    def _wild(self, view: View, corners: "_Corners") -> np.ndarray:
+        """Corners that do not lie where the board does that the others show, (k,) bool."""
+        lens = self.data.lenses[self.camera]
+        limit = self.events.wild_score(view.sigma, lens.width, lens.height)
+        wild = np.zeros(len(corners.residual), dtype=bool)
+        for _ in range(3):
+            flat = corners.by_base[~wild].reshape(-1, 6)
+            step = np.linalg.lstsq(flat, -corners.residual[~wild].reshape(-1), rcond=1e-9)[0]
+            left = corners.residual + corners.by_base @ step
+            again = np.sum(left**2, axis=-1) > limit
+            if np.sum(~again) < 4 or np.array_equal(again, wild):
+                break
+            wild = again
+        return wild
+
+    def _innovation_score(self, corners: "_Corners", covariance: Array, *, is_used: bool) -> float:
+        """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
+        else makes the pose that a sighting shows by itself.
+
+        `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
+        P the pose's own covariance and H its derivative by the unknowns, what is left over has
+        R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν = S P⁻¹ times that.
+        """
+        flat = corners.by_base.reshape(-1, 6)
+        try:
+            own = np.linalg.inv(flat.T @ flat)
+            step = -own @ (flat.T @ corners.residual.reshape(-1))
+            by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
+            if (jitter := self.data.jitter.get(self.robot)) is not None:
+                own = own + np.diag(jitter)
+            root = np.linalg.cholesky(own)
+        except np.linalg.LinAlgError:
+            return 0.0  # it shows no pose that could contradict
+        whitened = np.linalg.solve(root, by_state)
+        values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)
+        pulled = vectors.T @ np.linalg.solve(root, step)
+        spread = 2 * float(np.sum(np.log(np.diagonal(root))))
+        if is_used:
+            left = np.clip(1 - values, 1e-6, 1.0)
+            spread -= float(np.sum(np.log(left)))
+        else:
+            left = 1 + np.maximum(values, 0.0)
+            spread += float(np.sum(np.log(left)))
+        return float(np.sum(pulled**2 / left)) + min(spread, self.events.pose_score)
+
+    # -- the result -------------------------------------------------------------------------------
+
+    def _mode(self, trial: _Trial, camera: CameraState) -> Mode | None:
+        solved = self._solved(trial, camera, huber=np.inf)
+        if solved is None or all(all(row) for row in trial.wrong.values()):
+            return None
+        assembled, state = solved
+        self._move(trial, assembled, state)
+        problem = assembled.problem
+        try:
+            system = System.of(problem, state)
+        except LinAlgError:
+            return None
+        layout = problem.layout
+        columns = [layout.pose[self.camera]]
+        columns += [part[self.camera] for part in (layout.lens, layout.time_offset) if self.camera in part]
+        rows = np.concatenate([system.dense_rows(column) for column in columns])
+        covariance = system.covariance[np.ix_(rows, rows)]
+        information = np.linalg.inv(covariance)
+        score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
+        score += self._odometry_score(assembled) + self._left_out_score(trial)
+        return Mode(
+            state.cameras[self.camera],
+            0.5 * (information + information.T),
+            score,
+            {
+                index: tuple(
+                    None if wrong else reading
+                    for reading, wrong in zip(row, trial.wrong[index], strict=True)
+                )
+                for index, row in trial.readings.items()
+            },
+            {index: tuple(row) for index, row in trial.wild.items()},
+            dict(trial.poses),
+        )
+
+    def _odometry_score(self, assembled: Assembled) -> float:
+        chain = assembled.problem.chains[self.robot]
+        if chain.motion is None:
+            return 0.0
+        free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
+        return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
+
+    def _left_out_score(self, trial: _Trial) -> float:
+        lens = self.data.lenses[self.camera]
+        score = 0.0
+        for index, observation in self.observations.items():
+            for order, view in enumerate(observation.views):
+                if trial.wrong[index][order]:
+                    score += self.wrong_scores[index][order]
+                else:
+                    limit = self.events.wild_score(view.sigma, lens.width, lens.height)
+                    score += limit * int(trial.wild[index][order].sum())
+        return score
+
+
+def _signature(trial: _Trial) -> tuple[object, ...]:
+    return (
+        tuple((index, tuple(row)) for index, row in trial.readings.items()),
+        tuple(tuple(row) for row in trial.wrong.values()),
+        tuple(wild.tobytes() for row in trial.wild.values() for wild in row),
+    )

@@ -1,0 +1,139 @@
+"""The modes of each visit: where its search starts, and which of them come near the best."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+
+from ..dataset import DataSet, Entry
+from ..faces import candidates, is_same_pose
+from ..observations import Observation
+from ..problem import CameraState
+from ..starts import starts_of
+from .events import Events, window
+from .local import LocalProblem, Mode
+from .sightings import Alone, alone, by_itself
+from .visits import Visit
+
+# A mode that is worse than the best of its visit by this can only be made up for by other visits
+# whose evidence is as strong: none is that often.
+_WINDOW = 2 * window()
+_MOST_STARTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class VisitModes:
+    """A visit with its modes, best first; `nothing`: the score where all its sightings are wrong."""
+
+    visit: Visit
+    modes: tuple[Mode, ...]
+    nothing: float
+
+
+class ModeFinder:
+    """Finds the modes of visits over one session's observations."""
+
+    def __init__(self, data: DataSet, observations: list[Observation], events: Events) -> None:
+        self.data, self.observations, self.events = data, observations, events
+        self._alone: dict[tuple[int, str], tuple[Alone, ...]] = {}
+
+    def alone(self, index: int) -> tuple[Alone, ...]:
+        """What each view of an observation says by itself."""
+        observation = self.observations[index]
+        key = index, observation.camera
+        if key not in self._alone:
+            target = self.data.targets[observation.robot]
+            lens = self.data.lenses[observation.camera]
+            self._alone[key] = tuple(
+                by_itself(observation, order, target, lens, self.events)
+                for order in range(len(observation.views))
+            )
+        return self._alone[key]
+
+    def modes_of(self, visit: Visit) -> VisitModes:
+        """All modes of a visit within the window."""
+        chosen = {index: self.observations[index] for index in visit.chosen}
+        poses = self._odometry(visit)
+        scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in chosen}
+        problem = LocalProblem(self.data, chosen, poses, scores, self.events)
+        if len(chosen) == 1:
+            found = self._of_one(visit, problem, poses)
+        else:
+            found = self._found(visit, problem, self._starts(visit, poses))
+        best = min((mode.evidence for mode in found), default=np.inf)
+        near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
+        return VisitModes(visit, near, sum(sum(row) for row in scores.values()))
+
+    def _found(
+        self,
+        visit: Visit,
+        problem: LocalProblem,
+        starts: list[Pose],
+        wrong: dict[int, tuple[bool, ...]] | None = None,
+    ) -> list[Mode]:
+        lens = self.data.lenses[visit.camera]
+        found = distinct(problem.mode_near(CameraState(start, lens), wrong) for start in starts)
+        return [mode for mode in found if not self._is_below_floor(visit, mode)]
+
+    def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
+        """The modes of a single picture: by all of its views, and, where those do not agree as well
+        as that would, by one of them with the others wrong."""
+        (index,) = visit.chosen
+        observation = self.observations[index]
+        target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
+        together = [c.camera_from_base for c in candidates(observation, target, lens)]
+        found = self._found(visit, problem, [poses[index] @ c.inverse() for c in together])
+        best = min((mode.evidence for mode in found), default=np.inf)
+        views = self.alone(index)
+        for order, view in enumerate(views):
+            others = sum(other.wrong_score for other in views) - view.wrong_score
+            if len(views) == 1 or view.evidence + others > best + _WINDOW:
+                continue
+            one = [c.camera_from_base for c in candidates(alone(observation, order), target, lens)]
+            wrong = {index: tuple(other != order for other in range(len(views)))}
+            found += self._found(visit, problem, [poses[index] @ c.inverse() for c in one], wrong)
+        return distinct(found)
+
+    def _odometry(self, visit: Visit) -> dict[int, Pose]:
+        """Where odometry puts the robot at each chosen picture."""
+        track = self.data.tracks[visit.robot]
+        stamps = [self.observations[index].stamp_ns for index in visit.chosen]
+        moments = np.clip(np.array(stamps), track.first_ns, track.last_ns)
+        poses = odometry_poses(self.data, visit.robot, moments)
+        return {index: poses[i] for i, index in enumerate(visit.chosen)}
+
+    def _starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Pose]:
+        entries = [
+            Entry(replace(self.observations[index], chosen=None), poses[index])
+            for index in visit.chosen
+        ]
+        small = replace(self.data, entries=entries)
+        return starts_of(small, visit.camera, list(range(len(entries))), most=_MOST_STARTS)
+
+    def _is_below_floor(self, visit: Visit, mode: Mode) -> bool:
+        """Whether the camera would look up through the floor that the robot drives on."""
+        return self.data.tracks[visit.robot].planar and mode.map_from_camera.translation[2] < 0
+
+
+def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:
+    """Where odometry alone puts a robot at moments (n,) that it covers."""
+    track = data.tracks[robot]
+    rows = np.clip(np.searchsorted(track.stamps_ns, moments, "right") - 1, 0, len(track) - 1)
+    after_s = (moments - track.stamps_ns[rows]) / 1e9
+    carried, _ = track.carried(track.stamps_ns[rows], after_s, np.zeros(2))
+    return track.odom_from_base[rows] @ carried
+
+
+def distinct(found: Iterable[Mode | None]) -> list[Mode]:
+    """The different ones, best first."""
+    kept: list[Mode] = []
+    for mode in sorted((m for m in found if m is not None), key=lambda m: m.evidence):
+        if not any(
+            is_same_pose(mode.map_from_camera, other.map_from_camera)
+            and mode.readings == other.readings
+            for other in kept
+        ):
+            kept.append(mode)
+    return kept

@@ -1,0 +1,88 @@
+"""What one sighting says by itself: how well a board fits it, and what it scores where it is wrong."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Target
+
+from ..observations import Observation, View, face_points
+from ..planar_pose import planar_poses
+from .events import Events
+
+_MOST_REFITS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """One view by itself: `wrong_score`: of a board that is somewhere else in its place; `evidence`:
+    of its best fit, the pose integrated out; `chi2` and `freedom`: what that leaves over, without
+    wild corners."""
+
+    wrong_score: float
+    evidence: float
+    chi2: float
+    freedom: int
+
+
+def alone(observation: Observation, order: int) -> Observation:
+    """An observation of one of its views."""
+    chosen = (observation.chosen[order],) if observation.chosen is not None else None
+    return replace(observation, views=(observation.views[order],), chosen=chosen, outliers=())
+
+
+def by_itself(
+    observation: Observation, order: int, target: Target, lens: CameraModel, events: Events
+) -> Alone:
+    """One view's own fit; a view that no board fits at all scores as a wrong one of no information."""
+    view = observation.views[order]
+    reading = view.readings[0]  # every other one shows the same board
+    face = target.faces[reading.face]
+    points = face_points(face, view.corners, is_turned=reading.is_turned)
+    if view.sweep is not None:
+        base_from_face = face.base_from_face
+        points = points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
+    flat = face_points(face, view.corners, is_turned=reading.is_turned)
+    fits = planar_poses(lens, flat, view.pixels, view.sigma)
+    if not fits:
+        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan, 0)
+    chi2, normal, wild = _fit(fits[0].pose, points, view, lens, events)
+    known = int(np.sum(~wild))
+    lost = int(wild.sum()) * events.wild_score(view.sigma, lens.width, lens.height)
+    evidence = chi2 + lost + float(np.linalg.slogdet(normal)[1])
+    wrong = evidence + events.pose_score + events.wrong_score
+    return Alone(wrong, evidence, chi2, 2 * known - 6)
+
+
+def _fit(
+    pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
+) -> tuple[float, Array, np.ndarray]:
+    """χ² of the corners that one pose fits, the pose's information (6, 6), and which are wild."""
+    limit = events.wild_score(view.sigma, lens.width, lens.height)
+    wild = np.zeros(len(points), dtype=bool)
+    normal, left = np.eye(6), np.zeros((len(points), 2))
+    for _ in range(_MOST_REFITS):
+        for _ in range(2):
+            jacobian, residual = _linearised(pose, points, view, lens)
+            flat = jacobian[~wild].reshape(-1, 6)
+            normal = flat.T @ flat
+            step = np.linalg.lstsq(flat, -residual[~wild].reshape(-1), rcond=1e-12)[0]
+            pose = pose.disturbed(step)
+        left = _linearised(pose, points, view, lens)[1]
+        again = np.sum(left**2, axis=1) > limit
+        if np.array_equal(again, wild) or np.sum(~again) < 4:
+            break
+        wild = again
+    return float(np.sum(left[~wild] ** 2)), normal, wild
+
+
+def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:
+    arm = points @ pose.rotation.T
+    optical = arm + pose.translation
+    optical[:, 2] = np.maximum(optical[:, 2], 1e-2)
+    projected, by_point = lens.project_by_point(optical)
+    jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1) / view.sigma
+    return jacobian, (projected - view.pixels) / view.sigma

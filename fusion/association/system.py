@@ -1,0 +1,70 @@
+"""A small problem's whole normal equations, nothing eliminated: joint covariances and determinants."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from trigpoint.geometry.rotation import Array
+
+from ..equations import EXACT, linearise
+from ..problem import Problem, State
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """At a state: `covariance` of all unknowns, chains' inner nodes first, then the dense part;
+    `log_determinant` of its inverse, without what holds a chain's first node; `first_row`: by robot
+    its first node's."""
+
+    problem: Problem
+    cost: float
+    covariance: Array
+    log_determinant: float
+    first_row: dict[str, int]
+    dense_row: int
+
+    @classmethod
+    def of(cls, problem: Problem, state: State) -> "System":
+        """Raise LinAlgError where something is not determined."""
+        equations = linearise(problem, state)
+        sizes = {name: equations.chains[name].gradient.size for name in problem.chains}
+        dense_row = sum(sizes.values())
+        total = dense_row + problem.layout.size
+        matrix = np.zeros((total, total))
+        matrix[dense_row:, dense_row:] = equations.dense
+        rows, start, held = {}, 0, 0
+        for name, size in sizes.items():
+            chain, d = equations.chains[name], len(problem.chains[name].tangent)
+            held += d if problem.chains[name].is_anchored else 0
+            rows[name] = start
+            inner = slice(start, start + size)
+            coupling = chain.coupling.reshape(size, problem.layout.size)
+            matrix[inner, dense_row:] = coupling
+            matrix[dense_row:, inner] = coupling.T
+            for node in range(size // d):
+                at = slice(start + node * d, start + (node + 1) * d)
+                matrix[at, at] = chain.diagonal[node]
+                if node + 1 < size // d:
+                    after = slice(at.stop, at.stop + d)
+                    matrix[after, at] = chain.lower[node]
+                    matrix[at, after] = chain.lower[node].T
+            start += size
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+        factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
+        inverse = cho_solve(factor, np.eye(total)) * scale[:, None] * scale
+        log_determinant = 2 * float(np.sum(np.log(np.diagonal(factor[0])) - np.log(scale)))
+        log_determinant += equations.log_determinant - held * float(np.log(EXACT))
+        return cls(problem, equations.cost, inverse, log_determinant, rows, dense_row)
+
+    def node_rows(self, robot: str, node: int) -> np.ndarray:
+        """The rows (d,) of a robot's node."""
+        chain = self.problem.chains[robot]
+        d = len(chain.tangent)
+        if node == len(chain) - 1:
+            return self.dense_rows(self.problem.layout.last[robot])
+        return self.first_row[robot] + node * d + np.arange(d)
+
+    def dense_rows(self, columns: slice) -> np.ndarray:
+        """The rows of columns of the dense part."""
+        return self.dense_row + np.arange(self.problem.layout.size)[columns]

@@ -1,0 +1,87 @@
+"""Visits: runs of pictures of one robot by one camera between which odometry hardly drifts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dataset import DataSet
+from ..observations import Observation
+
+# Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
+# a tenth of what a camera's distance is.
+_DRIFT_M = 0.15
+_DRIFT_RAD = 0.1
+_LONGEST_GAP_NS = 30_000_000_000
+# So many pictures of a visit tell what it shows; the others are read by what they told.
+_MOST_VIEWS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """Indices (into the session's observations) of a visit, in order of time; `chosen`: those that
+    the search looks at; `stamp_ns`: of the first one, whose robot pose is the visit's own frame."""
+
+    camera: str
+    robot: str
+    indices: tuple[int, ...]
+    chosen: tuple[int, ...]
+    stamp_ns: int
+    until_ns: int
+
+    def part(self, observations: list[Observation], start: int, end: int) -> "Visit":
+        """The visit of its pictures from `start` up to `end`."""
+        return visit_of(observations, list(self.indices[start:end]))
+
+
+def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
+    """All visits, in order of their first pictures."""
+    by_pair: dict[tuple[str, str], list[int]] = {}
+    for index, observation in enumerate(observations):
+        by_pair.setdefault((observation.camera, observation.robot), []).append(index)
+    found = []
+    for (_, robot), indices in by_pair.items():
+        stamps = np.array([observations[i].stamp_ns for i in indices])
+        for run in np.split(np.array(indices), _ends(data, robot, stamps)):
+            found.append(visit_of(observations, run.tolist()))
+    return sorted(found, key=lambda visit: (visit.stamp_ns, visit.camera))
+
+
+def visit_of(observations: list[Observation], indices: list[int]) -> Visit:
+    """The visit of these pictures."""
+    first, last = observations[indices[0]], observations[indices[-1]]
+    chosen = indices
+    if len(indices) > _MOST_VIEWS:
+        chosen = [indices[i] for i in np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)]
+    return Visit(
+        first.camera, first.robot, tuple(indices), tuple(chosen), first.stamp_ns, last.stamp_ns
+    )
+
+
+def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
+    """Where runs of moments (n,) end: rows that begin a new visit."""
+    track = data.tracks[robot]
+    moments, row_of = np.unique(np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True)
+    if len(moments) < 2:
+        return []
+    motion = track.motion(moments, np.zeros(2))
+    variances = np.diagonal(motion.covariance, axis1=1, axis2=2)
+    noise = data.site.robots[robot].odometry
+    lengths = np.linalg.norm(motion.earlier_from_later.translation, axis=1)
+    turns = np.abs(motion.earlier_from_later.heading)
+    steps = np.stack(
+        [
+            variances[:, 0] + variances[:, 1] + (noise.distance_scale * lengths) ** 2,
+            variances[:, 5] + (noise.heading_scale * turns) ** 2,
+        ],
+        axis=1,
+    )
+    pieces = track.pieces(moments)
+    ends, drift, since = [], np.zeros(2), 0
+    for row in range(1, len(moments)):
+        drift = drift + steps[row - 1]
+        gap = moments[row] - moments[row - 1]
+        far = drift[0] > _DRIFT_M**2 or drift[1] > _DRIFT_RAD**2
+        if far or gap > _LONGEST_GAP_NS or pieces[row] != pieces[since]:
+            ends.append(int(np.argmax(row_of == row)))
+            drift, since = np.zeros(2), row
+    return ends
