@@ -91,7 +91,8 @@ class DataSet:
     `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
     of time; `events`: what nobody has been told yet; `happened`: lifts and moves that sightings
     show, for each those that explain them alike; `jitter`: by robot the variances (6,) of how it
-    stands otherwise in a picture than its odometry's plane says (see `jitter`), where it does.
+    stands otherwise in a picture than its odometry's plane says (see `jitter`), where it does;
+    `odometry_scale`: by robot what the stated sigmas of its odometry are multiplied by.
     """
 
     site: Site
@@ -104,6 +105,7 @@ class DataSet:
     events: list[Event] = field(default_factory=list)
     happened: list[tuple[Upheaval, ...]] = field(default_factory=list)
     jitter: dict[str, Array] = field(default_factory=dict)
+    odometry_scale: dict[str, float] = field(default_factory=dict)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 

@@ -11,6 +11,7 @@ from trigpoint.geometry.rotation import Array
 from .assembly import Assembled
 from .dataset import DataSet, Entry
 from .faces import best_reading
+from .jitter import Jitter
 from .models import batch_residual
 from .observations import Observation, Verdict, points_of, reprojection
 from .problem import Batch, Problem, State
@@ -202,6 +203,10 @@ def _leave_out(data: DataSet, wrong: _Wrong) -> None:
 def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     """Length of each corner's residual, sigmas, (n, K); NaN where its weight is 0."""
     residual = batch_residual(problem, batch, state)
+    jitter = Jitter.of(problem, batch, state)
+    if jitter is not None:
+        flat = residual.reshape(len(residual), -1)
+        residual = jitter.compensated(flat).reshape(residual.shape)
     with np.errstate(invalid="ignore", divide="ignore"):
         length = np.linalg.norm(residual, axis=-1) / (batch.weights > 0)
     return length / np.sqrt(batch.shares)[:, None]

@@ -77,7 +77,7 @@ def _common_share(problem: Problem, batch: Batch, state: State) -> float:
     is even, and more in the measure in which a picture knows less than its corners say.
     """
     chain = problem.chains[batch.robot]
-    if not chain.planar:
+    if not chain.planar or batch.jitter is not None:
         return 1.0
     spatial = replace(problem, chains={**problem.chains, batch.robot: replace(chain, planar=False)})
     jacobian, residual, _ = batch_jacobian(spatial, batch, state)

@@ -12,11 +12,12 @@ from trigpoint.geometry.rotation import Array
 from ..assembly import Assembled, assemble
 from ..dataset import DataSet, Entry
 from ..faces import best_reading
-from ..models import base_jacobian, batch_jacobian
+from ..models import base_jacobian, batch_jacobian, odometry_terms
 from ..observations import Observation, Reading, Verdict, View
-from ..problem import Batch, CameraState, State
+from ..problem import Batch, CameraState, Problem, State
 from ..solver import solve
 from .events import Events
+from .noise import VisitResiduals
 from .system import System
 
 _HUBER = 4.0
@@ -278,6 +279,79 @@ class LocalProblem:
             spread += float(np.sum(np.log(left)))
         return float(np.sum(pulled**2 / left)) + min(spread, self.events.pose_score)
 
+    def residuals(self, mode: Mode) -> VisitResiduals | None:
+        """The visit to first order about a mode, as far as its noise shows."""
+        trial = _Trial(
+            {
+                index: [r if r is not None else v.readings[0] for r, v in zip(row, o.views, strict=True)]
+                for (index, row), o in zip(
+                    mode.readings.items(), self.observations.values(), strict=True
+                )
+            },
+            {index: [r is None for r in row] for index, row in mode.readings.items()},
+            {index: list(row) for index, row in mode.wild.items()},
+            dict(mode.poses),
+        )
+        assembled = self._assembled(trial, mode.camera)
+        problem, state = assembled.problem, assembled.start
+        chain = problem.chains[self.robot]
+        if chain.motion is None:
+            return None
+        (batch,) = problem.batches
+        jacobian, residual, columns = batch_jacobian(problem, batch, state)
+        by_base = base_jacobian(problem, batch, state)
+        d, nodes = len(chain.tangent), len(chain) - 1
+        dense = _unknowns_of(problem, self.camera)
+        scales = problem.layout.scales.get(self.robot)
+        others = [] if scales is None else list(range(scales.start, scales.stop))
+        count = d * nodes + len(dense) + len(others)
+        place = {column: d * nodes + i for i, column in enumerate([*dense, *others])}
+        shifts, own, by_unknowns = [], [], []
+        for row in range(len(batch.nodes)):
+            flat = by_base[row].reshape(-1, 6)
+            normal = flat.T @ flat
+            if np.linalg.matrix_rank(normal, hermitian=True) < 6:
+                continue
+            covariance = np.linalg.inv(normal)
+            by = covariance @ (flat.T @ jacobian[row].reshape(len(flat), -1))
+            whole = np.zeros((6, count))
+            node = int(batch.nodes[row])
+            if node > 0:
+                whole[:, d * (node - 1) : d * node] = by[:, :d]
+            for source, column in enumerate(columns):
+                if column in place:
+                    whole[:, place[column]] = by[:, d + source]
+            shifts.append(-covariance @ (flat.T @ residual[row].reshape(-1)))
+            own.append(covariance)
+            by_unknowns.append(whole)
+        if len(shifts) < 2:
+            return None
+        terms = odometry_terms(
+            state.robots[self.robot].map_from_base[:-1],
+            state.robots[self.robot].map_from_base[1:],
+            chain.motion,
+            chain.tangent,
+        )
+        steps = np.zeros((nodes, d, count))
+        for step in range(nodes):
+            steps[step, :, d * step : d * (step + 1)] = terms.by_later[step]
+            if step:
+                steps[step, :, d * (step - 1) : d * step] = terms.by_earlier[step]
+            for order, column in enumerate(others):
+                steps[step, :, place[column]] = terms.by_scale[step][:, order]
+        prior = np.zeros((count, count))
+        at = [place[column] for column in dense]
+        information = _prior_information(problem, self.camera)
+        prior[at, at] = information
+        if others:
+            at = [place[column] for column in others]
+            sigma = problem.priors.scales[self.robot]
+            prior[at, at] = np.where(sigma > 0, sigma, 1e-9) ** -2.0
+        return VisitResiduals(
+            np.array(shifts), np.array(own), np.array(by_unknowns),
+            -terms.residual.reshape(-1), steps.reshape(-1, count), prior,
+        )
+
     # -- the result -------------------------------------------------------------------------------
 
     def _mode(self, trial: _Trial, camera: CameraState) -> Mode | None:
@@ -291,10 +365,7 @@ class LocalProblem:
             system = System.of(problem, state)
         except LinAlgError:
             return None
-        layout = problem.layout
-        columns = [layout.pose[self.camera]]
-        columns += [part[self.camera] for part in (layout.lens, layout.time_offset) if self.camera in part]
-        rows = np.concatenate([system.dense_rows(column) for column in columns])
+        rows = system.dense_row + np.array(_unknowns_of(problem, self.camera))
         covariance = system.covariance[np.ix_(rows, rows)]
         information = np.linalg.inv(covariance)
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
@@ -332,6 +403,25 @@ class LocalProblem:
                     limit = self.events.wild_score(view.sigma, lens.width, lens.height)
                     score += limit * int(trial.wild[index][order].sum())
         return score
+
+
+def _unknowns_of(problem: Problem, camera: str) -> list[int]:
+    """The dense columns of a camera."""
+    layout = problem.layout
+    parts = [layout.pose[camera]]
+    parts += [part[camera] for part in (layout.lens, layout.time_offset) if camera in part]
+    return np.concatenate([np.arange(layout.size)[part] for part in parts]).tolist()
+
+
+def _prior_information(problem: Problem, camera: str) -> Array:
+    """What is known of a camera's unknowns from before, in their order."""
+    parts = [np.zeros(6)]
+    if camera in problem.priors.lens:
+        parts.append(problem.priors.lens[camera][1] ** -2.0)
+    if camera in problem.priors.time_offset:
+        sigma = problem.priors.time_offset[camera]
+        parts.append(np.where(sigma > 0, sigma, 1e-9) ** -2.0)
+    return np.concatenate(parts)
 
 
 def _signature(trial: _Trial) -> tuple[object, ...]:

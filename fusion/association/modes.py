@@ -55,7 +55,7 @@ class ModeFinder:
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""
         chosen = {index: self.observations[index] for index in visit.chosen}
-        poses = self._odometry(visit)
+        poses = self.odometry(visit)
         scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in chosen}
         problem = LocalProblem(self.data, chosen, poses, scores, self.events)
         if len(chosen) == 1:
@@ -96,7 +96,7 @@ class ModeFinder:
             found += self._found(visit, problem, [poses[index] @ c.inverse() for c in one], wrong)
         return distinct(found)
 
-    def _odometry(self, visit: Visit) -> dict[int, Pose]:
+    def odometry(self, visit: Visit) -> dict[int, Pose]:
         """Where odometry puts the robot at each chosen picture."""
         track = self.data.tracks[visit.robot]
         stamps = [self.observations[index].stamp_ns for index in visit.chosen]

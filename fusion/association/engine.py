@@ -1,0 +1,432 @@
+"""The engine: observations and odometry in, the explanation of the session out.
+
+It learns the session's noise, finds every mode of every visit, searches the joint explanations,
+verifies the best one from its end backwards (for each camera: where else could it be, given all the
+others?), and holds every camera against the one rule of evidence.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+from ..dataset import DataSet
+from ..observations import Observation
+from .events import Events, window
+from .evidence import Place, alternatives_of
+from .explanation import CameraFinding, Explanation, Lifted, Moved, Read
+from .graph import Graph, Placed
+from .local import LocalProblem
+from .modes import ModeFinder, VisitModes, odometry_poses
+from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
+from .search import Hypothesis, Search
+from .session_noise import with_corner_scale, with_noise
+from .visits import Visit, visits_of
+
+# Pictures of so few visits tell the noise well enough.
+_MOST_TO_LEARN = 8
+_LEAST_TO_LEARN = 3
+_LEAST_FREEDOM = 10
+# Where a place is known less well than this, m, nothing ties it to the map.
+_LOOSE_M = 2.0
+_LIKE = (
+    "position and orientation: cameras at {} m fit alike; drive past it again, where it sees the "
+    "robot from elsewhere"
+)
+_NOTHING = "its pictures contradict each other and the odometry"
+_FEW = "no picture of it shows enough of a face to place it"
+_LOST = (
+    "position and orientation in the map: the robot was put down elsewhere, or its odometry jumped, "
+    "on its way here from the other cameras; drive there without a break"
+)
+
+
+def explain(
+    data: DataSet, observations: list[Observation], events: Events | None = None
+) -> Explanation:
+    """What explains all observations, in order of their stamps, of the site's cameras.
+
+    `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
+    """
+    events = events or Events()
+    data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
+    seen, noises = _learnt(data, observations, events)
+    worlds = [_World(with_noise(data, noise), seen, events, noise) for noise in noises]
+    return _Outcome(worlds, seen).explanation()
+
+
+# -- noise --------------------------------------------------------------------------------------
+
+
+def _learnt(
+    data: DataSet, observations: list[Observation], events: Events
+) -> tuple[list[Observation], list[dict[str, Noise]]]:
+    """The observations with their corners' noise, and what each robot's noise may be: one where the
+    session tells, else as stated and as a decision must survive it."""
+    wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
+    chosen = _telling(visits_of(data, observations))
+    finder = ModeFinder(wide, observations, events)
+    found = [finder.modes_of(visit) for visit in chosen]
+    scales = _corner_scales(data, observations, events, found)
+    seen = [with_corner_scale(o, scales.get(o.camera, 1.0)) for o in observations]
+    by_robot: dict[str, list[VisitResiduals]] = {}
+    for modes in found:
+        if not modes.modes:
+            continue
+        visit = modes.visit
+        pictures = {index: seen[index] for index in visit.chosen}
+        problem = LocalProblem(data, pictures, finder.odometry(visit), {}, events)
+        residuals = problem.residuals(modes.modes[0])
+        if residuals is not None:
+            by_robot.setdefault(visit.robot, []).append(residuals)
+    learnt = {robot: learn(residuals) for robot, residuals in by_robot.items()}
+    known = {robot: noise for robot, noise in learnt.items() if noise is not None}
+    if len(known) == len(data.site.robots):
+        return seen, [known]
+    return seen, [
+        dict.fromkeys(data.site.robots, noise) | known for noise in (STATED, PESSIMISTIC)
+    ]
+
+
+def _telling(visits: list[Visit]) -> list[Visit]:
+    """The visits with most pictures, of every robot."""
+    found: list[Visit] = []
+    for robot in dict.fromkeys(visit.robot for visit in visits):
+        mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_LEARN]
+        found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TO_LEARN]
+    return found
+
+
+def _corner_scales(
+    data: DataSet, observations: list[Observation], events: Events, found: list[VisitModes]
+) -> dict[str, float]:
+    """By how much each camera's corners scatter more than stated, by the lens that is known of it;
+    cameras whose lens is unknown and was not found take what the others show together."""
+    lenses = dict(data.lenses)
+    open_ = {n for n, camera in data.site.cameras.items() if camera.estimates_intrinsics}
+    for modes in found:
+        if modes.modes and modes.visit.camera in open_:
+            lenses[modes.visit.camera] = modes.modes[0].camera.lens
+            open_.discard(modes.visit.camera)
+    finder = ModeFinder(replace(data, lenses=lenses), observations, events)
+    ratios: dict[str, list[float]] = {}
+    for index, observation in enumerate(observations):
+        if observation.camera in open_ or len(ratios.get(observation.camera, [])) > 60:
+            continue
+        for alone in finder.alone(index):
+            if alone.freedom >= _LEAST_FREEDOM:
+                ratios.setdefault(observation.camera, []).append(alone.chi2 / alone.freedom)
+    common = corner_scale([ratio for each in ratios.values() for ratio in each])
+    return {name: corner_scale(ratios.get(name, [])) or common for name in data.site.cameras} | {
+        name: common for name in data.site.cameras if len(ratios.get(name, [])) < 3
+    }
+
+
+# -- one world: a session with one noise ----------------------------------------------------------
+
+
+class _World:
+    """Everything that may explain the session where its noise is this."""
+
+    def __init__(
+        self,
+        data: DataSet,
+        observations: list[Observation],
+        events: Events,
+        noise: dict[str, Noise],
+    ) -> None:
+        self.data, self.observations, self.noise = data, observations, noise
+        finder = ModeFinder(data, observations, events)
+        self.visits = [finder.modes_of(visit) for visit in visits_of(data, observations)]
+        self.graph = Graph(data, self.visits, events)
+        self.search = Search(self.graph, events)
+        numbers = range(len(self.visits))
+        self.hypotheses = self.search.explained(self.search.beginning(), numbers)
+        self._verify()
+
+    def _verify(self) -> None:
+        """For the best explanation, camera by camera: everything else that its visits may be."""
+        best = self.hypotheses[0]
+        known = {_signature(hypothesis) for hypothesis in self.hypotheses}
+        for camera in dict.fromkeys(v.visit.camera for v in self.visits):
+            mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
+            if len(mine) < 2:
+                continue
+            rest = self._without(best, set(mine))
+            if rest is None:
+                continue
+            for hypothesis in self.search.explained(rest, mine):
+                if _signature(hypothesis) not in known:
+                    known.add(_signature(hypothesis))
+                    self.hypotheses.append(hypothesis)
+        self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
+
+    def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
+        ties = {n: tie for n, tie in hypothesis.ties.items() if n not in numbers}
+        placed = self.graph.placed(ties, hypothesis.breaks)
+        if placed is None:
+            return None
+        return self.search.scored(
+            Hypothesis(
+                ties,
+                {n: place for n, place in hypothesis.open.items() if n not in numbers},
+                hypothesis.nothing - numbers,
+                hypothesis.breaks,
+                placed,
+            )
+        )
+
+    def places(self, camera: str, number: int | None) -> list[Place]:
+        """Where each explanation puts a camera; `number`: at which of its places, None: at last."""
+        found = []
+        for hypothesis in self.hypotheses:
+            if hypothesis.score > self.hypotheses[0].score + 2 * window():
+                continue
+            found += self._places_by(hypothesis, camera, number)
+        return found
+
+    def _places_by(self, hypothesis: Hypothesis, camera: str, number: int | None) -> list[Place]:
+        assert hypothesis.placed is not None
+        mine = {
+            n: place
+            for n in [*hypothesis.ties, *hypothesis.open]
+            if self.visits[n].visit.camera == camera
+            and (place := hypothesis.place_of(n)) is not None
+        }
+        wanted = max(mine.values(), default=0) if number is None else number
+        there = [n for n, place in mine.items() if place == wanted]
+        if not there:
+            return []
+        if there[0] in hypothesis.ties:
+            key = camera, wanted
+            placed = hypothesis.placed
+            return [Place(placed.places[key], placed.place_covariance(key), hypothesis.score)]
+        modes = self.visits[there[0]].modes
+        least = min(mode.evidence for mode in modes)
+        return [
+            self._by_mode(hypothesis.placed, there[0], m, hypothesis.score + mode.evidence - least)
+            for m, mode in enumerate(modes)
+        ]
+
+    def _by_mode(self, placed: Placed, number: int, mode: int, score: float) -> Place:
+        """Where one mode of a camera's only visit puts it."""
+        robot = self.visits[number].visit.robot
+        relative, information = self.graph.relative(number, mode)
+        node = self.graph.node_of[number]
+        base = placed.nodes[robot][node]
+        pose = base @ relative
+        rows = placed.node_rows[robot][node]
+        by = np.eye(6)
+        by[:3, 3:] = -so3.hat(pose.translation - base.translation)
+        by = by[:, self.graph.paths[robot].tangent]
+        turn = np.kron(np.eye(2), base.rotation)
+        own = turn @ np.linalg.inv(information)[:6, :6] @ turn.T
+        covariance = by @ placed.covariance[np.ix_(rows, rows)] @ by.T + own
+        return Place(pose, covariance, score)
+
+
+def _signature(hypothesis: Hypothesis) -> tuple[object, ...]:
+    return (
+        tuple(sorted((n, t.mode, t.place) for n, t in hypothesis.ties.items())),
+        tuple(sorted(hypothesis.open.items())),
+        hypothesis.nothing,
+        hypothesis.breaks,
+    )
+
+
+# -- the outcome ----------------------------------------------------------------------------------
+
+
+class _Outcome:
+    """What all worlds say together; how pictures are read is the best one's word."""
+
+    def __init__(self, worlds: list[_World], observations: list[Observation]) -> None:
+        self.worlds, self.observations = worlds, observations
+        self.best = min(worlds, key=lambda world: world.hypotheses[0].score)
+        self.chosen = self.best.hypotheses[0]
+        self.data = self.best.data
+
+    def explanation(self) -> Explanation:
+        seen = dict.fromkeys(v.visit.camera for v in self.best.visits)
+        findings = {camera: self._finding(camera) for camera in seen}
+        places = self._places(findings)
+        return Explanation(
+            observations=tuple(self.observations),
+            reads=tuple(self._reads()),
+            findings=findings,
+            places=places,
+            lifts=tuple(self._lifts()),
+            moves=tuple(self._moves()),
+            noise=self.best.noise,
+            is_complete=all(world.search.is_closed for world in self.worlds),
+            own={},
+        )
+
+    def _finding(self, camera: str) -> CameraFinding:
+        alternatives = alternatives_of(
+            place for world in self.worlds for place in world.places(camera, None)
+        )
+        rests_on = self._rests_on(camera)
+        if not alternatives:
+            mine = [v for v in self.best.visits if v.visit.camera == camera]
+            reason = _NOTHING if any(v.modes for v in mine) else _FEW
+            return CameraFinding(camera, (), 0, reason)
+        if len(alternatives) > 1:
+            return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
+        if np.sqrt(np.trace(alternatives[0].covariance[:3, :3])) > _LOOSE_M:
+            return CameraFinding(camera, (), rests_on, _LOST)
+        return CameraFinding(camera, alternatives, rests_on)
+
+    def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], Pose]:
+        """Every place, also earlier ones, that is one place."""
+        found = {}
+        for n in [*self.chosen.ties, *self.chosen.open]:
+            camera = self.best.visits[n].visit.camera
+            place = self.chosen.place_of(n)
+            assert place is not None
+            last = self._last_place(camera)
+            if place == last:
+                if findings[camera].is_located:
+                    found[camera, place] = findings[camera].alternatives[0].map_from_camera
+                continue
+            alike = alternatives_of(
+                p for world in self.worlds for p in world.places(camera, place)
+            )
+            is_tied = alike and np.sqrt(np.trace(alike[0].covariance[:3, :3])) < _LOOSE_M
+            if len(alike) == 1 and is_tied:
+                found[camera, place] = alike[0].map_from_camera
+        return found
+
+    def _last_place(self, camera: str) -> int:
+        return max(
+            (
+                place
+                for n in [*self.chosen.ties, *self.chosen.open]
+                if self.best.visits[n].visit.camera == camera
+                and (place := self.chosen.place_of(n)) is not None
+            ),
+            default=0,
+        )
+
+    def _rests_on(self, camera: str) -> int:
+        """How many right sightings show a camera at its last place."""
+        last, count = self._last_place(camera), 0
+        for n, v in enumerate(self.best.visits):
+            if v.visit.camera == camera and self.chosen.place_of(n) == last:
+                mode = v.modes[self._mode_of(n)]
+                read = sum(r is not None for row in mode.readings.values() for r in row)
+                rest = sum(
+                    len(self.observations[i].views) for i in v.visit.indices
+                ) - sum(len(row) for row in mode.readings.values())
+                count += read + rest
+        return count
+
+    def _mode_of(self, number: int) -> int:
+        """The mode by which a visit is read."""
+        if number in self.chosen.ties:
+            return self.chosen.ties[number].mode
+        modes = self.best.visits[number].modes
+        return int(np.argmin([mode.evidence for mode in modes]))
+
+    # -- how pictures are read --------------------------------------------------------------------
+
+    def _reads(self) -> list[Read]:
+        reads: list[Read | None] = [None] * len(self.observations)
+        for n, v in enumerate(self.best.visits):
+            place = self.chosen.place_of(n)
+            mode = v.modes[self._mode_of(n)] if place is not None else None
+            poses = self._poses(n, mode.poses if mode is not None else {})
+            for index in v.visit.indices:
+                observation = self.observations[index]
+                none = tuple(np.zeros(len(view.corners), bool) for view in observation.views)
+                readings, wild = None, none
+                if place is None:
+                    readings = (None,) * len(observation.views)
+                elif mode is not None and index in mode.readings:
+                    readings, wild = mode.readings[index], mode.wild[index]
+                at = place if place is not None else self._last_place(v.visit.camera)
+                reads[index] = Read(readings, wild, poses[index], at)
+        return [read for read in reads if read is not None]
+
+    def _poses(self, number: int, refined: dict[int, Pose]) -> dict[int, Pose]:
+        """Where the robot stood at a visit's pictures: by its mode, between by odometry."""
+        assert self.chosen.placed is not None
+        visit = self.best.visits[number].visit
+        node = self.best.graph.node_of[number]
+        start = self.best.graph.paths[visit.robot].odometry[node]
+        map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ start.inverse()
+        track = self.data.tracks[visit.robot]
+        stamps = np.array([self.observations[i].stamp_ns for i in visit.indices])
+        odometry = odometry_poses(
+            self.data, visit.robot, np.clip(stamps, track.first_ns, track.last_ns)
+        )
+        anchors = [row for row, index in enumerate(visit.indices) if index in refined]
+        found = {}
+        for row, index in enumerate(visit.indices):
+            pose = odometry[row]
+            if anchors:
+                near = anchors[int(np.argmin(np.abs(stamps[anchors] - stamps[row])))]
+                there = refined[visit.indices[near]]
+                pose = there @ (odometry[near].inverse() @ pose)
+            found[index] = map_from_odom @ pose
+        return found
+
+    # -- what happened ----------------------------------------------------------------------------
+
+    def _lifts(self) -> list[Lifted]:
+        near = [
+            h
+            for h in self.best.hypotheses
+            if h.score < self.chosen.score + window() and len(h.breaks) == len(self.chosen.breaks)
+        ]
+        found = []
+        for robot, gap in sorted(self.chosen.breaks):
+            others = {g for h in near for r, g in h.breaks if r == robot} - {
+                g for r, g in self.chosen.breaks if r == robot
+            }
+            span = self._span(robot, gap)
+            found.append(
+                Lifted(robot, *span, tuple(self._span(robot, other) for other in sorted(others)))
+            )
+        return found
+
+    def _span(self, robot: str, gap: int) -> tuple[int, int]:
+        """From the last picture before a gap between two nodes to the first after it."""
+        stamps = self.best.graph.paths[robot].stamps_ns
+        after = [
+            v.visit.until_ns
+            for n, v in enumerate(self.best.visits)
+            if v.visit.robot == robot and self.best.graph.node_of[n] <= gap
+        ]
+        return max([int(stamps[gap]), *after]), int(stamps[gap + 1])
+
+    def _moves(self) -> list[Moved]:
+        found = []
+        for camera in dict.fromkeys(v.visit.camera for v in self.best.visits):
+            numbers = [
+                n
+                for n in sorted([*self.chosen.ties, *self.chosen.open])
+                if self.best.visits[n].visit.camera == camera
+            ]
+            for earlier, later in zip(numbers, numbers[1:], strict=False):
+                if self.chosen.place_of(earlier) != self.chosen.place_of(later):
+                    until, since = self.best.visits[earlier].visit, self.best.visits[later].visit
+                    found.append(Moved(camera, until.until_ns, since.stamp_ns))
+        return found
+
+
+def _fit_alike(alternatives: tuple[object, ...]) -> str:
+    places = [
+        "({:.2f}, {:.2f}, {:.2f})".format(*a.map_from_camera.translation)  # type: ignore[attr-defined]
+        for a in alternatives
+    ]
+    if len(places) > 4:
+        places = [*places[:3], f"{len(places) - 3} more places"]
+    return _LIKE.format(f"{', '.join(places[:-1])} and {places[-1]}")
+
+
+
+

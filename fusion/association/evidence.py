@@ -1,0 +1,62 @@
+"""The one rule of evidence: a camera is located where all explanations that together hold all but
+EVIDENCE of the posterior put it at one place."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .events import EVIDENCE
+from .explanation import Alternative
+
+# Two places are one where they are this many sigmas apart in each direction at the most, or so
+# little (m, rad) that nobody who acts on them can tell.
+_SAME_SIGMAS = 5.0
+_SAME_M = 0.01
+_SAME_RAD = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where one explanation puts a camera: `score` of that explanation."""
+
+    map_from_camera: Pose
+    covariance: Array
+    score: float
+
+
+def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
+    """The distinct places that hold more than EVIDENCE, best first."""
+    ordered = sorted(places, key=lambda place: place.score)
+    if not ordered:
+        return ()
+    weights = np.exp(-0.5 * (np.array([p.score for p in ordered]) - ordered[0].score))
+    weights /= weights.sum()
+    leaders: list[Place] = []
+    masses: list[float] = []
+    for place, weight in zip(ordered, weights.tolist(), strict=True):
+        for order, leader in enumerate(leaders):
+            if is_same_place(leader, place):
+                masses[order] += weight
+                break
+        else:
+            leaders.append(place)
+            masses.append(weight)
+    found = [
+        Alternative(leader.map_from_camera, leader.covariance, mass)
+        for leader, mass in zip(leaders, masses, strict=True)
+        if mass > EVIDENCE
+    ]
+    return tuple(sorted(found, key=lambda alternative: -alternative.probability))
+
+
+def is_same_place(first: Place, second: Place) -> bool:
+    """Whether two explanations put a camera at one place."""
+    apart = np.abs(second.map_from_camera.difference(first.map_from_camera))
+    if np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3)):
+        return True
+    sigma = np.sqrt(np.diagonal(first.covariance) + np.diagonal(second.covariance))
+    return bool(np.all(apart < _SAME_SIGMAS * sigma + 1e-4))

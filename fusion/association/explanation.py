@@ -1,0 +1,89 @@
+"""What is taken to have happened in a session: the outcome of data association, a value."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from ..observations import Observation, Reading
+from .noise import Noise
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A place that is left open: `covariance` (6, 6), and the share of the posterior."""
+
+    map_from_camera: Pose
+    covariance: Array
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFinding:
+    """Where one camera is, at last. `alternatives`: every place that holds more of the posterior
+    than the level of evidence, best first; `rests_on`: how many sightings show the first;
+    `reason`: in words, where there is not one place."""
+
+    camera: str
+    alternatives: tuple[Alternative, ...]
+    rests_on: int
+    reason: str = ""
+
+    @property
+    def is_located(self) -> bool:
+        return not self.reason and len(self.alternatives) == 1
+
+
+@dataclass(frozen=True, slots=True)
+class Lifted:
+    """A robot was put down elsewhere between two moments; `or_between`: further pairs of moments
+    that explain it as well."""
+
+    robot: str
+    after_ns: int
+    before_ns: int
+    or_between: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A camera was moved between its last sighting from the old place and the first from the new;
+    `is_known`: whether the old place is one place."""
+
+    camera: str
+    until_ns: int
+    since_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """How one observation is read: a reading for each view, None where it is wrong; the wild
+    corners of each; where the robot stood, None where nothing says; the number of its camera's
+    place."""
+
+    readings: tuple[Reading | None, ...] | None
+    wild: tuple[np.ndarray, ...]
+    map_from_base: Pose | None
+    place: int
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """The likeliest explanation, with what is open beside it.
+
+    `observations`: as they came, with their corners' noise as learnt; `reads`: one for each;
+    `findings`: by camera; `places`: pose by (camera, number of its place), those that are one
+    place; `is_complete`: whether the search closed.
+    """
+
+    observations: tuple[Observation, ...]
+    reads: tuple[Read, ...]
+    findings: dict[str, CameraFinding]
+    places: dict[tuple[str, int], Pose]
+    lifts: tuple[Lifted, ...]
+    moves: tuple[Moved, ...]
+    noise: dict[str, Noise]
+    is_complete: bool = True
+    own: dict[str, Array] = field(default_factory=dict)
