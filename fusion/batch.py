@@ -21,12 +21,15 @@ from trigpoint.geometry import Pose
 from . import judge, odometry_noise, repeated
 from .aftermath import why_untied
 from .assembly import Assembled
+from .association.engine import explain
+from .association.explanation import Explanation
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
 from .denial import denial
+from .explained import take
 from .filter import Filter
 from .locate import Located, Undetermined, locate
-from .observations import Observation, Verdict
+from .observations import Observation, Verdict, observation_of
 from .placement import place
 from .problem import State
 from .readmission import Readmission
@@ -79,47 +82,41 @@ class BatchSolution:
         # Entries of which it is not known yet what they mean: they stay set aside.
         self.undecided: set[int] = set()
         self._readmission = Readmission(data)
+        self.explanation: Explanation | None = None
 
     # -- solving ----------------------------------------------------------------------------------
 
-    def finish(self, known: Filter | None, *, gives_up: bool = False) -> Filter | None:
-        """Locate what can be located from all that came in, and solve to the end.
-
-        `gives_up`: leave it at a rough solution where that is hopeless; `gave_up` says so then.
-        """
-        self.undecided = set()
-        known = self._take_in(known)
-        self.gave_up = gives_up and self._is_hopeless()
-        if self.gave_up:
+    def finish(self, known: Filter | None) -> Filter | None:
+        """Work out from all that came in what explains it, and solve that to the end."""
+        observations = self._all()
+        if not any(len(track) for track in self.data.tracks.values()) or not observations:
             return known
+        self.explanation = explanation = explain(self.data, observations)
+        self.state = take(self.data, explanation)
+        self.undecided = {
+            index for index, read in enumerate(explanation.reads) if read.readings is not None
+        }
+        self.undetermined = {
+            camera: (finding.reason,)
+            for camera, finding in explanation.findings.items()
+            if finding.reason
+        }
         self.tolerance = FINAL_TOLERANCE
         try:
-            return self._finished(known)
+            solved = self._settle(self.solve(None))
         finally:
             self.tolerance = LIVE_TOLERANCE
+        return solved if solved is not None else Filter.at_origin(self.data)
 
-    def _is_hopeless(self) -> bool:
-        """Whether odometry is violated as by a lifted robot: more than wrong sightings can do."""
-        if self.assembled is None:
-            return False
-        return denial(self.assembled.problem, self.state) > _HOPELESS
-
-    def _finished(self, known: Filter | None) -> Filter | None:
-        found: Counter[str] = Counter()
-        for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
-            known = self.solve(known)
-            tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
-            missing = [
-                name
-                for name in self.data.camera_names
-                if name not in self.state.cameras and self.data.of_camera(name)
-            ]
-            # One that is located and dropped again and again would go on so.
-            again = [n for n in missing if found[n] < _MOST_LOCATED and self.locate(n)]
-            found.update(again)
-            if not again and not tied:
-                break
-        return self._settle(known)
+    def _all(self) -> list[Observation]:
+        """Every observation as it came, in order of time."""
+        came = [entry.observation for entry in self.data.entries] + self.collected
+        self.collected = []
+        found = [
+            observation_of(self.data.site_camera(o.camera), o.robot, o.stamp_ns, o.views)
+            for o in came
+        ]
+        return sorted(found, key=lambda observation: observation.stamp_ns)
 
     def _settle(self, known: Filter | None) -> Filter | None:
         """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
@@ -211,6 +208,8 @@ class BatchSolution:
         known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
         self._say_earlier(known)
         self._guess_rest()
+        if self.explanation is not None:
+            return known
         dropped = self._drop_misplaced()
         return self.solve(known, is_rough=is_rough) if dropped else known
 

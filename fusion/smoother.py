@@ -99,11 +99,8 @@ class Smoother:
         self._go_on_from(self._batch.solve(self._present.known))
 
     def finish(self) -> None:
-        self._go_on_from(self._batch.finish(self._present.known, gives_up=True))
-        if is_amiss(self._batch):
-            if not self._explain() and self._batch.gave_up:
-                self._go_on_from(self._batch.finish(self._present.known))
-            self._go_on_from(self._batch.leave_contradicted(self._present.known))
+        self._go_on_from(self._batch.finish(self._present.known))
+        say(self.data, self._batch.state)
 
     def _explain(self) -> bool:
         """Look for a lifted robot or a moved camera behind what contradicts; whether something

@@ -11,10 +11,10 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
-from trigpoint.geometry.rotation import Array
 
 from ..dataset import DataSet
 from ..observations import Observation
+from ..problem import CameraState
 from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import CameraFinding, Explanation, Lifted, Moved, Read
@@ -138,9 +138,10 @@ class _World:
         events: Events,
         noise: dict[str, Noise],
     ) -> None:
-        self.data, self.observations, self.noise = data, observations, noise
+        self.data, self.observations, self.noise, self.events = data, observations, noise, events
         finder = ModeFinder(data, observations, events)
-        self.visits = [finder.modes_of(visit) for visit in visits_of(data, observations)]
+        found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
+        self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
         self.search = Search(self.graph, events)
         numbers = range(len(self.visits))
@@ -179,6 +180,12 @@ class _World:
             )
         )
 
+    @property
+    def prior_score(self) -> float:
+        """Of the session's noise."""
+        is_otherwise = any(noise is PESSIMISTIC for noise in self.noise.values())
+        return self.events.noise_score if is_otherwise else 0.0
+
     def places(self, camera: str, number: int | None) -> list[Place]:
         """Where each explanation puts a camera; `number`: at which of its places, None: at last."""
         found = []
@@ -190,6 +197,7 @@ class _World:
 
     def _places_by(self, hypothesis: Hypothesis, camera: str, number: int | None) -> list[Place]:
         assert hypothesis.placed is not None
+        score = hypothesis.score + self.prior_score
         mine = {
             n: place
             for n in [*hypothesis.ties, *hypothesis.open]
@@ -203,11 +211,11 @@ class _World:
         if there[0] in hypothesis.ties:
             key = camera, wanted
             placed = hypothesis.placed
-            return [Place(placed.places[key], placed.place_covariance(key), hypothesis.score)]
+            return [Place(placed.places[key], placed.place_covariance(key), score)]
         modes = self.visits[there[0]].modes
         least = min(mode.evidence for mode in modes)
         return [
-            self._by_mode(hypothesis.placed, there[0], m, hypothesis.score + mode.evidence - least)
+            self._by_mode(hypothesis.placed, there[0], m, score + mode.evidence - least)
             for m, mode in enumerate(modes)
         ]
 
@@ -245,7 +253,7 @@ class _Outcome:
 
     def __init__(self, worlds: list[_World], observations: list[Observation]) -> None:
         self.worlds, self.observations = worlds, observations
-        self.best = min(worlds, key=lambda world: world.hypotheses[0].score)
+        self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.prior_score)
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
 
@@ -262,7 +270,6 @@ class _Outcome:
             moves=tuple(self._moves()),
             noise=self.best.noise,
             is_complete=all(world.search.is_closed for world in self.worlds),
-            own={},
         )
 
     def _finding(self, camera: str) -> CameraFinding:
@@ -280,7 +287,7 @@ class _Outcome:
             return CameraFinding(camera, (), rests_on, _LOST)
         return CameraFinding(camera, alternatives, rests_on)
 
-    def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], Pose]:
+    def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
         """Every place, also earlier ones, that is one place."""
         found = {}
         for n in [*self.chosen.ties, *self.chosen.open]:
@@ -290,15 +297,27 @@ class _Outcome:
             last = self._last_place(camera)
             if place == last:
                 if findings[camera].is_located:
-                    found[camera, place] = findings[camera].alternatives[0].map_from_camera
+                    found[camera, place] = self._state(
+                        camera, place, findings[camera].alternatives[0].map_from_camera
+                    )
                 continue
             alike = alternatives_of(
                 p for world in self.worlds for p in world.places(camera, place)
             )
             is_tied = alike and np.sqrt(np.trace(alike[0].covariance[:3, :3])) < _LOOSE_M
             if len(alike) == 1 and is_tied:
-                found[camera, place] = alike[0].map_from_camera
+                found[camera, place] = self._state(camera, place, alike[0].map_from_camera)
         return found
+
+    def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
+        """A camera there, with the lens and clock that the most telling visit gives it."""
+        modes = [
+            v.modes[self._mode_of(n)]
+            for n, v in enumerate(self.best.visits)
+            if v.visit.camera == camera and self.chosen.place_of(n) == place
+        ]
+        telling = max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1]))
+        return replace(telling.camera, map_from_camera=pose)
 
     def _last_place(self, camera: str) -> int:
         return max(

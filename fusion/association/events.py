@@ -18,7 +18,8 @@ class Events:
 
     `wrong_sighting`: a sighting that shows something else than its robot as it stands;
     `wild_corner`: a corner that is not where the face's are; `lift`: the robot is put down elsewhere
-    between two visits; `move`: a camera is moved between two visits to it; `room`: lengths (m) of
+    between two visits; `move`: a camera is moved between two visits to it; `noise`: the noise is
+    far otherwise than stated, in a session that does not tell; `room`: lengths (m) of
     the box in which cameras hang and robots drive.
     """
 
@@ -26,6 +27,7 @@ class Events:
     wild_corner: float = 1e-3
     lift: float = 1e-4
     move: float = 1e-4
+    noise: float = 5e-4
     room: tuple[float, float, float] = (30.0, 30.0, 5.0)
 
     @property
@@ -48,6 +50,11 @@ class Events:
     def move_score(self) -> float:
         """Of a move, beside where the camera is then."""
         return -2 * math.log(self.move)
+
+    @property
+    def noise_score(self) -> float:
+        """Of a session whose noise is far otherwise than stated."""
+        return -2 * math.log(self.noise)
 
     def wild_score(self, sigma_px: float, width: int, height: int) -> float:
         """Of a corner that may be anywhere in the picture, in place of its χ²."""

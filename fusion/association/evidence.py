@@ -29,7 +29,7 @@ class Place:
 
 
 def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
-    """The distinct places that hold more than EVIDENCE, best first."""
+    """The fewest distinct places that hold all but EVIDENCE of the posterior, best first."""
     ordered = sorted(places, key=lambda place: place.score)
     if not ordered:
         return ()
@@ -48,9 +48,14 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
     found = [
         Alternative(leader.map_from_camera, leader.covariance, mass)
         for leader, mass in zip(leaders, masses, strict=True)
-        if mass > EVIDENCE
     ]
-    return tuple(sorted(found, key=lambda alternative: -alternative.probability))
+    found.sort(key=lambda alternative: -alternative.probability)
+    rest = 1.0
+    for count, alternative in enumerate(found, start=1):
+        rest -= alternative.probability
+        if rest < EVIDENCE:
+            return tuple(found[:count])
+    return tuple(found)
 
 
 def is_same_place(first: Place, second: Place) -> bool:

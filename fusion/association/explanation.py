@@ -1,6 +1,6 @@
 """What is taken to have happened in a session: the outcome of data association, a value."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from ..observations import Observation, Reading
+from ..problem import CameraState
 from .noise import Noise
 
 
@@ -49,8 +50,7 @@ class Lifted:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A camera was moved between its last sighting from the old place and the first from the new;
-    `is_known`: whether the old place is one place."""
+    """A camera was moved between its last sighting from the old place and the first from the new."""
 
     camera: str
     until_ns: int
@@ -74,16 +74,15 @@ class Explanation:
     """The likeliest explanation, with what is open beside it.
 
     `observations`: as they came, with their corners' noise as learnt; `reads`: one for each;
-    `findings`: by camera; `places`: pose by (camera, number of its place), those that are one
-    place; `is_complete`: whether the search closed.
+    `findings`: by camera; `places`: by (camera, number of its place) where it was, those that are
+    one place; `is_complete`: whether the search closed.
     """
 
     observations: tuple[Observation, ...]
     reads: tuple[Read, ...]
     findings: dict[str, CameraFinding]
-    places: dict[tuple[str, int], Pose]
+    places: dict[tuple[str, int], CameraState]
     lifts: tuple[Lifted, ...]
     moves: tuple[Moved, ...]
     noise: dict[str, Noise]
     is_complete: bool = True
-    own: dict[str, Array] = field(default_factory=dict)

@@ -21,6 +21,7 @@ from .visits import Visit
 # whose evidence is as strong: none is that often.
 _WINDOW = 2 * window()
 _MOST_STARTS = 8
+_MOST_SPLITS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,30 @@ class ModeFinder:
                 for order in range(len(observation.views))
             )
         return self._alone[key]
+
+    def parts_of(self, visit: Visit, *, most: int = _MOST_SPLITS) -> list[VisitModes]:
+        """A visit with its modes; where one end of it contradicts the rest, as two visits or more:
+        something may have happened between them."""
+        whole = self.modes_of(visit)
+        cut = self._cut(whole) if most else None
+        if cut is None:
+            return [whole]
+        parts = (visit.part(self.observations, 0, cut), visit.part(self.observations, cut, None))
+        return [each for part in parts for each in self.parts_of(part, most=most - 1)]
+
+    def _cut(self, found: VisitModes) -> int | None:
+        """Where to cut a visit: before (or after) the pictures that its best mode uses, those at
+        one end are wrong with two sightings at the least."""
+        if not found.modes:
+            return None
+        chosen, readings = found.visit.chosen, found.modes[0].readings
+        used = [order for order, i in enumerate(chosen) if any(r is not None for r in readings[i])]
+        before, after = chosen[: used[0]], chosen[used[-1] + 1 :]
+        if after and sum(len(readings[i]) for i in after) > 1:
+            return found.visit.indices.index(after[0])
+        if before and sum(len(readings[i]) for i in before) > 1:
+            return found.visit.indices.index(before[-1]) + 1
+        return None
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""

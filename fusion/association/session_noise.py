@@ -10,7 +10,7 @@ from ..observations import LEAST_SIGMA_PX, Observation
 from ..odometry_track import SLIP
 from .noise import Noise
 
-_PARTS = ("distance", "lateral", "heading_drive", "heading_turn")
+PARTS = ("distance", "lateral", "heading_drive", "heading_turn")
 
 
 def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:
@@ -19,7 +19,7 @@ def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:
     for robot, learnt in noise.items():
         stated = data.site.robots[robot].odometry
         factor = learnt.odometry
-        scaled = {part: getattr(stated, part) * factor for part in _PARTS}
+        scaled = {part: getattr(stated, part) * factor for part in PARTS}
         tracks[robot] = data.tracks[robot].noisy(
             msgspec.structs.replace(stated, **scaled), slip=SLIP * factor, skid=0.0
         )

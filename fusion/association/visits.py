@@ -28,8 +28,8 @@ class Visit:
     stamp_ns: int
     until_ns: int
 
-    def part(self, observations: list[Observation], start: int, end: int) -> "Visit":
-        """The visit of its pictures from `start` up to `end`."""
+    def part(self, observations: list[Observation], start: int, end: int | None) -> "Visit":
+        """The visit of its pictures from `start` up to `end`, or to its end."""
         return visit_of(observations, list(self.indices[start:end]))
 
 
