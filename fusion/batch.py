@@ -93,20 +93,36 @@ class BatchSolution:
             return known
         self.explanation = explanation = explain(self.data, observations)
         self.state = take(self.data, explanation)
-        self.undecided = {
-            index for index, read in enumerate(explanation.reads) if read.readings is not None
-        }
         self.undetermined = {
             camera: (finding.reason,)
             for camera, finding in explanation.findings.items()
             if finding.reason
         }
-        self.tolerance = FINAL_TOLERANCE
-        try:
-            solved = self._settle(self.solve(None))
-        finally:
-            self.tolerance = LIVE_TOLERANCE
-        return solved if solved is not None else Filter.at_origin(self.data)
+        return self._solved_as_explained()
+
+    def _solved_as_explained(self) -> Filter:
+        """Solve over what the explanation uses, until the noise of it stays the same."""
+        used = self.data.usable(self.state.cameras)
+        if not used:
+            self.assembled = self.solution = None
+            return Filter.at_origin(self.data)
+        for _ in range(_MOST_SETTLING):
+            solved = solve_consistently(
+                self.data, self.state, used, huber=np.inf, tolerance=FINAL_TOLERANCE
+            )
+            self.state, self.iterations = solved.state, self.iterations + solved.iterations
+            self.assembled, self.solution = solved.assembled, solved.solution
+            changed = repeated.share_out(self.data, self.assembled, self.state)
+            changed |= odometry_noise.learn(self.data, self.assembled, self.state)
+            if not changed:
+                break
+        assert self.assembled is not None
+        assert self.solution is not None
+        self._forget_unused(self.assembled)
+        known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        self._say_earlier(known)
+        self._guess_rest()
+        return known
 
     def _all(self) -> list[Observation]:
         """Every observation as it came, in order of time."""
@@ -208,8 +224,6 @@ class BatchSolution:
         known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
         self._say_earlier(known)
         self._guess_rest()
-        if self.explanation is not None:
-            return known
         dropped = self._drop_misplaced()
         return self.solve(known, is_rough=is_rough) if dropped else known
 

@@ -3,15 +3,12 @@
 import msgspec
 import numpy as np
 
-from trigpoint.geometry import Pose
-
 from .association.explanation import Explanation, Read
 from .association.session_noise import PARTS
 from .dataset import DataSet, Entry, Knock, KnownCameras, Lift, Move
-from .faces import best_reading
-from .observations import Observation, Reading, Verdict, observation_of
+from .observations import Observation, Verdict, observation_of
 from .odometry_track import SLIP
-from .problem import CameraState, State
+from .problem import State
 
 
 def take(data: DataSet, explanation: Explanation) -> State:
@@ -30,7 +27,9 @@ def take(data: DataSet, explanation: Explanation) -> State:
         fresh = observation_of(
             name, observation.robot, observation.stamp_ns, observation.views
         )
-        data.entries.append(Entry(_read(data, fresh, read, cameras), read.map_from_base))
+        if name in cameras:
+            fresh = _read(fresh, read)
+        data.entries.append(Entry(fresh, read.map_from_base))
     return State(state.cameras | cameras, state.robots)
 
 
@@ -76,19 +75,8 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
     return names
 
 
-def _read(
-    data: DataSet,
-    observation: Observation,
-    read: Read,
-    cameras: dict[str, CameraState],
-) -> Observation:
-    """An observation as the explanation reads it; one that it did not look at as it fits best where
-    robot and camera are by it."""
-    camera = cameras.get(observation.camera)
-    if camera is None or read.map_from_base is None:
-        return observation
-    if read.readings is None:
-        return _as_it_fits(data, observation, read.map_from_base, camera)
+def _read(observation: Observation, read: Read) -> Observation:
+    """An observation as the explanation reads it."""
     if all(reading is None for reading in read.readings):
         return observation.judged(Verdict.REJECTED)
     chosen = tuple(
@@ -101,15 +89,3 @@ def _read(
     )
     done = observation.read_as(chosen).judged(Verdict.ACCEPTED)
     return done.with_outliers(outliers) if any(np.any(wild) for wild in outliers) else done
-
-
-def _as_it_fits(
-    data: DataSet, observation: Observation, map_from_base: Pose, camera: CameraState
-) -> Observation:
-    target = data.targets[observation.robot]
-    camera_from_base = camera.map_from_camera.inverse() @ map_from_base
-    best = [best_reading(view, target, camera.lens, camera_from_base) for view in observation.views]
-    if not all(np.isfinite(rms) for _, rms, _ in best):
-        return observation.judged(Verdict.REJECTED)
-    chosen: tuple[Reading, ...] = tuple(reading for reading, _, _ in best)
-    return observation.read_as(chosen).judged(Verdict.ACCEPTED)

@@ -19,8 +19,8 @@ from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Placed
-from .local import LocalProblem
-from .modes import ModeFinder, VisitModes, odometry_poses
+from .local import LocalProblem, Mode
+from .modes import ModeFinder, VisitModes
 from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
 from .search import Hypothesis, Search
 from .session_noise import with_corner_scale, with_noise
@@ -139,7 +139,7 @@ class _World:
         noise: dict[str, Noise],
     ) -> None:
         self.data, self.observations, self.noise, self.events = data, observations, noise, events
-        finder = ModeFinder(data, observations, events)
+        self.finder = finder = ModeFinder(data, observations, events)
         found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
@@ -353,45 +353,34 @@ class _Outcome:
     # -- how pictures are read --------------------------------------------------------------------
 
     def _reads(self) -> list[Read]:
-        reads: list[Read | None] = [None] * len(self.observations)
-        for n, v in enumerate(self.best.visits):
-            place = self.chosen.place_of(n)
-            mode = v.modes[self._mode_of(n)] if place is not None else None
-            poses = self._poses(n, mode.poses if mode is not None else {})
-            for index in v.visit.indices:
-                observation = self.observations[index]
-                none = tuple(np.zeros(len(view.corners), bool) for view in observation.views)
-                readings, wild = None, none
-                if place is None:
-                    readings = (None,) * len(observation.views)
-                elif mode is not None and index in mode.readings:
-                    readings, wild = mode.readings[index], mode.wild[index]
-                at = place if place is not None else self._last_place(v.visit.camera)
-                reads[index] = Read(readings, wild, poses[index], at)
-        return [read for read in reads if read is not None]
+        reads: dict[int, Read] = {}
+        for number, found in enumerate(self.best.visits):
+            place = self.chosen.place_of(number)
+            if place is None:
+                last = self._last_place(found.visit.camera)
+                reads |= {index: self._wrong(index, last) for index in found.visit.indices}
+            else:
+                mode = found.modes[self._mode_of(number)]
+                reads |= self._read_by(number, self.best.finder.completed(found.visit, mode), place)
+        return [reads[index] for index in range(len(self.observations))]
 
-    def _poses(self, number: int, refined: dict[int, Pose]) -> dict[int, Pose]:
-        """Where the robot stood at a visit's pictures: by its mode, between by odometry."""
+    def _wrong(self, index: int, place: int) -> Read:
+        views = self.observations[index].views
+        wild = tuple(np.zeros(len(view.corners), bool) for view in views)
+        return Read((None,) * len(views), wild, None, place)
+
+    def _read_by(self, number: int, mode: Mode, place: int) -> dict[int, Read]:
         assert self.chosen.placed is not None
         visit = self.best.visits[number].visit
         node = self.best.graph.node_of[number]
         start = self.best.graph.paths[visit.robot].odometry[node]
         map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ start.inverse()
-        track = self.data.tracks[visit.robot]
-        stamps = np.array([self.observations[i].stamp_ns for i in visit.indices])
-        odometry = odometry_poses(
-            self.data, visit.robot, np.clip(stamps, track.first_ns, track.last_ns)
-        )
-        anchors = [row for row, index in enumerate(visit.indices) if index in refined]
-        found = {}
-        for row, index in enumerate(visit.indices):
-            pose = odometry[row]
-            if anchors:
-                near = anchors[int(np.argmin(np.abs(stamps[anchors] - stamps[row])))]
-                there = refined[visit.indices[near]]
-                pose = there @ (odometry[near].inverse() @ pose)
-            found[index] = map_from_odom @ pose
-        return found
+        return {
+            index: Read(
+                mode.readings[index], mode.wild[index], map_from_odom @ mode.poses[index], place
+            )
+            for index in visit.indices
+        }
 
     # -- what happened ----------------------------------------------------------------------------
 

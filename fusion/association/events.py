@@ -17,14 +17,14 @@ class Events:
     """Prior probabilities, each for one occasion, and the room of places.
 
     `wrong_sighting`: a sighting that shows something else than its robot as it stands;
-    `wild_corner`: a corner that is not where the face's are; `lift`: the robot is put down elsewhere
+    `wild_corner`: a good corner that is so far from where the others put it that it is left out; `lift`: the robot is put down elsewhere
     between two visits; `move`: a camera is moved between two visits to it; `noise`: the noise is
     far otherwise than stated, in a session that does not tell; `room`: lengths (m) of
     the box in which cameras hang and robots drive.
     """
 
     wrong_sighting: float = 0.02
-    wild_corner: float = 1e-3
+    wild_corner: float = 1e-4
     lift: float = 1e-4
     move: float = 1e-4
     noise: float = 5e-4
@@ -56,10 +56,10 @@ class Events:
         """Of a session whose noise is far otherwise than stated."""
         return -2 * math.log(self.noise)
 
-    def wild_score(self, sigma_px: float, width: int, height: int) -> float:
-        """Of a corner that may be anywhere in the picture, in place of its χ²."""
-        density = 2 * math.pi * sigma_px**2 / (width * height)
-        return -2 * math.log(self.wild_corner * density)
+    @property
+    def wild_score(self) -> float:
+        """Of a wild corner: the χ² that a good one exceeds so rarely (two degrees of freedom)."""
+        return -2 * math.log(self.wild_corner)
 
 
 def window() -> float:

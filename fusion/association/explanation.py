@@ -63,7 +63,7 @@ class Read:
     corners of each; where the robot stood, None where nothing says; the number of its camera's
     place."""
 
-    readings: tuple[Reading | None, ...] | None
+    readings: tuple[Reading | None, ...]
     wild: tuple[np.ndarray, ...]
     map_from_base: Pose | None
     place: int

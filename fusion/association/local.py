@@ -13,7 +13,7 @@ from ..assembly import Assembled, assemble
 from ..dataset import DataSet, Entry
 from ..faces import best_reading
 from ..models import base_jacobian, batch_jacobian, odometry_terms
-from ..observations import Observation, Reading, Verdict, View
+from ..observations import Observation, Reading, Verdict
 from ..problem import Batch, CameraState, Problem, State
 from ..solver import solve
 from .events import Events
@@ -207,7 +207,7 @@ class LocalProblem:
                 part = slice(start, start + len(view.corners))
                 start = part.stop
                 corners = _Corners(residual[row, part], by_base[row, part], jacobian[row, part])
-                trial.wild[index][order] = self._wild(view, corners)
+                trial.wild[index][order] = self._wild(corners)
                 is_wrong = trial.wrong[index][order]
                 score = self._innovation_score(
                     corners.without(trial.wild[index][order]), covariance, is_used=not is_wrong
@@ -234,10 +234,9 @@ class LocalProblem:
             weights[row, : len(each)] = each
         return weights
 
-    def _wild(self, view: View, corners: "_Corners") -> np.ndarray:
+    def _wild(self, corners: "_Corners") -> np.ndarray:
         """Corners that do not lie where the board does that the others show, (k,) bool."""
-        lens = self.data.lenses[self.camera]
-        limit = self.events.wild_score(view.sigma, lens.width, lens.height)
+        limit = self.events.wild_score
         wild = np.zeros(len(corners.residual), dtype=bool)
         for _ in range(3):
             flat = corners.by_base[~wild].reshape(-1, 6)
@@ -393,15 +392,13 @@ class LocalProblem:
         return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
 
     def _left_out_score(self, trial: _Trial) -> float:
-        lens = self.data.lenses[self.camera]
         score = 0.0
         for index, observation in self.observations.items():
             for order, view in enumerate(observation.views):
                 if trial.wrong[index][order]:
                     score += self.wrong_scores[index][order]
                 else:
-                    limit = self.events.wild_score(view.sigma, lens.width, lens.height)
-                    score += limit * int(trial.wild[index][order].sum())
+                    score += self.events.wild_score * int(trial.wild[index][order].sum())
         return score
 
 

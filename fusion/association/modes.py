@@ -121,6 +121,33 @@ class ModeFinder:
             found += self._found(visit, problem, [poses[index] @ c.inverse() for c in one], wrong)
         return distinct(found)
 
+    def completed(self, visit: Visit, mode: Mode) -> Mode:
+        """A mode over all pictures of its visit, from one over the chosen ones."""
+        if len(visit.chosen) == len(visit.indices):
+            return mode
+        whole = replace(visit, chosen=visit.indices)
+        pictures = {index: self.observations[index] for index in visit.indices}
+        scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in pictures}
+        poses = self._between(whole, mode)
+        problem = LocalProblem(self.data, pictures, poses, scores, self.events)
+        wrong = {
+            index: tuple(reading is None for reading in row)
+            for index, row in mode.readings.items()
+        }
+        return problem.mode_near(mode.camera, wrong) or mode
+
+    def _between(self, visit: Visit, mode: Mode) -> dict[int, Pose]:
+        """Where the robot stood at all pictures: by the mode, and by odometry from the nearest."""
+        odometry = self.odometry(visit)
+        stamps = np.array([self.observations[index].stamp_ns for index in mode.poses])
+        anchors = list(mode.poses)
+        found = {}
+        for index, pose in odometry.items():
+            gap = np.abs(stamps - self.observations[index].stamp_ns)
+            near = anchors[int(np.argmin(gap))]
+            found[index] = mode.poses[near] @ (odometry[near].inverse() @ pose)
+        return found
+
     def odometry(self, visit: Visit) -> dict[int, Pose]:
         """Where odometry puts the robot at each chosen picture."""
         track = self.data.tracks[visit.robot]

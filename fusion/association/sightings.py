@@ -51,7 +51,7 @@ def by_itself(
         return Alone(events.pose_score + events.wrong_score, np.inf, np.nan, 0)
     chi2, normal, wild = _fit(fits[0].pose, points, view, lens, events)
     known = int(np.sum(~wild))
-    lost = int(wild.sum()) * events.wild_score(view.sigma, lens.width, lens.height)
+    lost = int(wild.sum()) * events.wild_score
     evidence = chi2 + lost + float(np.linalg.slogdet(normal)[1])
     wrong = evidence + events.pose_score + events.wrong_score
     return Alone(wrong, evidence, chi2, 2 * known - 6)
@@ -61,7 +61,7 @@ def _fit(
     pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
 ) -> tuple[float, Array, np.ndarray]:
     """χ² of the corners that one pose fits, the pose's information (6, 6), and which are wild."""
-    limit = events.wild_score(view.sigma, lens.width, lens.height)
+    limit = events.wild_score
     wild = np.zeros(len(points), dtype=bool)
     normal, left = np.eye(6), np.zeros((len(points), 2))
     for _ in range(_MOST_REFITS):
