@@ -92,7 +92,8 @@ class DataSet:
     of time; `events`: what nobody has been told yet; `happened`: lifts and moves that sightings
     show, for each those that explain them alike; `jitter`: by robot the variances (6,) of how it
     stands otherwise in a picture than its odometry's plane says (see `jitter`), where it does;
-    `odometry_scale`: by robot what the stated sigmas of its odometry are multiplied by.
+    `odometry_scale`: by robot what the stated sigmas of its odometry, and its slip, are
+    multiplied by.
     """
 
     site: Site
@@ -105,7 +106,7 @@ class DataSet:
     events: list[Event] = field(default_factory=list)
     happened: list[tuple[Upheaval, ...]] = field(default_factory=list)
     jitter: dict[str, Array] = field(default_factory=dict)
-    odometry_scale: dict[str, float] = field(default_factory=dict)
+    odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 

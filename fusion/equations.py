@@ -154,37 +154,20 @@ def _add_batch(
         jacobian, residual = jacobian * root[..., None], residual * root
     n, _, _, q = jacobian.shape
     flat = jacobian.reshape(n, -1, q)
-    transposed = np.swapaxes(flat, 1, 2)
-    hessian = transposed @ flat
-    gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
-    nodes = batch.nodes
     if jitter is not None:
-        nodes = jitter.nodes
         shared = np.broadcast_to(root, residual.shape).reshape(n, -1)
         weighted = Jitter.from_jacobian(
             jitter.jacobian * shared[..., None], batch.nodes, jitter.variances
         )
-        hessian, gradient, cost = _without_jitter(weighted, flat, residual, hessian, gradient)
+        hessian, gradient, cost = weighted.eliminated(flat, residual.reshape(n, -1))
         equations.cost += cost + float(np.sum(np.where(weight < 1, huber * (length - huber), 0.0)))
         equations.log_determinant += weighted.log_determinant
-    _scatter(equations, problem, batch.robot, nodes, hessian, gradient, columns)
-
-
-def _without_jitter(
-    jitter: Jitter, jacobian: Array, residual: Array, hessian: Array, gradient: Array
-) -> tuple[Array, Array, float]:
-    """Hessian (g, q, q), gradient (g, q) and cost of each picture with its jitter eliminated."""
-    flat = residual.reshape(len(residual), -1)
-    coupling = jitter.summed(np.swapaxes(jitter.jacobian, 1, 2) @ jacobian)
-    pull = jitter.summed((np.swapaxes(jitter.jacobian, 1, 2) @ flat[..., None])[..., 0])
-    solved = np.linalg.solve(jitter.information, np.concatenate([coupling, pull[..., None]], -1))
-    back = np.swapaxes(coupling, 1, 2) @ solved
-    cost = float(np.sum(flat**2) - np.sum(pull * solved[..., -1]))
-    return (
-        jitter.summed(hessian) - back[..., :-1],
-        jitter.summed(gradient) - back[..., -1],
-        cost,
-    )
+        _scatter(equations, problem, batch.robot, jitter.nodes, hessian, gradient, columns)
+        return
+    transposed = np.swapaxes(flat, 1, 2)
+    hessian = transposed @ flat
+    gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
+    _scatter(equations, problem, batch.robot, batch.nodes, hessian, gradient, columns)
 
 
 def _add_odometry(

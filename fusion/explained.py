@@ -39,8 +39,8 @@ def _take_noise(data: DataSet, explanation: Explanation) -> None:
         track, stated = data.tracks[robot], data.site.robots[robot].odometry
         scaled = {part: getattr(stated, part) * noise.odometry for part in PARTS}
         track.noise = msgspec.structs.replace(stated, **scaled)
-        track.slip, track.skid = SLIP * noise.odometry, 0.0
-        data.odometry_scale[robot] = noise.odometry
+        track.slip, track.skid = SLIP * noise.slip, 0.0
+        data.odometry_scale[robot] = (noise.odometry, noise.slip)
         if noise.jitter is not None:
             data.jitter[robot] = noise.jitter
 

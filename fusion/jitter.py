@@ -64,6 +64,20 @@ class Jitter:
         shift = self.expected(residual)[self.group]
         return residual + (self.jacobian @ shift[..., None])[..., 0]
 
+    def eliminated(self, jacobian: Array, residual: Array) -> tuple[Array, Array, float]:
+        """Hessian (g, q, q), gradient (g, q) and cost of each picture by other unknowns, from their
+        derivatives (n, 2K, q) and residuals (n, 2K), without the disturbance.
+
+        As a sum of squares: what is left of each corner, and the disturbance's own.
+        """
+        whole = np.concatenate([jacobian, residual[..., None]], axis=-1)
+        pull = self.summed(np.swapaxes(self.jacobian, 1, 2) @ whole)
+        shift = np.linalg.solve(self.information, pull)
+        left = whole - self.jacobian @ shift[self.group]
+        square = self.summed(np.swapaxes(left, 1, 2) @ left)
+        square += np.swapaxes(shift, 1, 2) @ (shift / self.variances[:, None])
+        return square[:, :-1, :-1], square[:, :-1, -1], float(np.sum(square[:, -1, -1]))
+
     @property
     def log_determinant(self) -> float:
         """ln |I + J Σ Jᵀ| over all pictures."""

@@ -83,8 +83,8 @@ def learn(data: DataSet, assembled: Assembled, state: State) -> bool:
         track = data.tracks[robot]
         if not track.planar:
             continue
-        scale = data.odometry_scale.get(robot, 1.0)
-        stated = scale * _sigmas(data.site.robots[robot].odometry, SLIP, 0.0)
+        scale, slip = data.odometry_scale.get(robot, (1.0, 1.0))
+        stated = scale * _sigmas(data.site.robots[robot].odometry, SLIP * slip / scale, 0.0)
         before = _sigmas(track.noise, track.slip, track.skid)
         windows = windows_of(assembled.problem, state, robot)
         sigmas = stated if windows is None else likeliest(windows, stated)

@@ -29,7 +29,7 @@ from .visits import Visit, visits_of
 # Pictures of so few visits tell the noise well enough.
 _MOST_TO_LEARN = 8
 _LEAST_TO_LEARN = 3
-_LEAST_FREEDOM = 10
+_MOST_SCATTERS = 40
 # Where a place is known less well than this, m, nothing ties it to the map.
 _LOOSE_M = 2.0
 _LIKE = (
@@ -67,11 +67,19 @@ def _learnt(
     """The observations with their corners' noise, and what each robot's noise may be: one where the
     session tells, else as stated and as a decision must survive it."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
-    chosen = _telling(visits_of(data, observations))
-    finder = ModeFinder(wide, observations, events)
-    found = [finder.modes_of(visit) for visit in chosen]
-    scales = _corner_scales(data, observations, events, found)
-    seen = [with_corner_scale(o, scales.get(o.camera, 1.0)) for o in observations]
+    known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
+    scales = _corner_scales(data, observations, events, known_lens)
+    common = corner_scale(list(scales.values()))
+    seen = [with_corner_scale(o, scales.get(o.camera, common)) for o in observations]
+    finder = ModeFinder(wide, seen, events)
+    found = [finder.modes_of(visit) for visit in _telling(visits_of(data, observations))]
+    lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
+    relensed = replace(data, lenses=data.lenses | lenses)
+    others = _corner_scales(relensed, observations, events, set(lenses) - known_lens)
+    seen = [
+        with_corner_scale(came, others[came.camera]) if came.camera in others else scaled
+        for came, scaled in zip(observations, seen, strict=True)
+    ]
     by_robot: dict[str, list[VisitResiduals]] = {}
     for modes in found:
         if not modes.modes:
@@ -101,28 +109,16 @@ def _telling(visits: list[Visit]) -> list[Visit]:
 
 
 def _corner_scales(
-    data: DataSet, observations: list[Observation], events: Events, found: list[VisitModes]
+    data: DataSet, observations: list[Observation], events: Events, cameras: set[str]
 ) -> dict[str, float]:
-    """By how much each camera's corners scatter more than stated, by the lens that is known of it;
-    cameras whose lens is unknown and was not found take what the others show together."""
-    lenses = dict(data.lenses)
-    open_ = {n for n, camera in data.site.cameras.items() if camera.estimates_intrinsics}
-    for modes in found:
-        if modes.modes and modes.visit.camera in open_:
-            lenses[modes.visit.camera] = modes.modes[0].camera.lens
-            open_.discard(modes.visit.camera)
-    finder = ModeFinder(replace(data, lenses=lenses), observations, events)
-    ratios: dict[str, list[float]] = {}
+    """By how much the corners of these cameras scatter more than stated, of each that tells."""
+    finder = ModeFinder(data, observations, events)
+    scatters: dict[str, list[float]] = {}
     for index, observation in enumerate(observations):
-        if observation.camera in open_ or len(ratios.get(observation.camera, [])) > 60:
-            continue
-        for alone in finder.alone(index):
-            if alone.freedom >= _LEAST_FREEDOM:
-                ratios.setdefault(observation.camera, []).append(alone.chi2 / alone.freedom)
-    common = corner_scale([ratio for each in ratios.values() for ratio in each])
-    return {name: corner_scale(ratios.get(name, [])) or common for name in data.site.cameras} | {
-        name: common for name in data.site.cameras if len(ratios.get(name, [])) < 3
-    }
+        mine = scatters.setdefault(observation.camera, [])
+        if observation.camera in cameras and len(mine) < _MOST_SCATTERS:
+            mine += [a.scatter for a in finder.alone(index) if np.isfinite(a.scatter)]
+    return {name: corner_scale(mine) for name, mine in scatters.items() if mine}
 
 
 # -- one world: a session with one noise ----------------------------------------------------------

@@ -3,6 +3,7 @@ pictures and the odometry between them allow."""
 
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -14,7 +15,8 @@ from ..dataset import DataSet, Entry
 from ..faces import best_reading
 from ..models import base_jacobian, batch_jacobian, odometry_terms
 from ..observations import Observation, Reading, Verdict
-from ..problem import Batch, CameraState, Problem, State
+from ..odometry_track import SLIP
+from ..problem import Batch, CameraState, Chain, Problem, State
 from ..solver import solve
 from .events import Events
 from .noise import VisitResiduals
@@ -151,13 +153,16 @@ class LocalProblem:
         self, trial: _Trial, camera: CameraState, *, huber: float
     ) -> tuple[Assembled, State] | None:
         assembled = self._assembled(trial, camera)
-        solution = solve(
-            assembled.problem,
-            assembled.start,
-            huber=huber,
-            tolerance=_TOLERANCE,
-            most_iterations=_MOST_STEPS,
-        )
+        try:
+            solution = solve(
+                assembled.problem,
+                assembled.start,
+                huber=huber,
+                tolerance=_TOLERANCE,
+                most_iterations=_MOST_STEPS,
+            )
+        except LinAlgError:
+            return None  # it went where nothing is determined
         if not np.isfinite(solution.cost):
             return None
         return assembled, solution.state
@@ -325,12 +330,9 @@ class LocalProblem:
             by_unknowns.append(whole)
         if len(shifts) < 2:
             return None
-        terms = odometry_terms(
-            state.robots[self.robot].map_from_base[:-1],
-            state.robots[self.robot].map_from_base[1:],
-            chain.motion,
-            chain.tangent,
-        )
+        whole_steps = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
+        poses = state.robots[self.robot].map_from_base
+        terms = odometry_terms(poses[:-1], poses[1:], whole_steps, chain.tangent)
         steps = np.zeros((nodes, d, count))
         for step in range(nodes):
             steps[step, :, d * step : d * (step + 1)] = terms.by_later[step]
@@ -338,6 +340,7 @@ class LocalProblem:
                 steps[step, :, d * (step - 1) : d * step] = terms.by_earlier[step]
             for order, column in enumerate(others):
                 steps[step, :, place[column]] = terms.by_scale[step][:, order]
+        by_odometry, by_slip = self._step_covariances(chain)
         prior = np.zeros((count, count))
         at = [place[column] for column in dense]
         information = _prior_information(problem, self.camera)
@@ -348,8 +351,22 @@ class LocalProblem:
             prior[at, at] = np.where(sigma > 0, sigma, 1e-9) ** -2.0
         return VisitResiduals(
             np.array(shifts), np.array(own), np.array(by_unknowns),
-            -terms.residual.reshape(-1), steps.reshape(-1, count), prior,
+            -terms.residual, steps, by_odometry, by_slip, prior,
         )
+
+    def _step_covariances(self, chain: Chain) -> tuple[Array, Array]:
+        """The covariances (m, d, d) of a chain's steps by the stated noise, and by slip."""
+        free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
+        noise = self.data.site.robots[self.robot].odometry
+        silent = msgspec.structs.replace(
+            noise, distance=0.0, lateral=0.0, heading_drive=0.0, heading_turn=0.0
+        )
+        found = []
+        for part, slip in ((noise, 0.0), (silent, SLIP)):
+            track = chain.track.noisy(part, slip=slip, skid=0.0)
+            motion = track.motion(chain.stamps_ns, chain.scales)
+            found.append(motion.covariance[free])
+        return found[0], found[1]
 
     # -- the result -------------------------------------------------------------------------------
 

@@ -23,21 +23,24 @@ from trigpoint.geometry.rotation import Array
 # One session in so many, of noise as stated, thinks otherwise.
 _SIGNIFICANCE = 1e-2
 # What a floor or a mast does where nothing is known of it: 0.3° and a millimetre (medians of an
-# exponential prior), and odometry within a factor of e.
+# exponential prior), and odometry within a factor of e, slip of e².
 _TILT = math.radians(0.3)
 _SWAY = 1e-3
 _LOG_ODOMETRY = 1.0
+_LOG_SLIP = 2.0
 _LEAST = 1e-3  # of these medians: nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
     """`tilt` (rad) and `sway` (m): standard deviations, in each picture, of the robot's turn about
-    and its shift along each axis; `odometry`: by what its stated sigmas are multiplied."""
+    and its shift along each axis; `odometry`: by what its stated sigmas are multiplied; `slip`: by
+    what the slip of a robot that turns is, which nobody states."""
 
     tilt: float = 0.0
     sway: float = 0.0
     odometry: float = 1.0
+    slip: float = 1.0
 
     @property
     def jitter(self) -> Array | None:
@@ -50,21 +53,24 @@ class Noise:
 
 STATED = Noise()
 # What a decision must survive where a session does not tell.
-PESSIMISTIC = Noise(tilt=_TILT, sway=_SWAY, odometry=2.0)
+PESSIMISTIC = Noise(tilt=_TILT, sway=_SWAY, odometry=2.0, slip=2.0)
 
 
 @dataclass(frozen=True, slots=True)
 class VisitResiduals:
     """A visit to first order about its mode: `shifts` (n, 6): by how much each picture by itself
     puts the robot otherwise, with `own` (n, 6, 6) its covariance by the corners and `by_unknowns`
-    (n, 6, u); `steps` (m,): odometry's whitened residuals, with `steps_by_unknowns` (m, u);
-    `prior` (u, u): information on the unknowns from before."""
+    (n, 6, u); `steps` (m, d): odometry's residuals, with `steps_by_unknowns` (m, d, u), and their
+    covariances by the stated noise and by slip, `by_odometry` and `by_slip` (m, d, d); `prior`
+    (u, u): information on the unknowns from before."""
 
     shifts: Array
     own: Array
     by_unknowns: Array
     steps: Array
     steps_by_unknowns: Array
+    by_odometry: Array
+    by_slip: Array
     prior: Array
 
     def misfit(self, noise: Noise) -> float:
@@ -74,29 +80,33 @@ class VisitResiduals:
         root = np.linalg.cholesky(covariance)
         shifts = np.linalg.solve(root, self.shifts[..., None])[..., 0].reshape(-1)
         by = np.linalg.solve(root, self.by_unknowns).reshape(len(shifts), -1)
-        rows = np.vstack([by, self.steps_by_unknowns / noise.odometry])
-        right = np.concatenate([shifts, self.steps / noise.odometry])
+        spread = noise.odometry**2 * self.by_odometry + noise.slip**2 * self.by_slip
+        step_root = np.linalg.cholesky(spread)
+        steps = np.linalg.solve(step_root, self.steps[..., None])[..., 0].reshape(-1)
+        by_steps = np.linalg.solve(step_root, self.steps_by_unknowns)
+        rows = np.vstack([by, by_steps.reshape(len(steps), -1)])
+        right = np.concatenate([shifts, steps])
         normal = rows.T @ rows + self.prior
         scale = 1 / np.sqrt(np.diagonal(normal))
         factor = np.linalg.cholesky(normal * scale[:, None] * scale)
         pull = np.linalg.solve(factor, scale * (rows.T @ right))
         value = right @ right - pull @ pull
         value += 2 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
-        value += 2 * len(self.steps) * math.log(noise.odometry)
+        value += 2 * np.sum(np.log(np.diagonal(step_root, axis1=1, axis2=2)))
         value += 2 * np.sum(np.log(np.diagonal(factor)) - np.log(scale))
         return float(value)
 
 
 def learn(visits: list[VisitResiduals]) -> Noise | None:
     """The noise that these visits show; None where they are too few to show any."""
-    freedom = sum(v.shifts.size + len(v.steps) - v.by_unknowns.shape[2] for v in visits)
+    freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
     if freedom < _LEAST_FREEDOM:
         return None
     whole = _likeliest(visits, is_jittery=True, is_other=True)
     steady = _likeliest(visits, is_jittery=False, is_other=True)
     stated = _likeliest(visits, is_jittery=True, is_other=False)
     keeps_jitter = bool(steady[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
-    keeps_odometry = bool(stated[1] - whole[1] > chdtri(1, _SIGNIFICANCE))
+    keeps_odometry = bool(stated[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
     return _likeliest(visits, is_jittery=keeps_jitter, is_other=keeps_odometry)[0]
 
 
@@ -116,25 +126,26 @@ def _likeliest(
             if is_jittery
             else (0.0, 0.0)
         )
-        return Noise(tilt, sway, math.exp(next(parts)) if is_other else 1.0)
+        if not is_other:
+            return Noise(tilt, sway)
+        return Noise(tilt, sway, math.exp(next(parts)), math.exp(next(parts)))
 
     def cost(x: Array) -> float:
         noise = noise_of(x)
         prior = 2 * math.log(2) * (noise.tilt / _TILT + noise.sway / _SWAY)
         prior += (math.log(noise.odometry) / _LOG_ODOMETRY) ** 2
+        prior += (math.log(noise.slip) / _LOG_SLIP) ** 2
         return sum(visit.misfit(noise) for visit in visits) + prior
 
-    start = [-1.0, -1.0] * is_jittery + [0.3] * is_other
+    start = [-1.0, -1.0] * is_jittery + [0.3, 0.0] * is_other
     if not start:
         return STATED, cost(np.zeros(0))
-    bounds = [(math.log(_LEAST), 3.0)] * (2 * is_jittery) + [(-2.0, 2.0)] * is_other
+    bounds = [(math.log(_LEAST), 3.0)] * (2 * is_jittery) + [(-2.0, 2.0), (-3.0, 3.0)] * is_other
     found = minimize(cost, np.array(start), method="L-BFGS-B", bounds=bounds)
     return noise_of(found.x), float(found.fun)
 
 
-def corner_scale(chi2_per_freedom: list[float]) -> float:
-    """The factor by which corners scatter more than stated, from the best fits of single boards;
-    the median leaves wrong ones and tails out."""
-    if not chi2_per_freedom:
-        return 1.0
-    return math.sqrt(max(float(np.median(chi2_per_freedom)), 1e-6))
+def corner_scale(scatters: list[float]) -> float:
+    """The factor by which corners scatter more than stated, from those of single boards; the median
+    leaves out what is no board of ours."""
+    return math.sqrt(max(float(np.median(scatters)), 1e-6)) if scatters else 1.0

@@ -21,7 +21,7 @@ def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:
         factor = learnt.odometry
         scaled = {part: getattr(stated, part) * factor for part in PARTS}
         tracks[robot] = data.tracks[robot].noisy(
-            msgspec.structs.replace(stated, **scaled), slip=SLIP * factor, skid=0.0
+            msgspec.structs.replace(stated, **scaled), slip=SLIP * learnt.slip, skid=0.0
         )
         if learnt.jitter is not None:
             jitter[robot] = learnt.jitter

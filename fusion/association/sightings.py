@@ -1,5 +1,6 @@
 """What one sighting says by itself: how well a board fits it, and what it scores where it is wrong."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,18 +15,19 @@ from ..planar_pose import planar_poses
 from .events import Events
 
 _MOST_REFITS = 3
+_LEAST_CORNERS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Alone:
     """One view by itself: `wrong_score`: of a board that is somewhere else in its place; `evidence`:
-    of its best fit, the pose integrated out; `chi2` and `freedom`: what that leaves over, without
-    wild corners."""
+    of its best fit, the pose integrated out; `scatter`: the corners' variance about that, over the
+    stated one, without those that are wild by the median of their distances; NaN where they are too
+    few."""
 
     wrong_score: float
     evidence: float
-    chi2: float
-    freedom: int
+    scatter: float
 
 
 def alone(observation: Observation, order: int) -> Observation:
@@ -48,20 +50,26 @@ def by_itself(
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     fits = planar_poses(lens, flat, view.pixels, view.sigma)
     if not fits:
-        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan, 0)
-    chi2, normal, wild = _fit(fits[0].pose, points, view, lens, events)
-    known = int(np.sum(~wild))
-    lost = int(wild.sum()) * events.wild_score
-    evidence = chi2 + lost + float(np.linalg.slogdet(normal)[1])
+        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan)
+    left, normal, wild = _fit(fits[0].pose, points, view, lens, events)
+    evidence = float(np.sum(left[~wild])) + int(wild.sum()) * events.wild_score
+    evidence += float(np.linalg.slogdet(normal)[1])
     wrong = evidence + events.pose_score + events.wrong_score
-    return Alone(wrong, evidence, chi2, 2 * known - 6)
+    scatter = np.nan
+    if len(points) >= _LEAST_CORNERS:
+        # Half of all distances from the mean are beyond √(2 ln 2) σ; the fit takes three corners.
+        share = 1 - 3 / len(points)
+        middle = float(np.median(left)) / (2 * math.log(2) * share)
+        kept = left[left < events.wild_score * middle]
+        scatter = float(np.mean(kept)) / (2 * share)
+    return Alone(wrong, evidence, scatter)
 
 
 def _fit(
     pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
-) -> tuple[float, Array, np.ndarray]:
-    """χ² of the corners that one pose fits, the pose's information (6, 6), and which are wild."""
-    limit = events.wild_score
+) -> tuple[Array, Array, np.ndarray]:
+    """χ² of each corner about the pose that fits them (n,), the pose's information (6, 6), and which
+    are wild."""
     wild = np.zeros(len(points), dtype=bool)
     normal, left = np.eye(6), np.zeros((len(points), 2))
     for _ in range(_MOST_REFITS):
@@ -72,11 +80,11 @@ def _fit(
             step = np.linalg.lstsq(flat, -residual[~wild].reshape(-1), rcond=1e-12)[0]
             pose = pose.disturbed(step)
         left = _linearised(pose, points, view, lens)[1]
-        again = np.sum(left**2, axis=1) > limit
+        again = np.sum(left**2, axis=1) > events.wild_score
         if np.array_equal(again, wild) or np.sum(~again) < 4:
             break
         wild = again
-    return float(np.sum(left[~wild] ** 2)), normal, wild
+    return np.sum(left**2, axis=1), normal, wild
 
 
 def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:
