@@ -12,8 +12,6 @@ One solution goes: readmit what was set aside, solve and judge in rounds until n
 where the robot stood at what is not used, drop a camera that most of its pictures contradict.
 """
 
-from collections import Counter
-
 import numpy as np
 
 from trigpoint.geometry import Pose
@@ -22,10 +20,9 @@ from . import judge, odometry_noise, repeated
 from .aftermath import why_untied
 from .assembly import Assembled
 from .association.engine import explain
-from .association.explanation import Explanation
+from .association.explanation import CameraFinding, Explanation
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
-from .denial import denial
 from .explained import take
 from .filter import Filter
 from .locate import Located, Undetermined, locate
@@ -41,20 +38,10 @@ _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
-_MOST_LOCATED = 3
-# χ²: a hundred sigmas. Sightings displaced by 15 px come to 45 in a rough solution, a robot put
-# down metres away to 150 and more.
-_HOPELESS = 1e4
-_LEAST_WRONG = 4
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
 FINAL_TOLERANCE = 1e-4
-# How much is taken in at once of what was collected: so many observations, then this many times
-# what there is. So much that the solutions on the way cost less than the last one, and so little
-# that odometry from the last one leads to the right places.
-_FIRST_STRETCH = 64
-_GROWTH = 3
 _LEAST_PICTURES = 3
 _GROWTH_TO_TIE = 1.2
 
@@ -76,7 +63,6 @@ class BatchSolution:
         self._untied: dict[str, str] = {}
         self.tolerance = LIVE_TOLERANCE
         self.iterations = 0
-        self.gave_up = False
         # What was collected without an estimate, and is not in the data set yet.
         self.collected: list[Observation] = []
         # Entries of which it is not known yet what they mean: they stay set aside.
@@ -124,6 +110,10 @@ class BatchSolution:
         self._guess_rest()
         return known
 
+    def finding(self, camera: str) -> CameraFinding | None:
+        """What the last explanation says of a camera."""
+        return self.explanation.findings.get(camera) if self.explanation is not None else None
+
     def _all(self) -> list[Observation]:
         """Every observation as it came, in order of time."""
         came = [entry.observation for entry in self.data.entries] + self.collected
@@ -133,46 +123,6 @@ class BatchSolution:
             for o in came
         ]
         return sorted(found, key=lambda observation: observation.stamp_ns)
-
-    def _settle(self, known: Filter | None) -> Filter | None:
-        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
-        for _ in range(_MOST_SETTLING):
-            before = self._rejected()
-            if not before:
-                break
-            known = self.solve(known)
-            if self._rejected() == before:
-                break
-        return known
-
-    def _rejected(self) -> set[int]:
-        entries = self.data.entries
-        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
-
-    def _take_in(self, known: Filter | None) -> Filter | None:
-        """Take in what was collected without an estimate, in ever larger stretches of time."""
-        while known is not None:
-            has_grown = self._extend()
-            homeless = self._homeless()
-            for robot, indices in homeless.items():
-                if known.has_robot(robot):
-                    place(self.data, known, robot, indices)
-                else:
-                    self.tie(robot, known)
-            if not has_grown and self._homeless() == homeless:
-                break
-            for camera in self.data.camera_names:
-                if camera not in self.state.cameras and self.is_due(camera):
-                    self.locate(camera)
-            known = self.solve(known, is_rough=True)
-        return known
-
-    def _extend(self) -> bool:
-        """Put the next stretch of what was collected into the data set; whether there was one."""
-        count = max(_FIRST_STRETCH, (_GROWTH - 1) * len(self.data.entries))
-        stretch, self.collected = self.collected[:count], self.collected[count:]
-        self.data.entries.extend(Entry(observation) for observation in stretch)
-        return bool(stretch)
 
     def _homeless(self) -> dict[str, list[int]]:
         """By robot the entries without a place, in the order in which they came."""
@@ -374,25 +324,6 @@ class BatchSolution:
             self._drop(camera, "its pictures contradict each other")
             return True
         return False
-
-    def leave_contradicted(self, known: Filter | None) -> Filter | None:
-        """Take the place from cameras that everything contradicts since a moment, where nothing
-        that may have happened explains it: they must not be stated as if they were sure."""
-        left = [
-            camera
-            for camera in self.state.cameras
-            if camera not in self.data.known.poses
-            and judge.may_have_moved(self.data.of_camera(camera), least_wrong=_LEAST_WRONG)
-        ]
-        for camera in left:
-            self._drop(
-                camera,
-                "position and orientation: since a moment its pictures contradict those before, "
-                "and neither a move of it nor of the robot explains that; drive past it again",
-            )
-        if not left:
-            return known
-        return self.solve(known) if self.state.cameras else Filter.at_origin(self.data)
 
     def _drop(self, camera: str, why: str) -> None:
         """Take the place from a camera; its observations are looked at anew."""

@@ -2,7 +2,8 @@
 
 - One alone is wrong, and rejected.
 - A camera was moved where it alone contradicts, again and again, while others agree.
-- A robot was lifted where every camera contradicts it from a moment on; `upheaval` looks for when.
+- A robot was lifted where every camera contradicts it from a moment on; the
+  association looks for when.
 
 Until it is decided nothing contradicting is used, and so nothing is corrected by it.
 """
@@ -11,15 +12,11 @@ from collections import defaultdict
 
 from . import moved
 from .batch import BatchSolution
-from .denial import denial
 from .filter import Filter
 from .observations import Observation, Verdict
 
 _LEAST_WRONG = 3
 _GROWTH = 1.5
-_MANY_PICTURES = 6
-# χ² of three degrees of freedom: ten sigmas.
-_BEYOND_BELIEF = 100.0
 
 
 class Contradictions:
@@ -104,31 +101,3 @@ class Contradictions:
                 self._of_camera.pop(camera, None)
                 self._tried.pop(camera, None)
         return is_decided
-
-
-def is_amiss(batch: BatchSolution) -> bool:
-    """Whether a solution over everything at once shows signs of a moved camera or a lifted robot:
-    sightings in a row that contradict, a camera of many pictures without a place, or a way between
-    two sightings that odometry denies."""
-    data = batch.data
-    in_order = sorted(data.entries, key=lambda entry: entry.observation.stamp_ns)
-    runs: dict[str, int] = defaultdict(int)
-    for entry in in_order:
-        observation = entry.observation
-        for name in (f"camera {observation.camera}", f"robot {observation.robot}"):
-            runs[name] = runs[name] + 1 if observation.verdict is Verdict.REJECTED else 0
-            if runs[name] >= _LEAST_WRONG:
-                return True
-    unplaced = (name for name in data.camera_names if name not in batch.state.cameras)
-    for name in unplaced:
-        tied = sum(entry.map_from_base is not None for entry in data.of_camera(name))
-        if tied >= _MANY_PICTURES:
-            return True
-    return is_denied(batch)
-
-
-def is_denied(batch: BatchSolution) -> bool:
-    """Whether a solution holds a way between two sightings that odometry denies."""
-    if batch.assembled is None:
-        return False
-    return denial(batch.assembled.problem, batch.state) > _BEYOND_BELIEF

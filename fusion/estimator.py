@@ -8,6 +8,7 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
+from .association.explanation import Alternative
 from .filter import RobotEstimate
 from .guidance_world import GuidanceWorld
 from .observations import Observation
@@ -97,6 +98,14 @@ class Estimator(Live, Protocol):
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         """Cameras that were seen by, but could not be located: what is not known of them."""
+        ...
+
+    def alternatives(self, camera: str) -> tuple[Alternative, ...]:
+        """The places that are left open for a camera that is not located, best first."""
+        ...
+
+    def is_confirmed(self, camera: str) -> bool:
+        """Whether a located camera rests on more than one sighting."""
         ...
 
     def count(self, camera: str) -> CameraCount: ...

@@ -24,9 +24,7 @@ def take(data: DataSet, explanation: Explanation) -> State:
     data.forget_from(0)
     for observation, read in zip(explanation.observations, explanation.reads, strict=True):
         name = names[observation.camera, read.place]
-        fresh = observation_of(
-            name, observation.robot, observation.stamp_ns, observation.views
-        )
+        fresh = observation_of(name, observation.robot, observation.stamp_ns, observation.views)
         if name in cameras:
             fresh = _read(fresh, read)
         data.entries.append(Entry(fresh, read.map_from_base))

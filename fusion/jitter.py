@@ -1,9 +1,9 @@
-"""What all corners of one picture err in together: how the robot stands otherwise than its node says.
+"""What all corners of one picture err in together: the robot stands otherwise than its node says.
 
-A floor that tilts by a third of a degree or a mast that sways by a millimetre moves all corners of a
-picture as one, so more corners do not average it away. With ε the disturbance of the robot in one
-picture, of variances Σ, and J the corners' derivative by it, the corners' covariance is I + J Σ Jᵀ.
-Its inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury), which is ε eliminated from each picture.
+A floor that tilts by a third of a degree or a mast that sways by a millimetre moves all corners of
+a picture as one, so more corners do not average it away. With ε the disturbance of the robot in one
+picture, of variances Σ, and J the corners' derivative by it, their covariance is I + J Σ Jᵀ. Its
+inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury): ε is eliminated from each picture.
 """
 
 from dataclasses import dataclass

@@ -9,6 +9,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import (
+    AlternativeRecord,
     CameraRecord,
     EarlierPose,
     FaceRecord,
@@ -21,6 +22,7 @@ from trigpoint.network import (
     save_network,
 )
 
+from .association.explanation import Alternative
 from .dataset import DataSet, Move
 from .estimator import CameraEstimate, Estimator
 
@@ -91,6 +93,7 @@ def _camera(
     if located is not None:
         return CameraRecord(
             status="located",
+            confirmed=estimator.is_confirmed(name),
             map_from_camera=PoseRecord.of(located.map_from_camera),
             covariance=tuple(located.covariance.reshape(-1).tolist()),
             intrinsics=IntrinsicsRecord.of(located.lens, located.lens_sigma),
@@ -110,11 +113,17 @@ def _camera(
     return CameraRecord(
         status="undetermined",
         undetermined=undetermined,
+        alternatives=tuple(_alternative(place) for place in estimator.alternatives(name)),
         intrinsics=intrinsics,
         sightings=count.sightings,
         rejected=count.rejected,
         earlier=earlier,
     )
+
+
+def _alternative(place: Alternative) -> AlternativeRecord:
+    covariance = tuple(place.covariance.reshape(-1).tolist())
+    return AlternativeRecord(PoseRecord.of(place.map_from_camera), covariance, place.probability)
 
 
 def _earlier(move: Move) -> EarlierPose:

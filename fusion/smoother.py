@@ -4,8 +4,6 @@ Each sighting updates the filter at once; the batch solution (`batch`) is redone
 come in since the last one (so its cost stays a fixed share), and whenever a camera is located.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -14,8 +12,9 @@ from trigpoint.geometry.rotation import Array
 
 from . import judge
 from .aftermath import say
+from .association.explanation import Alternative
 from .batch import BatchSolution
-from .contradictions import Contradictions, is_amiss
+from .contradictions import Contradictions
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
 from .filter import Filter, RobotEstimate
@@ -27,7 +26,6 @@ from .present import Present
 from .residuals import CameraResiduals, camera_residuals
 from .survey import joint_covariance
 from .trajectory import interpolated
-from .upheaval import explained, solved_anew, take
 
 _FIRST_SOLVE = 20
 _SOLVE_SHARE = 0.1
@@ -99,28 +97,17 @@ class Smoother:
         self._go_on_from(self._batch.solve(self._present.known))
 
     def finish(self) -> None:
+        before = list(self.data.happened)
         self._go_on_from(self._batch.finish(self._present.known))
-        say(self.data, self._batch.state)
+        if self.data.happened != before:
+            say(self.data, self._batch.state)
 
     def _explain(self) -> bool:
-        """Look for a lifted robot or a moved camera behind what contradicts; whether something
-        else happened than was thought. Then everything is worked out from the beginning."""
-        observations = sorted(
-            (
-                replace(seen, camera=self.data.site_camera(seen.camera))
-                for seen in (entry.observation for entry in self.data.entries)
-            ),
-            key=lambda observation: observation.stamp_ns,
-        )
-        happened = explained(self.data, observations)
-        if happened == self.data.happened:
-            return False
-        take(self.data, happened)
-        self._batch, known = solved_anew(self.data, observations)
+        """Look for what else happened where everything contradicts a robot; whether it did."""
+        before = list(self.data.happened)
+        self.finish()
         self._contradictions = Contradictions(self._batch)
-        self._go_on_from(known)
-        say(self.data, self._batch.state)
-        return True
+        return self.data.happened != before
 
     def _go_on_from(self, known: Filter | None) -> None:
         if known is not self._present.known:
@@ -213,6 +200,13 @@ class Smoother:
         placed = self.cameras()
         loose = (n for n in seen if n in self._batch.state.cameras and n not in placed)
         return pending | dict.fromkeys(loose, (_LOOSE,))
+
+    def alternatives(self, camera: str) -> tuple[Alternative, ...]:
+        finding = self._batch.finding(camera)
+        return finding.alternatives if finding is not None and not finding.is_located else ()
+
+    def is_confirmed(self, camera: str) -> bool:
+        return self.count(camera).sightings - self.count(camera).rejected > 1
 
     def count(self, camera: str) -> CameraCount:
         places = self.data.places_of(camera)

@@ -93,9 +93,7 @@ def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
     """Eliminate the chains."""
     information, gradient, chains = eliminate(equations, 0.0)
     eliminated_ = sum(chain.log_determinant for chain in chains.values())
-    return Reduced(
-        problem.layout, information, gradient, eliminated_ + equations.log_determinant
-    )
+    return Reduced(problem.layout, information, gradient, eliminated_ + equations.log_determinant)
 
 
 def covariance_of(information: Array) -> Array:

@@ -83,11 +83,25 @@ class EarlierPose(Struct, frozen=True):
     covariance: tuple[float, ...]
 
 
+class AlternativeRecord(Struct, frozen=True):
+    """A place that the data leave open; `probability`: its share of the posterior."""
+
+    map_from_camera: PoseRecord
+    covariance: tuple[float, ...]
+    probability: float
+
+
 class CameraRecord(Struct, frozen=True, omit_defaults=False):
-    """One camera; pose and covariance only where it is located."""
+    """One camera; pose and covariance only where it is located.
+
+    `confirmed`: false where all rests on one sighting; `alternatives`: the places left open, best
+    first, where it is undetermined.
+    """
 
     status: Status
     undetermined: tuple[str, ...] = ()
+    alternatives: tuple[AlternativeRecord, ...] = ()
+    confirmed: bool = True
     map_from_camera: PoseRecord | None = None
     covariance: tuple[float, ...] | None = None
     intrinsics: IntrinsicsRecord | None = None

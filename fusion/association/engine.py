@@ -6,21 +6,22 @@ others?), and holds every camera against the one rule of evidence.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 
-from ..dataset import DataSet
-from ..observations import Observation
-from ..problem import CameraState
 from .events import Events, window
 from .evidence import Place, alternatives_of
-from .explanation import CameraFinding, Explanation, Lifted, Moved, Read
+from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Placed
 from .local import LocalProblem, Mode
-from .modes import ModeFinder, VisitModes
+from .modes import ModeFinder
 from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
 from .search import Hypothesis, Search
 from .session_noise import with_corner_scale, with_noise
@@ -39,8 +40,8 @@ _LIKE = (
 _NOTHING = "its pictures contradict each other and the odometry"
 _FEW = "no picture of it shows enough of a face to place it"
 _LOST = (
-    "position and orientation in the map: the robot was put down elsewhere, or its odometry jumped, "
-    "on its way here from the other cameras; drive there without a break"
+    "position and orientation in the map: the robot was put down elsewhere, or its odometry "
+    "jumped, on its way here from the other cameras; drive there without a break"
 )
 
 
@@ -94,9 +95,7 @@ def _learnt(
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}
     if len(known) == len(data.site.robots):
         return seen, [known]
-    return seen, [
-        dict.fromkeys(data.site.robots, noise) | known for noise in (STATED, PESSIMISTIC)
-    ]
+    return seen, [dict.fromkeys(data.site.robots, noise) | known for noise in (STATED, PESSIMISTIC)]
 
 
 def _telling(visits: list[Visit]) -> list[Visit]:
@@ -279,7 +278,8 @@ class _Outcome:
             return CameraFinding(camera, (), 0, reason)
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
-        if np.sqrt(np.trace(alternatives[0].covariance[:3, :3])) > _LOOSE_M:
+        (only,) = alternatives
+        if np.sqrt(np.trace(only.covariance[:3, :3])) > _LOOSE_M:
             return CameraFinding(camera, (), rests_on, _LOST)
         return CameraFinding(camera, alternatives, rests_on)
 
@@ -297,9 +297,7 @@ class _Outcome:
                         camera, place, findings[camera].alternatives[0].map_from_camera
                     )
                 continue
-            alike = alternatives_of(
-                p for world in self.worlds for p in world.places(camera, place)
-            )
+            alike = alternatives_of(p for world in self.worlds for p in world.places(camera, place))
             is_tied = alike and np.sqrt(np.trace(alike[0].covariance[:3, :3])) < _LOOSE_M
             if len(alike) == 1 and is_tied:
                 found[camera, place] = self._state(camera, place, alike[0].map_from_camera)
@@ -333,9 +331,9 @@ class _Outcome:
             if v.visit.camera == camera and self.chosen.place_of(n) == last:
                 mode = v.modes[self._mode_of(n)]
                 read = sum(r is not None for row in mode.readings.values() for r in row)
-                rest = sum(
-                    len(self.observations[i].views) for i in v.visit.indices
-                ) - sum(len(row) for row in mode.readings.values())
+                rest = sum(len(self.observations[i].views) for i in v.visit.indices) - sum(
+                    len(row) for row in mode.readings.values()
+                )
                 count += read + rest
         return count
 
@@ -415,22 +413,18 @@ class _Outcome:
                 for n in sorted([*self.chosen.ties, *self.chosen.open])
                 if self.best.visits[n].visit.camera == camera
             ]
-            for earlier, later in zip(numbers, numbers[1:], strict=False):
+            for earlier, later in pairwise(numbers):
                 if self.chosen.place_of(earlier) != self.chosen.place_of(later):
                     until, since = self.best.visits[earlier].visit, self.best.visits[later].visit
                     found.append(Moved(camera, until.until_ns, since.stamp_ns))
         return found
 
 
-def _fit_alike(alternatives: tuple[object, ...]) -> str:
+def _fit_alike(alternatives: tuple[Alternative, ...]) -> str:
     places = [
-        "({:.2f}, {:.2f}, {:.2f})".format(*a.map_from_camera.translation)  # type: ignore[attr-defined]
-        for a in alternatives
+        "({:.2f}, {:.2f}, {:.2f})".format(*place.map_from_camera.translation)
+        for place in alternatives
     ]
     if len(places) > 4:
         places = [*places[:3], f"{len(places) - 3} more places"]
     return _LIKE.format(f"{', '.join(places[:-1])} and {places[-1]}")
-
-
-
-

@@ -17,10 +17,10 @@ class Events:
     """Prior probabilities, each for one occasion, and the room of places.
 
     `wrong_sighting`: a sighting that shows something else than its robot as it stands;
-    `wild_corner`: a good corner that is so far from where the others put it that it is left out; `lift`: the robot is put down elsewhere
-    between two visits; `move`: a camera is moved between two visits to it; `noise`: the noise is
-    far otherwise than stated, in a session that does not tell; `room`: lengths (m) of
-    the box in which cameras hang and robots drive.
+    `wild_corner`: a good corner that is so far from where the others put it that it is left out;
+    `lift`: the robot is put down elsewhere between two visits; `move`: a camera is moved between
+    two visits to it; `noise`: the noise is far otherwise than stated, in a session that does not
+    tell; `room`: lengths (m) of the box in which cameras hang and robots drive.
     """
 
     wrong_sighting: float = 0.02
@@ -32,7 +32,7 @@ class Events:
 
     @property
     def pose_score(self) -> float:
-        """Of a pose that may be anywhere in the room: 2 ln V - 6 ln 2π, V in m³ rad³ (8π² turns)."""
+        """Of a pose anywhere in the room: 2 ln V - 6 ln 2π, V in m³ rad³ (all turns: 8π²)."""
         volume = math.prod(self.room) * 8 * math.pi**2
         return 2 * math.log(volume) - 6 * math.log(2 * math.pi)
 

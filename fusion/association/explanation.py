@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.fusion.observations import Observation, Reading
+from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from ..observations import Observation, Reading
-from ..problem import CameraState
 from .noise import Noise
 
 
@@ -50,7 +50,8 @@ class Lifted:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A camera was moved between its last sighting from the old place and the first from the new."""
+    """A camera was moved between its last sighting from its old place and the first from the
+    new one."""
 
     camera: str
     until_ns: int

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from trigpoint.fusion.assembly import lens_sigmas
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.odometry_track import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
-from ..assembly import lens_sigmas
-from ..dataset import DataSet
-from ..odometry_track import PLANAR, SPATIAL
 from .events import Events
 from .local import Mode
 from .modes import VisitModes, odometry_poses
@@ -106,7 +106,10 @@ class Graph:
     # -- the minimum ------------------------------------------------------------------------------
 
     def placed(
-        self, ties: Mapping[int, Tie], breaks: frozenset[tuple[str, int]], near: Placed | None = None
+        self,
+        ties: Mapping[int, Tie],
+        breaks: frozenset[tuple[str, int]],
+        near: Placed | None = None,
     ) -> Placed | None:
         """The minimum for these ties and breaks (robot, the node before it); None where it is not
         determined."""
@@ -133,7 +136,8 @@ class _Minimum:
             self.node_rows[robot] = self._take(len(path.stamps_ns) * d).reshape(-1, d)
             if np.any(path.scale_sigma > 0):
                 self.scale_rows[robot] = self._take(2)
-        self.keys = sorted({(self._camera(n), tie.place) for n, tie in ties.items()})
+        known = {(camera, 0) for camera in data.known.poses}
+        self.keys = sorted({(self._camera(n), tie.place) for n, tie in ties.items()} | known)
         self.place_rows = {key: self._take(6) for key in self.keys}
         self.own_rows: dict[str, np.ndarray] = {}
         self.own_prior: dict[str, tuple[Array, Array]] = {}
@@ -177,7 +181,7 @@ class _Minimum:
 
     def _chained(self, robot: str, path: RobotPath) -> Pose:
         """Along odometry; after a break from where the next tie to a place seen before puts it."""
-        places: dict[tuple[str, int], Pose] = {}
+        places = {(camera, 0): pose for camera, pose in self.graph.data.known.poses.items()}
         poses = [path.odometry[0]]
         loose = not path.is_anchored
         by_node: dict[int, list[int]] = {}
@@ -195,7 +199,8 @@ class _Minimum:
                 relative, _ = self.graph.relative(number, self.ties[number].mode)
                 if key in places and loose:
                     there = places[key] @ relative.inverse()
-                    there = Pose.planar(*there.translation[:2], there.heading)
+                    x, y, _ = there.translation
+                    there = Pose.planar(x, y, there.heading)
                     shift = there @ poses[-1].inverse()
                     poses[since:] = [shift @ pose for pose in poses[since:]]
                     loose = False
@@ -204,17 +209,13 @@ class _Minimum:
         return Pose.stack(poses)
 
     def _start_places(self, near: Placed | None) -> dict[tuple[str, int], Pose]:
-        places: dict[tuple[str, int], Pose] = {}
+        places = {(camera, 0): pose for camera, pose in self.graph.data.known.poses.items()}
         if near is not None:
             places |= {key: pose for key, pose in near.places.items() if key in self.place_rows}
         for number, tie in self.ties.items():
             relative, _ = self.graph.relative(number, tie.mode)
             at = self.nodes[self._robot(number)][self.graph.node_of[number]]
             places.setdefault((self._camera(number), tie.place), at @ relative)
-        known = self.graph.data.known.poses
-        for key in places:
-            if key[1] == 0 and key[0] in known:
-                places[key] = known[key[0]]
         return places
 
     # -- steps ------------------------------------------------------------------------------------
@@ -241,9 +242,7 @@ class _Minimum:
         score = cost + determinant + self._constant()
         if not np.isfinite(score):
             return None
-        return Placed(
-            score, self.nodes, self.places, covariance, self.node_rows, self.place_rows
-        )
+        return Placed(score, self.nodes, self.places, covariance, self.node_rows, self.place_rows)
 
     def _constant(self) -> float:
         """What does not hang on where things are."""
@@ -256,7 +255,9 @@ class _Minimum:
                     score += room + self.graph.events.lift_score
                 else:
                     score += float(np.linalg.slogdet(path.covariance[step][free])[1])
-        score += len(self.places) * self.graph.events.pose_score
+        known = self.graph.data.known.poses
+        unknown = [key for key in self.places if key[1] or key[0] not in known]
+        score += len(unknown) * self.graph.events.pose_score
         return score + sum(self._mode(number, tie).score for number, tie in self.ties.items())
 
     def _room(self, path: RobotPath) -> Array:
@@ -414,8 +415,14 @@ def _path(data: DataSet, robot: str, visits: list[VisitModes]) -> RobotPath:
     if len(stamps) < 2:
         empty = odometry[:0]
         return RobotPath(
-            stamps, odometry, empty, np.zeros((0, 6, 6)), np.zeros((0, 6, 2)), tangent,
-            is_anchored, scale_sigma,
+            stamps,
+            odometry,
+            empty,
+            np.zeros((0, 6, 6)),
+            np.zeros((0, 6, 2)),
+            tangent,
+            is_anchored,
+            scale_sigma,
         )
     motion = track.motion(stamps, np.zeros(2))
     return RobotPath(

@@ -7,17 +7,17 @@ import msgspec
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from trigpoint.fusion.assembly import Assembled, assemble
+from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.faces import best_reading
+from trigpoint.fusion.models import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.observations import Observation, Reading, Verdict
+from trigpoint.fusion.odometry_track import SLIP
+from trigpoint.fusion.problem import Batch, CameraState, Chain, Problem, State
+from trigpoint.fusion.solver import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from ..assembly import Assembled, assemble
-from ..dataset import DataSet, Entry
-from ..faces import best_reading
-from ..models import base_jacobian, batch_jacobian, odometry_terms
-from ..observations import Observation, Reading, Verdict
-from ..odometry_track import SLIP
-from ..problem import Batch, CameraState, Chain, Problem, State
-from ..solver import solve
 from .events import Events
 from .noise import VisitResiduals
 from .system import System
@@ -287,7 +287,9 @@ class LocalProblem:
         """The visit to first order about a mode, as far as its noise shows."""
         trial = _Trial(
             {
-                index: [r if r is not None else v.readings[0] for r, v in zip(row, o.views, strict=True)]
+                index: [
+                    r if r is not None else v.readings[0] for r, v in zip(row, o.views, strict=True)
+                ]
                 for (index, row), o in zip(
                     mode.readings.items(), self.observations.values(), strict=True
                 )
@@ -350,8 +352,14 @@ class LocalProblem:
             sigma = problem.priors.scales[self.robot]
             prior[at, at] = np.where(sigma > 0, sigma, 1e-9) ** -2.0
         return VisitResiduals(
-            np.array(shifts), np.array(own), np.array(by_unknowns),
-            -terms.residual, steps, by_odometry, by_slip, prior,
+            np.array(shifts),
+            np.array(own),
+            np.array(by_unknowns),
+            -terms.residual,
+            steps,
+            by_odometry,
+            by_slip,
+            prior,
         )
 
     def _step_covariances(self, chain: Chain) -> tuple[Array, Array]:
@@ -411,7 +419,7 @@ class LocalProblem:
     def _left_out_score(self, trial: _Trial) -> float:
         score = 0.0
         for index, observation in self.observations.items():
-            for order, view in enumerate(observation.views):
+            for order in range(len(observation.views)):
                 if trial.wrong[index][order]:
                     score += self.wrong_scores[index][order]
                 else:
@@ -429,7 +437,7 @@ def _unknowns_of(problem: Problem, camera: str) -> list[int]:
 
 def _prior_information(problem: Problem, camera: str) -> Array:
     """What is known of a camera's unknowns from before, in their order."""
-    parts = [np.zeros(6)]
+    parts: list[Array] = [np.zeros(6)]
     if camera in problem.priors.lens:
         parts.append(problem.priors.lens[camera][1] ** -2.0)
     if camera in problem.priors.time_offset:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.faces import candidates, is_same_pose
+from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.problem import CameraState
+from trigpoint.fusion.starts import starts_of
 from trigpoint.geometry import Pose
 
-from ..dataset import DataSet, Entry
-from ..faces import candidates, is_same_pose
-from ..observations import Observation
-from ..problem import CameraState
-from ..starts import starts_of
 from .events import Events, window
 from .local import LocalProblem, Mode
 from .sightings import Alone, alone, by_itself
@@ -26,7 +26,7 @@ _MOST_SPLITS = 3
 
 @dataclass(frozen=True, slots=True)
 class VisitModes:
-    """A visit with its modes, best first; `nothing`: the score where all its sightings are wrong."""
+    """A visit with its modes, best first; `nothing`: the score where all of it is wrong."""
 
     visit: Visit
     modes: tuple[Mode, ...]
@@ -131,8 +131,7 @@ class ModeFinder:
         poses = self._between(whole, mode)
         problem = LocalProblem(self.data, pictures, poses, scores, self.events)
         wrong = {
-            index: tuple(reading is None for reading in row)
-            for index, row in mode.readings.items()
+            index: tuple(reading is None for reading in row) for index, row in mode.readings.items()
         }
         return problem.mode_near(mode.camera, wrong) or mode
 

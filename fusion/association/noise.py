@@ -1,7 +1,7 @@
 """How noisy a session really is, learnt from it where it tells.
 
 The site file states the noise of odometry, every sighting that of its corners; floors tilt, masts
-sway, and stated sigmas are wrong. Three kinds of evidence tell, none of which asks where anything is:
+sway, and stated sigmas are wrong. Two kinds of evidence tell, and neither asks where anything is:
 
 - what a single board's best fit leaves over tells how noisy corners are (`corner_scale`);
 - how the pictures of one visit disagree about one camera tells how far the robot tilts and the

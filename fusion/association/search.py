@@ -30,9 +30,8 @@ class Hypothesis:
     """One explanation of the visits so far.
 
     `ties`: visits that tie a robot to a place seen more than once; `open`: the only visits to their
-    places, by number -> place; `nothing`: visits all of whose sightings are wrong; `breaks`: (robot,
-    the node before it was lifted); `moves`: how many places cameras have beside their first;
-    `score`: of all of it.
+    places, by number -> place; `nothing`: visits all of whose sightings are wrong; `breaks`:
+    (robot, the node before it was lifted); `placed`: the graph of it; `score`: of all of it.
     """
 
     ties: dict[int, Tie] = field(default_factory=dict)
@@ -110,6 +109,10 @@ class Search:
         if not visit.modes:
             return [wrong]
         mine = self._of_camera(before, visit.visit.camera)
+        if not mine and visit.visit.camera in self.graph.data.known.poses:
+            joined = self._joined(before, number, 0, [])
+            moved = self.scored(replace(before, open=before.open | {number: 1}))
+            return [wrong, moved, *joined]
         if not mine:  # whether it is wrong matters once the camera is met again
             return [self.scored(replace(before, open=before.open | {number: 0}))]
         found = [wrong]
@@ -119,9 +122,7 @@ class Search:
         if len(there) == 1 and there[0] in before.open:
             left = {n: p for n, p in before.open.items() if n != there[0]}
             wrong = before.nothing | {there[0]}
-            found.append(
-                self.scored(replace(before, open=left | {number: place}, nothing=wrong))
-            )
+            found.append(self.scored(replace(before, open=left | {number: place}, nothing=wrong)))
         found += self._joined(before, number, place, there)
         return found
 
@@ -197,9 +198,7 @@ class Search:
             for hypothesis in kept:
                 placed = self.graph.placed(hypothesis.ties, others)
                 if placed is not None:
-                    found.append(
-                        self.scored(replace(hypothesis, breaks=others, placed=placed))
-                    )
+                    found.append(self.scored(replace(hypothesis, breaks=others, placed=placed)))
         return found
 
     # -- which modes agree ------------------------------------------------------------------------
@@ -214,7 +213,7 @@ class Search:
         camera = self.visits[number].visit.camera
         key = camera, place
         news = [self._seen(before.placed, number, m) for m in range(len(self.visits[number].modes))]
-        if there[0] in before.open:
+        if there and there[0] in before.open:
             olds = [
                 (m, self._seen(before.placed, there[0], m))
                 for m in range(len(self.visits[there[0]].modes))

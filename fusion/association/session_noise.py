@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import msgspec
-import numpy as np
 
-from ..dataset import DataSet
-from ..observations import LEAST_SIGMA_PX, Observation
-from ..odometry_track import SLIP
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.observations import LEAST_SIGMA_PX, Observation
+from trigpoint.fusion.odometry_track import SLIP
+
 from .noise import Noise
 
 PARTS = ("distance", "lateral", "heading_drive", "heading_turn")

@@ -1,17 +1,17 @@
-"""What one sighting says by itself: how well a board fits it, and what it scores where it is wrong."""
+"""What one sighting says by itself: how well a board fits it, and its score where it is wrong."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trigpoint.fusion.observations import Observation, View, face_points
+from trigpoint.fusion.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
-from ..observations import Observation, View, face_points
-from ..planar_pose import planar_poses
 from .events import Events
 
 _MOST_REFITS = 3
@@ -20,10 +20,12 @@ _LEAST_CORNERS = 12
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """One view by itself: `wrong_score`: of a board that is somewhere else in its place; `evidence`:
-    of its best fit, the pose integrated out; `scatter`: the corners' variance about that, over the
-    stated one, without those that are wild by the median of their distances; NaN where they are too
-    few."""
+    """One view by itself.
+
+    `wrong_score`: of a board that is somewhere else in its place; `evidence`: of its best fit, the
+    pose integrated out; `scatter`: the corners' variance about that, over the stated one, without
+    those that are wild by the median of their distances; NaN where they are too few.
+    """
 
     wrong_score: float
     evidence: float
@@ -39,7 +41,7 @@ def alone(observation: Observation, order: int) -> Observation:
 def by_itself(
     observation: Observation, order: int, target: Target, lens: CameraModel, events: Events
 ) -> Alone:
-    """One view's own fit; a view that no board fits at all scores as a wrong one of no information."""
+    """One view's own fit; where no board fits at all, it is wrong and tells nothing."""
     view = observation.views[order]
     reading = view.readings[0]  # every other one shows the same board
     face = target.faces[reading.face]
@@ -68,8 +70,8 @@ def by_itself(
 def _fit(
     pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
 ) -> tuple[Array, Array, np.ndarray]:
-    """χ² of each corner about the pose that fits them (n,), the pose's information (6, 6), and which
-    are wild."""
+    """χ² of each corner about the pose that fits them (n,), the pose's information (6, 6), and
+    which are wild."""
     wild = np.zeros(len(points), dtype=bool)
     normal, left = np.eye(6), np.zeros((len(points), 2))
     for _ in range(_MOST_REFITS):

@@ -1,14 +1,13 @@
-"""A small problem's whole normal equations, nothing eliminated: joint covariances and determinants."""
+"""A small problem's whole normal equations, with nothing eliminated."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from trigpoint.fusion.equations import EXACT, linearise
+from trigpoint.fusion.problem import Problem, State
 from trigpoint.geometry.rotation import Array
-
-from ..equations import EXACT, linearise
-from ..problem import Problem, State
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dataset import DataSet
-from ..observations import Observation
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.observations import Observation
 
 # Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
 # a tenth of what a camera's distance is.
@@ -41,8 +41,8 @@ def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
     found = []
     for (_, robot), indices in by_pair.items():
         stamps = np.array([observations[i].stamp_ns for i in indices])
-        for run in np.split(np.array(indices), _ends(data, robot, stamps)):
-            found.append(visit_of(observations, run.tolist()))
+        runs = np.split(np.array(indices), _ends(data, robot, stamps))
+        found += [visit_of(observations, run.tolist()) for run in runs]
     return sorted(found, key=lambda visit: (visit.stamp_ns, visit.camera))
 
 
@@ -51,7 +51,9 @@ def visit_of(observations: list[Observation], indices: list[int]) -> Visit:
     first, last = observations[indices[0]], observations[indices[-1]]
     chosen = indices
     if len(indices) > _MOST_VIEWS:
-        chosen = [indices[i] for i in np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)]
+        chosen = [
+            indices[i] for i in np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)
+        ]
     return Visit(
         first.camera, first.robot, tuple(indices), tuple(chosen), first.stamp_ns, last.stamp_ns
     )
@@ -60,7 +62,9 @@ def visit_of(observations: list[Observation], indices: list[int]) -> Visit:
 def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
     """Where runs of moments (n,) end: rows that begin a new visit."""
     track = data.tracks[robot]
-    moments, row_of = np.unique(np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True)
+    moments, row_of = np.unique(
+        np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True
+    )
     if len(moments) < 2:
         return []
     motion = track.motion(moments, np.zeros(2))
