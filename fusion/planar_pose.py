@@ -70,6 +70,8 @@ def refined_poses(
 
     `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
     """
+    if not len(points):
+        return []  # of corners nearly in one line OpenCV makes no pose
     weights = np.broadcast_to(1 / np.asarray(sigma), (points.shape[1],))[:, None]
     pose, rms = starts, np.full(len(points), np.nan)
     is_sound = np.ones(len(points), dtype=bool)

@@ -12,6 +12,7 @@ from scipy.linalg import LinAlgError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .association.explanation import Alternative
 from .belief import Belief
 from .dataset import DataSet, Entry
 from .estimator import CameraCount, CameraEstimate, Trajectory, Update
@@ -209,6 +210,14 @@ class SequentialEstimator:
             for name in self.data.site.cameras
             if name not in placed and self.data.of_camera(name)
         }
+
+    def alternatives(self, camera: str) -> tuple[Alternative, ...]:
+        assert camera in self.data.site.cameras
+        return ()  # a filter keeps one belief
+
+    def is_confirmed(self, camera: str) -> bool:
+        counted = self.count(camera)
+        return counted.sightings - counted.rejected > 1
 
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)

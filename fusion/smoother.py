@@ -206,7 +206,8 @@ class Smoother:
         return finding.alternatives if finding is not None and not finding.is_located else ()
 
     def is_confirmed(self, camera: str) -> bool:
-        return self.count(camera).sightings - self.count(camera).rejected > 1
+        counted = self.count(camera)
+        return counted.sightings - counted.rejected > 1
 
     def count(self, camera: str) -> CameraCount:
         places = self.data.places_of(camera)

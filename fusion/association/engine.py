@@ -413,6 +413,9 @@ class _Outcome:
                 for n in sorted([*self.chosen.ties, *self.chosen.open])
                 if self.best.visits[n].visit.camera == camera
             ]
+            first = self.best.visits[numbers[0]].visit.stamp_ns if numbers else 0
+            if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere before all of it
+                found.append(Moved(camera, first, first))
             for earlier, later in pairwise(numbers):
                 if self.chosen.place_of(earlier) != self.chosen.place_of(later):
                     until, since = self.best.visits[earlier].visit, self.best.visits[later].visit

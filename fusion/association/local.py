@@ -20,6 +20,7 @@ from trigpoint.geometry.rotation import Array
 
 from .events import Events
 from .noise import VisitResiduals
+from .sightings import without_wild
 from .system import System
 
 _HUBER = 4.0
@@ -212,7 +213,9 @@ class LocalProblem:
                 part = slice(start, start + len(view.corners))
                 start = part.stop
                 corners = _Corners(residual[row, part], by_base[row, part], jacobian[row, part])
-                trial.wild[index][order] = self._wild(corners)
+                trial.wild[index][order] = without_wild(
+                    corners.by_base, corners.residual, self.events.wild_score
+                )[1]
                 is_wrong = trial.wrong[index][order]
                 score = self._innovation_score(
                     corners.without(trial.wild[index][order]), covariance, is_used=not is_wrong
@@ -238,20 +241,6 @@ class LocalProblem:
             each = np.concatenate([np.full(len(v.corners), 1 / v.sigma) for v in observation.views])
             weights[row, : len(each)] = each
         return weights
-
-    def _wild(self, corners: "_Corners") -> np.ndarray:
-        """Corners that do not lie where the board does that the others show, (k,) bool."""
-        limit = self.events.wild_score
-        wild = np.zeros(len(corners.residual), dtype=bool)
-        for _ in range(3):
-            flat = corners.by_base[~wild].reshape(-1, 6)
-            step = np.linalg.lstsq(flat, -corners.residual[~wild].reshape(-1), rcond=1e-9)[0]
-            left = corners.residual + corners.by_base @ step
-            again = np.sum(left**2, axis=-1) > limit
-            if np.sum(~again) < 4 or np.array_equal(again, wild):
-                break
-            wild = again
-        return wild
 
     def _innovation_score(self, corners: "_Corners", covariance: Array, *, is_used: bool) -> float:
         """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything

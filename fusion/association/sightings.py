@@ -15,6 +15,8 @@ from trigpoint.target import Target
 from .events import Events
 
 _MOST_REFITS = 3
+_MOST_WEIGHINGS = 6
+_LEAST_GOOD = 4
 _LEAST_CORNERS = 12
 
 
@@ -73,20 +75,43 @@ def _fit(
     """χ² of each corner about the pose that fits them (n,), the pose's information (6, 6), and
     which are wild."""
     wild = np.zeros(len(points), dtype=bool)
-    normal, left = np.eye(6), np.zeros((len(points), 2))
+    jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
-        for _ in range(2):
-            jacobian, residual = _linearised(pose, points, view, lens)
-            flat = jacobian[~wild].reshape(-1, 6)
-            normal = flat.T @ flat
-            step = np.linalg.lstsq(flat, -residual[~wild].reshape(-1), rcond=1e-12)[0]
-            pose = pose.disturbed(step)
-        left = _linearised(pose, points, view, lens)[1]
-        again = np.sum(left**2, axis=1) > events.wild_score
-        if np.array_equal(again, wild) or np.sum(~again) < 4:
-            break
-        wild = again
-    return np.sum(left**2, axis=1), normal, wild
+        step, wild = without_wild(jacobian, left, events.wild_score)
+        pose = pose.disturbed(step)
+        jacobian, left = _linearised(pose, points, view, lens)
+    flat = jacobian[~wild].reshape(-1, 6)
+    return np.sum(left**2, axis=1), flat.T @ flat, wild
+
+
+def without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
+    """The step (6,) that corners' residuals (n, 2), in sigmas, ask for without the wild ones, and
+    which are wild: beyond χ² of `limit` where Cauchy's weights leave the others.
+
+    `by_pose`: (n, 2, 6).
+    """
+    weight = np.ones(len(residual))
+    for _ in range(_MOST_WEIGHINGS):
+        left = residual + by_pose @ _step(by_pose, residual, weight)
+        square = np.sum(left**2, axis=1)
+        weight = 1 / (1 + square / max(2.0, 2 * float(np.median(square))))
+    for _ in range(_MOST_REFITS):
+        left = residual + by_pose @ _step(by_pose, residual, weight)
+        wild = np.sum(left**2, axis=1) > limit
+        if np.sum(~wild) < _LEAST_GOOD:
+            break  # it is no board, whatever it is
+        if np.array_equal(weight, np.where(wild, 0.0, 1.0)):
+            return _step(by_pose, residual, weight), wild
+        weight = np.where(wild, 0.0, 1.0)
+    if np.sum(weight > 0) < _LEAST_GOOD or np.any((weight > 0) & (weight < 1)):
+        weight = np.ones(len(residual))
+    return _step(by_pose, residual, weight), weight == 0
+
+
+def _step(by_pose: Array, residual: Array, weight: Array) -> Array:
+    root = np.sqrt(weight)[:, None]
+    flat = (by_pose * root[..., None]).reshape(-1, 6)
+    return np.linalg.lstsq(flat, -(residual * root).reshape(-1), rcond=1e-12)[0]
 
 
 def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:
