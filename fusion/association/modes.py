@@ -11,9 +11,11 @@ from trigpoint.fusion.observations import Observation
 from trigpoint.fusion.problem import CameraState
 from trigpoint.fusion.starts import starts_of
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
 from .events import Events, window
 from .local import LocalProblem, Mode
+from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself
 from .visits import Visit
 
@@ -122,30 +124,41 @@ class ModeFinder:
         return distinct(found)
 
     def completed(self, visit: Visit, mode: Mode) -> Mode:
-        """A mode over all pictures of its visit, from one over the chosen ones."""
+        """A mode over all pictures of its visit, from one over the chosen ones: each of the others
+        is read, and is wrong or not, by itself, where odometry leads from the nearest chosen one.
+        """
         if len(visit.chosen) == len(visit.indices):
             return mode
-        whole = replace(visit, chosen=visit.indices)
-        pictures = {index: self.observations[index] for index in visit.indices}
-        scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in pictures}
-        poses = self._between(whole, mode)
-        problem = LocalProblem(self.data, pictures, poses, scores, self.events)
-        wrong = {
-            index: tuple(reading is None for reading in row) for index, row in mode.readings.items()
-        }
-        return problem.mode_near(mode.camera, wrong) or mode
+        reader = PictureReader(self.data, mode, self.events)
+        poses, drifts = self._between(visit, mode)
+        readings, wild = dict(mode.readings), dict(mode.wild)
+        for index in visit.indices:
+            if index not in mode.readings:
+                observation = self.observations[index]
+                readings[index], wild[index] = reader.read(observation, poses[index], drifts[index])
+        return replace(mode, readings=readings, wild=wild, poses=poses | mode.poses)
 
-    def _between(self, visit: Visit, mode: Mode) -> dict[int, Pose]:
-        """Where the robot stood at all pictures: by the mode, and by odometry from the nearest."""
-        odometry = self.odometry(visit)
-        stamps = np.array([self.observations[index].stamp_ns for index in mode.poses])
-        anchors = list(mode.poses)
-        found = {}
-        for index, pose in odometry.items():
-            gap = np.abs(stamps - self.observations[index].stamp_ns)
-            near = anchors[int(np.argmin(gap))]
-            found[index] = mode.poses[near] @ (odometry[near].inverse() @ pose)
-        return found
+    def _between(self, visit: Visit, mode: Mode) -> tuple[dict[int, Pose], dict[int, Array]]:
+        """Where the robot stood at all pictures, by odometry from the nearest chosen one, and the
+        covariances (6, 6) of that."""
+        track = self.data.tracks[visit.robot]
+        stamps = np.array([self.observations[index].stamp_ns for index in visit.indices])
+        inside = np.clip(stamps, track.first_ns, track.last_ns)
+        odometry = odometry_poses(self.data, visit.robot, inside)
+        moments, row_of = np.unique(inside, return_inverse=True)
+        drift = np.zeros((len(moments), 6, 6))
+        if len(moments) > 1:
+            steps = track.motion(moments, np.zeros(2)).covariance
+            drift[1:] = np.cumsum(steps, axis=0)
+        anchors = [row for row, index in enumerate(visit.indices) if index in mode.poses]
+        poses, drifts = {}, {}
+        for row, index in enumerate(visit.indices):
+            near = anchors[int(np.argmin(np.abs(stamps[anchors] - stamps[row])))]
+            there = mode.poses[visit.indices[near]]
+            poses[index] = there @ (odometry[near].inverse() @ odometry[row])
+            apart = drift[row_of[row]] - drift[row_of[near]]
+            drifts[index] = apart if row_of[row] >= row_of[near] else -apart
+        return poses, drifts
 
     def odometry(self, visit: Visit) -> dict[int, Pose]:
         """Where odometry puts the robot at each chosen picture."""

@@ -107,7 +107,8 @@ def learn(visits: list[VisitResiduals]) -> Noise | None:
     stated = _likeliest(visits, is_jittery=True, is_other=False)
     keeps_jitter = bool(steady[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
     keeps_odometry = bool(stated[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
-    return _likeliest(visits, is_jittery=keeps_jitter, is_other=keeps_odometry)[0]
+    found = _likeliest(visits, is_jittery=keeps_jitter, is_other=keeps_odometry)[0]
+    return Noise(*(in_steps(x) for x in (found.tilt, found.sway, found.odometry, found.slip)))
 
 
 # Fewer residuals than these leave a variance open by more than a factor of two.
@@ -145,7 +146,17 @@ def _likeliest(
     return noise_of(found.x), float(found.fun)
 
 
+# Noise is told in such steps of its logarithm: what is known finer changes nothing, and what was
+# worked out by it can be kept when more pictures come in.
+_STEP = 0.05
+
+
+def in_steps(value: float) -> float:
+    """A positive number, rounded to a twentieth."""
+    return math.exp(round(math.log(value) / _STEP) * _STEP) if value > 0 else value
+
+
 def corner_scale(scatters: list[float]) -> float:
     """The factor by which corners scatter more than stated, from those of single boards; the median
     leaves out what is no board of ours."""
-    return math.sqrt(max(float(np.median(scatters)), 1e-6)) if scatters else 1.0
+    return in_steps(math.sqrt(max(float(np.median(scatters)), 1e-6))) if scatters else 1.0
