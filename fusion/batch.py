@@ -21,6 +21,7 @@ from .aftermath import why_untied
 from .assembly import Assembled
 from .association.engine import explain
 from .association.explanation import CameraFinding, Explanation
+from .association.modes import Memory
 from .consistent import solve_consistently
 from .dataset import DataSet, Entry
 from .explained import take
@@ -69,6 +70,7 @@ class BatchSolution:
         self.undecided: set[int] = set()
         self._readmission = Readmission(data)
         self.explanation: Explanation | None = None
+        self._memory = Memory()
 
     # -- solving ----------------------------------------------------------------------------------
 
@@ -77,7 +79,7 @@ class BatchSolution:
         observations = self._all()
         if not any(len(track) for track in self.data.tracks.values()) or not observations:
             return known
-        self.explanation = explanation = explain(self.data, observations)
+        self.explanation = explanation = explain(self.data, observations, memory=self._memory)
         self.state = take(self.data, explanation)
         self.undetermined = {
             camera: (finding.reason,)

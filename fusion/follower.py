@@ -192,6 +192,16 @@ class Follower:
         self._orders.append(TakeObservation(observation, is_collected))
         self._told += 1
 
+    @property
+    def count(self) -> int:
+        """How many observations came."""
+        return self._told + sum(recent.number is None for recent in self._recent)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the solver owes no answer."""
+        return not self._asked or self.is_answered
+
     def finish(self) -> None:
         """Have everything solved to the end; the report of it comes with the solver's news."""
         self._ask(Finish())

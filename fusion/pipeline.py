@@ -47,6 +47,12 @@ from .shared import SharedLooks
 _TF_PERIOD_NS = to_ns(0.1)
 _PARTICLES_PERIOD_NS = to_ns(0.5)
 _SEQUENCE_MARGIN = 1000
+# Where no sighting has come for so long, what came is worked out to its end.
+_QUIET_NS = to_ns(2.0)
+# So much more than at the last time is much: all of these times together take no longer than three
+# of the last one.
+_GROWTH = 1.5
+_FIRST_COUNT = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,9 @@ class Pipeline:
         self._correction_due_ns: dict[str, int] = {}
         self._sent_ns: dict[str, int] = {}
         self._used_ns = 0
+        self._came_ns = 0
+        self._is_settled = True
+        self._settled_count = 0
         self._announcements = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._early: list[tuple[str, Sightings]] = []
         self._problem = ""
@@ -256,12 +265,27 @@ class Pipeline:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
+            self._settle(self._follower, now_ns, is_quiet=is_quiet)
         stamp_ns = self._used_ns or self._data.last_ns
         if self._announcements.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._announcements.next(is_quiet=is_quiet)
         outputs, self._outputs = self._outputs, []
         return outputs
+
+    def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
+        """Have everything worked out to the end whenever much has come in since the last time, and
+        once nothing has come in for a while."""
+        if now_ns is None:
+            return
+        if not is_quiet:
+            self._came_ns, self._is_settled = now_ns, False
+        if self._is_settled or not follower.is_idle:
+            return
+        is_much = follower.count > _GROWTH * self._settled_count + _FIRST_COUNT
+        if is_much or now_ns - self._came_ns > _QUIET_NS:
+            self._is_settled, self._settled_count = is_quiet, follower.count
+            follower.finish()
 
     def _attend(self, follower: Follower) -> None:
         for news in follower.attend():

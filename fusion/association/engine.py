@@ -21,7 +21,7 @@ from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Placed
 from .local import LocalProblem, Mode
-from .modes import ModeFinder
+from .modes import Memory, ModeFinder
 from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
 from .search import Hypothesis, Search
 from .session_noise import with_corner_scale, with_noise
@@ -46,16 +46,21 @@ _LOST = (
 
 
 def explain(
-    data: DataSet, observations: list[Observation], events: Events | None = None
+    data: DataSet,
+    observations: list[Observation],
+    events: Events | None = None,
+    memory: Memory | None = None,
 ) -> Explanation:
     """What explains all observations, in order of their stamps, of the site's cameras.
 
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
+    `memory`: of the last search over fewer observations of the same session.
     """
-    events = events or Events()
+    events, memory = events or Events(), memory or Memory()
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
-    seen, noises = _learnt(data, observations, events)
-    worlds = [_World(with_noise(data, noise), seen, events, noise) for noise in noises]
+    seen, noises = _learnt(data, observations, events, memory)
+    worlds = [_World(with_noise(data, noise), seen, events, noise, memory) for noise in noises]
+    memory.forget_unused()
     return _Outcome(worlds, seen).explanation()
 
 
@@ -63,20 +68,20 @@ def explain(
 
 
 def _learnt(
-    data: DataSet, observations: list[Observation], events: Events
+    data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> tuple[list[Observation], list[dict[str, Noise]]]:
     """The observations with their corners' noise, and what each robot's noise may be: one where the
     session tells, else as stated and as a decision must survive it."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
-    scales = _corner_scales(data, observations, events, known_lens)
+    scales = _corner_scales(data, observations, events, known_lens, memory)
     common = corner_scale(list(scales.values()))
     seen = [with_corner_scale(o, scales.get(o.camera, common)) for o in observations]
-    finder = ModeFinder(wide, seen, events)
+    finder = ModeFinder(wide, seen, events, memory)
     found = [finder.modes_of(visit) for visit in _telling(visits_of(data, observations))]
     lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
     relensed = replace(data, lenses=data.lenses | lenses)
-    others = _corner_scales(relensed, observations, events, set(lenses) - known_lens)
+    others = _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
     seen = [
         with_corner_scale(came, others[came.camera]) if came.camera in others else scaled
         for came, scaled in zip(observations, seen, strict=True)
@@ -108,10 +113,14 @@ def _telling(visits: list[Visit]) -> list[Visit]:
 
 
 def _corner_scales(
-    data: DataSet, observations: list[Observation], events: Events, cameras: set[str]
+    data: DataSet,
+    observations: list[Observation],
+    events: Events,
+    cameras: set[str],
+    memory: Memory,
 ) -> dict[str, float]:
     """By how much the corners of these cameras scatter more than stated, of each that tells."""
-    finder = ModeFinder(data, observations, events)
+    finder = ModeFinder(data, observations, events, memory)
     scatters: dict[str, list[float]] = {}
     for index, observation in enumerate(observations):
         mine = scatters.setdefault(observation.camera, [])
@@ -132,9 +141,10 @@ class _World:
         observations: list[Observation],
         events: Events,
         noise: dict[str, Noise],
+        memory: Memory,
     ) -> None:
         self.data, self.observations, self.noise, self.events = data, observations, noise, events
-        self.finder = finder = ModeFinder(data, observations, events)
+        self.finder = finder = ModeFinder(data, observations, events, memory)
         found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
@@ -278,8 +288,7 @@ class _Outcome:
             return CameraFinding(camera, (), 0, reason)
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
-        (only,) = alternatives
-        if np.sqrt(np.trace(only.covariance[:3, :3])) > _LOOSE_M:
+        if np.sqrt(np.trace(next(iter(alternatives)).covariance[:3, :3])) > _LOOSE_M:
             return CameraFinding(camera, (), rests_on, _LOST)
         return CameraFinding(camera, alternatives, rests_on)
 

@@ -35,25 +35,60 @@ class VisitModes:
     nothing: float
 
 
+class Memory:
+    """What was found of visits, kept from one search to the next: most visits of a session that
+    grows stay what they were. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[object, ...], VisitModes] = {}
+        self._used: dict[tuple[object, ...], VisitModes] = {}
+        self.alone: dict[tuple[object, ...], Alone] = {}
+
+    def get(self, key: tuple[object, ...]) -> VisitModes | None:
+        """What was found, and is still asked for."""
+        found = self._kept.get(key)
+        if found is not None:
+            self._used[key] = found
+        return found
+
+    def put(self, key: tuple[object, ...], found: VisitModes) -> None:
+        self._kept[key] = self._used[key] = found
+
+    def forget_unused(self) -> None:
+        """Drop what nobody asked for since the last time."""
+        self._kept, self._used = self._used, {}
+
+
 class ModeFinder:
     """Finds the modes of visits over one session's observations."""
 
-    def __init__(self, data: DataSet, observations: list[Observation], events: Events) -> None:
+    def __init__(
+        self,
+        data: DataSet,
+        observations: list[Observation],
+        events: Events,
+        memory: Memory | None = None,
+    ) -> None:
         self.data, self.observations, self.events = data, observations, events
-        self._alone: dict[tuple[int, str], tuple[Alone, ...]] = {}
+        self.memory = memory if memory is not None else Memory()
+        self._alone: dict[int, tuple[Alone, ...]] = {}
 
     def alone(self, index: int) -> tuple[Alone, ...]:
         """What each view of an observation says by itself."""
+        if index not in self._alone:
+            views = range(len(self.observations[index].views))
+            self._alone[index] = tuple(self._by_itself(index, order) for order in views)
+        return self._alone[index]
+
+    def _by_itself(self, index: int, order: int) -> Alone:
         observation = self.observations[index]
-        key = index, observation.camera
-        if key not in self._alone:
-            target = self.data.targets[observation.robot]
-            lens = self.data.lenses[observation.camera]
-            self._alone[key] = tuple(
-                by_itself(observation, order, target, lens, self.events)
-                for order in range(len(observation.views))
-            )
-        return self._alone[key]
+        target, lens = self.data.targets[observation.robot], self.data.lenses[observation.camera]
+        sigma = observation.views[order].sigma
+        key = observation.camera, observation.robot, observation.stamp_ns, order, sigma, lens
+        if key not in self.memory.alone:
+            found = by_itself(observation, order, target, lens, self.events)
+            self.memory.alone[key] = found
+        return self.memory.alone[key]
 
     def parts_of(self, visit: Visit, *, most: int = _MOST_SPLITS) -> list[VisitModes]:
         """A visit with its modes; where one end of it contradicts the rest, as two visits or more:
@@ -81,6 +116,22 @@ class ModeFinder:
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""
+        key = self._key(visit)
+        found = self.memory.get(key)
+        if found is None:
+            found = self._modes_of(visit)
+            self.memory.put(key, found)
+        return found
+
+    def _key(self, visit: Visit) -> tuple[object, ...]:
+        """What the modes of a visit hang on."""
+        track = self.data.tracks[visit.robot]
+        jitter = self.data.jitter.get(visit.robot)
+        sigmas = tuple(v.sigma for i in visit.chosen for v in self.observations[i].views)
+        noise = track.noise, track.slip, jitter.tobytes() if jitter is not None else b""
+        return visit, sigmas, noise, self.data.lenses[visit.camera]
+
+    def _modes_of(self, visit: Visit) -> VisitModes:
         chosen = {index: self.observations[index] for index in visit.chosen}
         poses = self.odometry(visit)
         scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in chosen}

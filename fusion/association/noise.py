@@ -29,6 +29,9 @@ _SWAY = 1e-3
 _LOG_ODOMETRY = 1.0
 _LOG_SLIP = 2.0
 _LEAST = 1e-3  # of these medians: nothing
+# Where the likelihood changes by less than this share, it tells nothing more.
+_FLAT = 1e-6
+_MOST_STEPS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +145,8 @@ def _likeliest(
     if not start:
         return STATED, cost(np.zeros(0))
     bounds = [(math.log(_LEAST), 3.0)] * (2 * is_jittery) + [(-2.0, 2.0), (-3.0, 3.0)] * is_other
-    found = minimize(cost, np.array(start), method="L-BFGS-B", bounds=bounds)
+    options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS}
+    found = minimize(cost, np.array(start), method="L-BFGS-B", bounds=bounds, options=options)
     return noise_of(found.x), float(found.fun)
 
 

@@ -91,6 +91,9 @@ def without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, 
     `by_pose`: (n, 2, 6).
     """
     weight = np.ones(len(residual))
+    step = _step(by_pose, residual, weight)
+    if np.all(np.sum((residual + by_pose @ step) ** 2, axis=1) <= limit):
+        return step, weight == 0
     for _ in range(_MOST_WEIGHINGS):
         left = residual + by_pose @ _step(by_pose, residual, weight)
         square = np.sum(left**2, axis=1)
