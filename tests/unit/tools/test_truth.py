@@ -30,7 +30,9 @@ def network_of(errors: dict[str, list[float] | None]) -> tuple[Network, np.ndarr
             continue
         pose = TRUE.get(name, Pose.identity()).disturbed(error)
         covariance = tuple((SIGMA**2 * np.eye(6)).reshape(-1).tolist())
-        cameras[name] = CameraRecord("located", (), PoseRecord.of(pose), covariance)
+        cameras[name] = CameraRecord(
+            "located", map_from_camera=PoseRecord.of(pose), covariance=covariance
+        )
     count = sum(error is not None for error in errors.values())
     network = Network("lab", str(uuid4()), "smoother", cameras, {}, Statistics(1.0, 3))
     return network, SIGMA**2 * np.eye(6 * count)
