@@ -28,7 +28,7 @@ from .session_noise import with_corner_scale, with_noise
 from .visits import Visit, visits_of
 
 # Pictures of so few visits tell the noise well enough.
-_MOST_TO_LEARN = 8
+_MOST_TO_LEARN = 6
 _LEAST_TO_LEARN = 3
 _MOST_SCATTERS = 40
 # Where a place is known less well than this, m, nothing ties it to the map.

@@ -25,6 +25,7 @@ from .system import System
 
 _HUBER = 4.0
 _MOST_ROUNDS = 10
+_PATIENCE = 2
 # What a step may still promise of χ²: far below what any decision rests on.
 _TOLERANCE = 0.03
 _MOST_STEPS = 12
@@ -107,11 +108,15 @@ class LocalProblem:
         self.target = data.targets[self.robot]
 
     def mode_near(
-        self, start: CameraState, wrong: dict[int, tuple[bool, ...]] | None = None
+        self,
+        start: CameraState,
+        wrong: dict[int, tuple[bool, ...]] | None = None,
+        most_wrong: int | None = None,
     ) -> Mode | None:
         """The mode that a camera near `start` leads to; None where nothing fits.
 
-        `wrong`: by index, which views the start takes to be wrong.
+        `wrong`: by index, which views the start takes to be wrong; `most_wrong`: with more wrong
+        ones than this it is given up once it had time to take them back.
         """
         first = {index: list(row) for index, row in (wrong or {}).items()}
         trial = _Trial({}, first, {}, dict(self.poses))
@@ -126,6 +131,9 @@ class LocalProblem:
             camera = solved[1].cameras[self.camera]
             self._move(trial, *solved)
             self._judge(trial, *solved)
+            count = sum(sum(row) for row in trial.wrong.values())
+            if most_wrong is not None and round_ >= _PATIENCE and count > most_wrong:
+                return None
             now = _signature(trial)
             if now in seen:
                 break

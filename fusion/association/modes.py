@@ -24,6 +24,7 @@ from .visits import Visit
 _WINDOW = 2 * window()
 _MOST_STARTS = 8
 _MOST_SPLITS = 3
+_MORE_WRONG = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +152,15 @@ class ModeFinder:
         starts: list[Pose],
         wrong: dict[int, tuple[bool, ...]] | None = None,
     ) -> list[Mode]:
-        lens = self.data.lenses[visit.camera]
-        found = distinct(problem.mode_near(CameraState(start, lens), wrong) for start in starts)
-        return [mode for mode in found if not self._is_below_floor(visit, mode)]
+        lens, found = self.data.lenses[visit.camera], list[Mode]()
+        for start in starts:
+            # A mode with some more wrong sightings is far outside the window.
+            fewest = min((mode.wrong for mode in found), default=None)
+            most = None if fewest is None or wrong is not None else fewest + _MORE_WRONG
+            mode = problem.mode_near(CameraState(start, lens), wrong, most)
+            if mode is not None and not self._is_below_floor(visit, mode):
+                found.append(mode)
+        return distinct(found)
 
     def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
         """The modes of a single picture: by all of its views, and, where those do not agree as well
@@ -241,10 +248,10 @@ def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:
     return track.odom_from_base[rows] @ carried
 
 
-def distinct(found: Iterable[Mode | None]) -> list[Mode]:
+def distinct(found: Iterable[Mode]) -> list[Mode]:
     """The different ones, best first."""
     kept: list[Mode] = []
-    for mode in sorted((m for m in found if m is not None), key=lambda m: m.evidence):
+    for mode in sorted(found, key=lambda mode: mode.evidence):
         if not any(
             is_same_pose(mode.map_from_camera, other.map_from_camera)
             and mode.readings == other.readings

@@ -1,0 +1,52 @@
+"""The engine on small sessions: what it locates is what enumerating every explanation leaves."""
+
+import numpy as np
+import pytest
+from agreement import disagreements
+from small_sessions import Shape, SmallSession, small_session
+
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.messages import Odometry
+from trigpoint.network import Network
+
+
+def network_of(session: SmallSession) -> Network:
+    pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    return pipeline.results().network
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape(1, (0, 0), is_alike=False),
+        Shape(2, (0, 0), is_alike=True),
+        Shape(8, (0, 1, 0), is_alike=False, is_near=True),
+        Shape(6, (0, 0, 0), is_alike=False, displaced=(1,)),
+        Shape(7, (0, 0, 0), is_alike=False, move=2),
+    ],
+    ids=lambda shape: f"{shape.seed}",
+)
+def test_engine_agrees_with_enumeration(shape: Shape) -> None:
+    session = small_session(shape)
+    found = disagreements(session.oracle().verdicts(), network_of(session).cameras)
+    assert not [line for line in found if "among the alternatives" not in line]
+
+
+def test_places_left_open_are_named_and_share_the_posterior() -> None:
+    camera = network_of(small_session(Shape(3, (0,), is_alike=True))).cameras["c1"]
+    assert camera.status == "undetermined"
+    assert len(camera.alternatives) > 1
+    assert sum(place.probability for place in camera.alternatives) == pytest.approx(1.0, abs=1e-4)
+    places = np.array([place.map_from_camera.translation for place in camera.alternatives])
+    assert np.linalg.norm(places - places[0], axis=1).max() > 0.5
+    assert camera.map_from_camera is None
+
+
+def test_camera_of_one_picture_says_on_how_much_it_rests() -> None:
+    network = network_of(small_session(Shape(5, (0, 0), is_alike=False)))
+    assert network.cameras["c1"].confirmed

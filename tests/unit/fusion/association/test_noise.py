@@ -1,0 +1,67 @@
+"""Noise is learnt where a session tells, and stays as stated where it does not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from trigpoint.fusion.association.noise import Noise, VisitResiduals, corner_scale, learn
+
+
+def visit(seed: int, noise: Noise, pictures: int = 12) -> VisitResiduals:
+    """A visit to a camera of a robot that is moved in space: pictures of 2 mm and 1 mrad, odometry
+    of 5 mm and 5 mrad a step, with the noise."""
+    random = np.random.default_rng(seed)
+    own = np.diag([4e-6, 4e-6, 4e-6, 1e-6, 1e-6, 1e-6])
+    jitter = np.zeros(6) if noise.jitter is None else noise.jitter
+    step = np.diag([25e-6, 25e-6, 25e-6])
+    slip = np.diag([1e-6, 1e-6, 1e-12])
+    count = 3 * (pictures - 1) + 6
+    by_unknowns = np.zeros((pictures, 6, count))
+    by_unknowns[:, :, -6:] = -np.eye(6)
+    for picture in range(1, pictures):
+        nodes = slice(3 * (picture - 1), 3 * picture)
+        by_unknowns[picture, [0, 1, 5], nodes] = np.eye(3)[:, :]
+    by_steps = np.zeros((pictures - 1, 3, count))
+    for number in range(pictures - 1):
+        by_steps[number, :, 3 * number : 3 * number + 3] = np.eye(3)
+        if number:
+            by_steps[number, :, 3 * number - 3 : 3 * number] = -np.eye(3)
+    spread = np.sqrt(np.diagonal(own) + jitter)
+    walk = np.sqrt(noise.odometry**2 * np.diagonal(step) + noise.slip**2 * np.diagonal(slip))
+    return VisitResiduals(
+        shifts=random.normal(size=(pictures, 6)) * spread,
+        own=np.tile(own, (pictures, 1, 1)),
+        by_unknowns=by_unknowns,
+        steps=random.normal(size=(pictures - 1, 3)) * walk,
+        steps_by_unknowns=by_steps,
+        by_odometry=np.tile(step, (pictures - 1, 1, 1)),
+        by_slip=np.tile(slip, (pictures - 1, 1, 1)),
+        prior=np.zeros((count, count)),
+    )
+
+
+def test_noise_as_stated_stays_as_stated() -> None:
+    changed = 0
+    for seed in range(6):
+        found = learn([visit(10 * seed + n, Noise()) for n in range(6)])
+        assert found is not None
+        changed += found.jitter is not None
+    assert changed <= 1  # one session in a hundred thinks otherwise
+
+
+def test_tilt_and_odometry_are_learnt() -> None:
+    true = Noise(tilt=math.radians(0.3), sway=3e-3, odometry=2.0)
+    found = learn([visit(seed, true) for seed in range(8)])
+    assert found is not None
+    assert found.tilt == pytest.approx(true.tilt, rel=0.3)
+    assert found.odometry == pytest.approx(true.odometry, rel=0.35)
+
+
+def test_few_pictures_tell_nothing() -> None:
+    assert learn([visit(1, Noise(), pictures=2)]) is None
+
+
+def test_corner_scale_leaves_what_is_no_board_out() -> None:
+    assert corner_scale([3.9, 4.0, 4.1, 4.0, 900.0]) == pytest.approx(2.0, rel=0.03)
+    assert corner_scale([]) == 1.0
