@@ -134,9 +134,10 @@ def test_every_camera_meets_the_robot_and_two_meet_it_again(target: str) -> None
     world = load_world("lab", seed=1, target=target)
     passes = {}
     for name, camera in world.cameras.items():
-        times = camera.time_of(np.arange(int(world.duration_s * camera.rate)))
+        every = 4  # pictures; far less than the three seconds that are told apart
+        times = camera.time_of(np.arange(0, int(world.duration_s * camera.rate), every))
         hits = np.array([t_s for t_s in times if world.sightings(name, float(t_s))])
-        assert len(hits) * (1 / camera.rate) >= 3.0
+        assert len(hits) * (every / camera.rate) >= 3.0
         passes[name] = 1 + int(np.sum(np.diff(hits) > 3.0))
     assert sorted(passes.values()) == [1, 1, 1, 1, 2, 2]
 
