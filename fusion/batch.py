@@ -12,6 +12,8 @@ One solution goes: readmit what was set aside, solve and judge in rounds until n
 where the robot stood at what is not used, drop a camera that most of its pictures contradict.
 """
 
+from collections import Counter
+
 import numpy as np
 
 from trigpoint.geometry import Pose
@@ -39,6 +41,11 @@ _HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
+_MOST_LOCATED = 3
+# How much is taken in at once of what was collected: so many observations, then this many times
+# what there is.
+_FIRST_STRETCH = 64
+_GROWTH = 3
 # What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
 _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
@@ -76,8 +83,12 @@ class BatchSolution:
 
     def finish(self, known: Filter | None) -> Filter | None:
         """Work out from all that came in what explains it, and solve that to the end."""
+        if not any(len(track) for track in self.data.tracks.values()):
+            return known
+        if not all(track.planar for track in self.data.tracks.values()):
+            return self._finished_in_space(known)
         observations = self._all()
-        if not any(len(track) for track in self.data.tracks.values()) or not observations:
+        if not observations:
             return known
         self.explanation = explanation = explain(self.data, observations, memory=self._memory)
         self.state = take(self.data, explanation)
@@ -87,6 +98,73 @@ class BatchSolution:
             if finding.reason
         }
         return self._solved_as_explained()
+
+    def _finished_in_space(self, known: Filter | None) -> Filter | None:
+        """Locate what can be located and solve to the end, of robots that may stand anyhow: the
+        association knows robots in the plane alone."""
+        self.undecided = set()
+        self.tolerance = FINAL_TOLERANCE
+        try:
+            return self._finished(self._take_in(known))
+        finally:
+            self.tolerance = LIVE_TOLERANCE
+
+    def _finished(self, known: Filter | None) -> Filter | None:
+        found: Counter[str] = Counter()
+        for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
+            known = self.solve(known)
+            tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
+            missing = [
+                name
+                for name in self.data.camera_names
+                if name not in self.state.cameras and self.data.of_camera(name)
+            ]
+            # One that is located and dropped again and again would go on so.
+            again = [n for n in missing if found[n] < _MOST_LOCATED and self.locate(n)]
+            found.update(again)
+            if not again and not tied:
+                break
+        return self._settle(known)
+
+    def _settle(self, known: Filter | None) -> Filter | None:
+        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
+        for _ in range(_MOST_SETTLING):
+            before = self._rejected()
+            if not before:
+                break
+            known = self.solve(known)
+            if self._rejected() == before:
+                break
+        return known
+
+    def _rejected(self) -> set[int]:
+        entries = self.data.entries
+        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
+
+    def _take_in(self, known: Filter | None) -> Filter | None:
+        """Take in what was collected without an estimate, in ever larger stretches of time."""
+        while known is not None:
+            has_grown = self._extend()
+            homeless = self._homeless()
+            for robot, indices in homeless.items():
+                if known.has_robot(robot):
+                    place(self.data, known, robot, indices)
+                else:
+                    self.tie(robot, known)
+            if not has_grown and self._homeless() == homeless:
+                break
+            for camera in self.data.camera_names:
+                if camera not in self.state.cameras and self.is_due(camera):
+                    self.locate(camera)
+            known = self.solve(known, is_rough=True)
+        return known
+
+    def _extend(self) -> bool:
+        """Put the next stretch of what was collected into the data set; whether there was one."""
+        count = max(_FIRST_STRETCH, (_GROWTH - 1) * len(self.data.entries))
+        stretch, self.collected = self.collected[:count], self.collected[count:]
+        self.data.entries.extend(Entry(observation) for observation in stretch)
+        return bool(stretch)
 
     def _solved_as_explained(self) -> Filter:
         """Solve over what the explanation uses, until the noise of it stays the same."""

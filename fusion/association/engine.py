@@ -94,7 +94,8 @@ def _learnt(
         pictures = {index: seen[index] for index in visit.chosen}
         problem = LocalProblem(data, pictures, finder.odometry(visit), {}, events)
         residuals = problem.residuals(modes.modes[0])
-        if residuals is not None:
+        # A robot that moves in space may stand anyhow: nothing tells its jitter from its motion.
+        if residuals is not None and data.tracks[visit.robot].planar:
             by_robot.setdefault(visit.robot, []).append(residuals)
     learnt = {robot: learn(residuals) for robot, residuals in by_robot.items()}
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}

@@ -12,7 +12,7 @@ What is not significantly otherwise than stated stays as stated.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,14 +20,15 @@ from scipy.special import chdtri
 
 from trigpoint.geometry.rotation import Array
 
-# One session in so many, of noise as stated, thinks otherwise.
-_SIGNIFICANCE = 1e-2
+# One session in a thousand, of noise as stated, thinks otherwise.
+_SIGNIFICANCE = 1e-3
 # What a floor or a mast does where nothing is known of it: 0.3° and a millimetre (medians of an
 # exponential prior), and odometry within a factor of e, slip of e².
 _TILT = math.radians(0.3)
 _SWAY = 1e-3
 _LOG_ODOMETRY = 1.0
 _LOG_SLIP = 2.0
+_FREE = 1e3
 _LEAST = 1e-3  # of these medians: nothing
 # Where the likelihood changes by less than this share, it tells nothing more.
 _FLAT = 1e-6
@@ -105,12 +106,17 @@ def learn(visits: list[VisitResiduals]) -> Noise | None:
     freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
     if freedom < _LEAST_FREEDOM:
         return None
-    whole = _likeliest(visits, is_jittery=True, is_other=True)
-    steady = _likeliest(visits, is_jittery=False, is_other=True)
-    stated = _likeliest(visits, is_jittery=True, is_other=False)
-    keeps_jitter = bool(steady[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
-    keeps_odometry = bool(stated[1] - whole[1] > chdtri(2, _SIGNIFICANCE))
-    found = _likeliest(visits, is_jittery=keeps_jitter, is_other=keeps_odometry)[0]
+    # How the robot tilts and rises shows whatever odometry says: that is left free here, so that
+    # what its model lacks is not taken for a target that sways.
+    loose = Noise(odometry=_FREE, slip=_FREE)
+    jittery = _likeliest(visits, loose, is_jittery=True, is_other=False)
+    steady = _likeliest(visits, loose, is_jittery=False, is_other=False)
+    if steady[1] - jittery[1] < chdtri(2, _SIGNIFICANCE):
+        jittery = steady
+    start = replace(jittery[0], odometry=1.0, slip=1.0)
+    stated = _likeliest(visits, start, is_jittery=False, is_other=False)
+    other = _likeliest(visits, start, is_jittery=False, is_other=True)
+    found = other[0] if stated[1] - other[1] > chdtri(2, _SIGNIFICANCE) else start
     return Noise(*(in_steps(x) for x in (found.tilt, found.sway, found.odometry, found.slip)))
 
 
@@ -119,19 +125,17 @@ _LEAST_FREEDOM = 24
 
 
 def _likeliest(
-    visits: list[VisitResiduals], *, is_jittery: bool, is_other: bool
+    visits: list[VisitResiduals], base: Noise, *, is_jittery: bool, is_other: bool
 ) -> tuple[Noise, float]:
-    """The noise of greatest posterior with these parts free, and -2 ln of it."""
+    """The noise of greatest posterior with these parts of `base` free, and -2 ln of it."""
 
     def noise_of(x: Array) -> Noise:
         parts = iter(x)
-        tilt, sway = (
-            (_TILT * math.exp(next(parts)), _SWAY * math.exp(next(parts)))
-            if is_jittery
-            else (0.0, 0.0)
-        )
+        tilt, sway = base.tilt, base.sway
+        if is_jittery:
+            tilt, sway = _TILT * math.exp(next(parts)), _SWAY * math.exp(next(parts))
         if not is_other:
-            return Noise(tilt, sway)
+            return Noise(tilt, sway, base.odometry, base.slip)
         return Noise(tilt, sway, math.exp(next(parts)), math.exp(next(parts)))
 
     def cost(x: Array) -> float:
@@ -143,7 +147,7 @@ def _likeliest(
 
     start = [-1.0, -1.0] * is_jittery + [0.3, 0.0] * is_other
     if not start:
-        return STATED, cost(np.zeros(0))
+        return base, cost(np.zeros(0))
     bounds = [(math.log(_LEAST), 3.0)] * (2 * is_jittery) + [(-2.0, 2.0), (-3.0, 3.0)] * is_other
     options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS}
     found = minimize(cost, np.array(start), method="L-BFGS-B", bounds=bounds, options=options)
@@ -152,15 +156,26 @@ def _likeliest(
 
 # Noise is told in such steps of its logarithm: what is known finer changes nothing, and what was
 # worked out by it can be kept when more pictures come in.
-_STEP = 0.05
+_STEP = 0.1
 
 
 def in_steps(value: float) -> float:
-    """A positive number, rounded to a twentieth."""
+    """A positive number, rounded to a tenth."""
     return math.exp(round(math.log(value) / _STEP) * _STEP) if value > 0 else value
 
 
+# The scatter of one board's twenty corners or so is known to a third; so many times what is left of
+# that over all boards is no chance.
+_SCATTER_SIGMA = 0.3
+_BEYOND_CHANCE = 5.0
+
+
 def corner_scale(scatters: list[float]) -> float:
-    """The factor by which corners scatter more than stated, from those of single boards; the median
-    leaves out what is no board of ours."""
-    return in_steps(math.sqrt(max(float(np.median(scatters)), 1e-6))) if scatters else 1.0
+    """The factor by which corners scatter otherwise than stated, from those of single boards; the
+    median leaves out what is no board of ours."""
+    if not scatters:
+        return 1.0
+    middle = max(float(np.median(scatters)), 1e-6)
+    if abs(middle - 1) < _BEYOND_CHANCE * _SCATTER_SIGMA / math.sqrt(len(scatters)):
+        return 1.0
+    return in_steps(math.sqrt(middle))
