@@ -42,6 +42,8 @@ _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
 _MOST_LOCATED = 3
+# A turn's second order in a scale error of this prior sigma is what a visit's poses are known by.
+_ROUGH_SCALE = 0.05
 # How much is taken in at once of what was collected: so many observations, then this many times
 # what there is.
 _FIRST_STRETCH = 64
@@ -85,8 +87,8 @@ class BatchSolution:
         """Work out from all that came in what explains it, and solve that to the end."""
         if not any(len(track) for track in self.data.tracks.values()):
             return known
-        if not all(track.planar for track in self.data.tracks.values()):
-            return self._finished_in_space(known)
+        if not self._is_explainable():
+            return self._finished_by_rules(known)
         observations = self._all()
         if not observations:
             return known
@@ -99,9 +101,17 @@ class BatchSolution:
         }
         return self._solved_as_explained()
 
-    def _finished_in_space(self, known: Filter | None) -> Filter | None:
-        """Locate what can be located and solve to the end, of robots that may stand anyhow: the
-        association knows robots in the plane alone."""
+    def _is_explainable(self) -> bool:
+        """Whether the association can explain the session: it knows robots in the plane, and takes
+        their odometry's scales to first order."""
+        return all(
+            robot.planar
+            and max(robot.odometry.distance_scale, robot.odometry.heading_scale) <= _ROUGH_SCALE
+            for robot in self.data.site.robots.values()
+        )
+
+    def _finished_by_rules(self, known: Filter | None) -> Filter | None:
+        """Locate what can be located and solve to the end without the association."""
         self.undecided = set()
         self.tolerance = FINAL_TOLERANCE
         try:
