@@ -44,13 +44,23 @@ class StreamClock:
         self._differences: deque[tuple[int, int]] = deque()  # (arrival, difference), rising
         self._last: Arrival | None = None
         self._paced = 0
+        self._newest_ns: int | None = None
 
     def stamp(self, arrival: Arrival) -> tuple[int, Stamp] | None:
         """The Unix time at which a picture was taken, and how it is known; None for what the sender
-        or the network had kept: until pictures come as slowly as they were taken."""
+        or the network had kept (until pictures come as slowly as they were taken), and for what is
+        not later than the one before: a picture told twice, or one that the sender's first word of
+        its time puts there."""
         origin_ns = self._origin_ns(arrival)
         if not self._keeps_pace(arrival):
             return None
+        captured_ns, stamp = self._captured(arrival, origin_ns)
+        if self._newest_ns is not None and 0 <= self._newest_ns - captured_ns <= _LONGEST_WAY_NS:
+            return None
+        self._newest_ns = captured_ns  # by more than the longest way: a clock that was set back
+        return captured_ns, stamp
+
+    def _captured(self, arrival: Arrival, origin_ns: int) -> tuple[int, Stamp]:
         arrival_ns = arrival.presented_ns + origin_ns + arrival.unix_ns
         if arrival.sender_ns is not None:
             way_ns = arrival_ns - arrival.sender_ns

@@ -1,5 +1,7 @@
 """When pictures of a stream were taken, by their presentation times, arrivals and RTCP."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,22 @@ def test_new_scale_of_presentation_times_begins_anew() -> None:
     last = stamps[-1]
     assert last is not None
     assert last[0] == pytest.approx(UNIX_NS + later[-1].arrived_ns, abs=1e3)
+
+
+def test_stamps_rise_whatever_the_sender_tells() -> None:
+    # The first word of the sender's time puts a picture 0.2 s back; then one is told twice.
+    came = [*arrivals([0.2] * 10), *arrivals([0.2] * 10, sender_s=0.0, start=10)]
+    clock, stamps = StreamClock(), []
+    for arrival in [*came, came[-1]]:
+        stamp = clock.stamp(arrival)
+        if stamp is not None:
+            stamps.append(stamp[0])
+    assert len(stamps) >= 14
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_clock_that_was_set_back_is_followed() -> None:
+    clock = StreamClock()
+    errors_s(clock, arrivals([0.2] * 10))
+    set_back = [replace(a, unix_ns=UNIX_NS - to_ns(60)) for a in arrivals([0.2] * 10, start=10)]
+    assert all(clock.stamp(arrival) is not None for arrival in set_back)
