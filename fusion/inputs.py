@@ -55,6 +55,8 @@ def load_lenses(site: Site) -> dict[str, CameraModel]:
 def load_known(path: Path, site: Site) -> KnownCameras:
     """The cameras of an earlier network that this site has too; raise InputError for none."""
     network = load_network(path)
+    if network.map != "map":
+        raise InputError(f"{path}: is in the frame «{network.map}»; give the one in the map")
     joint = load_covariance(path, network)
     known = known_cameras(network, joint, site.cameras)
     if not known.poses:

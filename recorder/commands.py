@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     import rerun as rr  # half a second to import, which `record` and `replay` need not wait
 
 SiteFile = Annotated[Path, typer.Option(help="The site file.")]
+OtherSite = Annotated[
+    Path | None, typer.Option(help="The site file, if not the one in the session.")
+]
 Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with one.")]
 Web = Annotated[
     bool, typer.Option("--web", help="Serve to a browser on this machine and print the address.")
@@ -164,6 +167,7 @@ def review(
         list[Path],
         typer.Option(help="A network.json or truth.json to draw too; those beside it always are."),
     ] = [],  # noqa: B006 - typer makes a list of it anew
+    site: OtherSite = None,
     port: Port = WEB_PORT,
     host: Host = LOOPBACK,
 ) -> None:
@@ -172,14 +176,15 @@ def review(
     from .review import write_rrd
 
     recording = open_recording(session)
+    given = load_site(site) if site else None
     overlays = [*overlays_beside(recording.path), *map(load_overlay, overlay)]
     if save is not None:
-        shown = write_rrd(recording, save, overlays)
+        shown = write_rrd(recording, save, overlays, given=given)
         typer.echo(f"{save}: {shown} messages, {save.stat().st_size / 1e6:.1f} MB")
         return
     with tempfile.TemporaryDirectory(prefix="trigpoint-review-") as folder:
         file = Path(folder) / f"{recording.path.stem}.rrd"
-        write_rrd(recording, file, overlays)
+        write_rrd(recording, file, overlays, given=given)
         with _viewer(file, web, port, host) as viewer, suppress(KeyboardInterrupt):
             _say_viewer(viewer)
             while viewer.is_running:

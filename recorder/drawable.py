@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from trigpoint import cdr
+from trigpoint.building import Building
 from trigpoint.errors import MessageError
 from trigpoint.messages import CameraInfo, Sightings, Transform, Transforms
 from trigpoint.network import Network
@@ -18,18 +19,20 @@ from .mcap_writer import McapWriter
 from .recording import RecordedSample, Recording
 
 
-def write_drawable(recording: Recording, network: Network | None, path: Path) -> dict[str, int]:
+def write_drawable(
+    recording: Recording, network: Network | None, path: Path, building: Building | None = None
+) -> dict[str, int]:
     """Write the session with what drawing tools want beside it; return the counts by key.
 
     `network`: its located cameras stand on tf_static from the start, also where the session was
-    calibrated only afterwards.
+    calibrated only afterwards; `building`: where the map lies in it, on tf_static too.
     """
     prepare()
     writer = McapWriter(path)
     try:
         drawn = _Drawn(writer)
         if network is not None:
-            drawn.place(network, recording.start_ns)
+            drawn.place(network, building, recording.start_ns)
         for name, data in recording.attachments.items():
             writer.attach(name, data, "", time_ns=recording.start_ns)
         for sample in recording.samples():
@@ -47,8 +50,11 @@ class _Drawn:
         self._lenses: dict[str, CameraInfo] = {}
         self._annotated: dict[str, int] = {}
 
-    def place(self, network: Network, start_ns: int) -> None:
+    def place(self, network: Network, building: Building | None, start_ns: int) -> None:
         transforms = []
+        if building is not None:
+            pose = building.frame_from_map
+            transforms.append(Transform(start_ns, building.frame, "map", pose))
         for name in network.located:
             record = network.cameras[name].map_from_camera
             assert record is not None

@@ -9,8 +9,15 @@ import numpy as np
 import typer
 
 from trigpoint import cdr
+from trigpoint.building import (
+    Building,
+    attached_plan,
+    lay_network,
+    load_plan,
+    own_covariances,
+)
 from trigpoint.camera_info import write_camera_info
-from trigpoint.config import parse_site
+from trigpoint.config import Site, load_site, parse_site
 from trigpoint.errors import InputError, MessageError, writing
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry, PoseEstimate
@@ -18,15 +25,17 @@ from trigpoint.network import Network, decode_network, encode_tum
 from trigpoint.topics import ODOMETRY, ROBOT_POSE, Topic, node_of
 
 from .export_formats import camchain, launch_file
-from .recording import NETWORK_ATTACHMENT, Recording, open_recording
+from .recording import NETWORK_ATTACHMENT, SITE_ATTACHMENT, Recording, open_recording
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What is exported; the network only where there is one."""
+    """What is exported; the network only where there is one, and where its map lies in the building
+    only where the site file says so."""
 
     recording: Recording
     network: Network | None
+    building: Building | None = None
 
     def need_network(self) -> Network:
         """The network; raise InputError where there is none."""
@@ -49,6 +58,9 @@ def main(
         Path | None,
         typer.Option(help="The network.json, if not the one attached to the session or beside it."),
     ] = None,
+    site: Annotated[
+        Path | None, typer.Option(help="The site file, if not the one in the session.")
+    ] = None,
 ) -> None:
     """Write trajectories (TUM), Kalibr's camchain, ROS camera_info and launch files, a rerun file,
     and a recording that Foxglove and RViz draw whole, with their layouts.
@@ -59,7 +71,10 @@ def main(
     if unknown:
         raise InputError(f"--format {unknown[0]}: there is none such; give {', '.join(FORMATS)}")
     recording = open_recording(session)
-    source = Source(recording, _network(recording, network))
+    found = _network(recording, network)
+    source = Source(
+        recording, found, _building(recording, found, load_site(site) if site else None)
+    )
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         for name in formats or FORMATS:
@@ -82,6 +97,22 @@ def _network(recording: Recording, given: Path | None) -> Network | None:
             return decode_network(path.read_bytes(), source=str(path))
     data = recording.attachments.get(NETWORK_ATTACHMENT)
     return decode_network(data, source=f"{recording.path}: attached") if data else None
+
+
+def _building(recording: Recording, network: Network | None, given: Site | None) -> Building | None:
+    """Where the map lies, by the cameras' own covariances; what hinders that is said."""
+    if network is None or (given is None and SITE_ATTACHMENT not in recording.attachments):
+        return None
+    try:
+        text, folder = recording.site_text, recording.path.parent
+        site = given or parse_site(text, directory=folder, file="attached site.toml")
+        plan = load_plan(given) if given else attached_plan(site, recording.attachments)
+        tracks = _tracks(recording, ROBOT_POSE).items() if site.map and site.map.points else ()
+        ways = {robot: (np.array(stamps), Pose.stack(poses)) for robot, (stamps, poses) in tracks}
+        return lay_network(site, plan, network, own_covariances(network), ways)
+    except InputError as reason:
+        typer.echo(f"left out: the map's place in the building: {reason}", err=True)
+        return None
 
 
 def _tum(source: Source, out: Path) -> list[Path]:
@@ -132,7 +163,7 @@ def _ros(source: Source, out: Path) -> list[Path]:
 
 def _launch(source: Source, out: Path) -> list[Path]:
     file = out / "cameras.launch.py"
-    file.write_text(launch_file(source.need_network()), encoding="utf-8")
+    file.write_text(launch_file(source.need_network(), source.building), encoding="utf-8")
     return [file]
 
 
@@ -150,7 +181,7 @@ def _mcap(source: Source, out: Path) -> list[Path]:
     recording = source.recording
     file = out / "drawable.mcap"
     file.unlink(missing_ok=True)
-    write_drawable(recording, source.network, file)
+    write_drawable(recording, source.network, file, source.building)
     site = parse_site(recording.site_text, directory=Path(), file="attached site.toml")
     layout, rviz = out / "foxglove_layout.json", out / "trigpoint.rviz"
     layout.write_text(foxglove_layout(site.name, list(site.cameras)), encoding="utf-8")

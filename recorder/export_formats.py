@@ -6,10 +6,11 @@ from io import StringIO
 import numpy as np
 from ruamel.yaml import YAML
 
+from trigpoint.building import Building
 from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
-from trigpoint.network import Network
+from trigpoint.network import Network, PoseRecord
 
 _RADTAN_COEFFICIENTS = 4
 _SMALL_PX = 0.1
@@ -72,20 +73,24 @@ def _kalibr_distortion(lens: CameraModel) -> tuple[str, list[float]] | None:
     return "radtan", [*first, 0.0, 0.0, 0.0, 0.0][:_RADTAN_COEFFICIENTS]
 
 
-def launch_file(network: Network) -> str:
-    """A ROS 2 launch file that puts every located camera on /tf_static."""
+def launch_file(network: Network, building: Building | None = None) -> str:
+    """A ROS 2 launch file that puts every located camera on /tf_static, and the map into its
+    building's frame."""
     nodes = []
     for name in network.located:
         record = network.cameras[name].map_from_camera
         assert record is not None
-        x, y, z = record.translation
-        i, j, k, w = record.quaternion
-        nodes.append(
-            f'        static("{name}/optical", {x!r}, {y!r}, {z!r}, {i!r}, {j!r}, {k!r}, {w!r}),\n'
-        )
+        nodes.append(_static("map", f"{name}/optical", record))
     if not nodes:
         raise InputError("no camera is located, so there is nothing to launch")
+    if building is not None:
+        nodes.append(_static(building.frame, "map", PoseRecord.of(building.frame_from_map)))
     return _LAUNCH.format(site=network.site, nodes="".join(nodes))
+
+
+def _static(parent: str, child: str, record: PoseRecord) -> str:
+    numbers = ", ".join(repr(value) for value in (*record.translation, *record.quaternion))
+    return f'        static("{parent}", "{child}", {numbers}),\n'
 
 
 _LAUNCH = '''\
@@ -95,15 +100,15 @@ from launch import LaunchDescription
 from launch_ros.actions import Node
 
 
-def static(frame, x, y, z, qx, qy, qz, qw):
-    """map -> frame; metres and a unit quaternion."""
+def static(parent, frame, x, y, z, qx, qy, qz, qw):
+    """parent -> frame; metres and a unit quaternion."""
     values = dict(x=x, y=y, z=z, qx=qx, qy=qy, qz=qz, qw=qw)
     arguments = [word for name, value in values.items() for word in ("--" + name, repr(value))]
     return Node(
         package="tf2_ros",
         executable="static_transform_publisher",
         name=frame.replace("/", "_"),
-        arguments=[*arguments, "--frame-id", "map", "--child-frame-id", frame],
+        arguments=[*arguments, "--frame-id", parent, "--child-frame-id", frame],
     )
 
 

@@ -17,6 +17,7 @@ from .rerun_camera import FRUSTUM_DEPTH_M
 from .rerun_columns import Columns
 
 _BESIDE = ("truth.json", "network.json", "calibration/network.json")
+_MAP = "map"
 _WIDTH, _HEIGHT = 0.5, 0.375  # of a drawn camera, in its depth
 
 
@@ -43,6 +44,11 @@ def load_overlay(path: Path) -> Overlay:
         raise InputError(f"{path}: cannot be read ({reason.strerror}); check the path") from None
     if b"trigpoint-network" in data:
         network = decode_network(data, source=str(path))
+        if network.map != _MAP:
+            raise InputError(
+                f"{path}: is in the frame «{network.map}», not in the session's map; give the "
+                "network.json of its calibration"
+            )
         records = {name: network.cameras[name].map_from_camera for name in network.located}
         cameras = {name: record.pose for name, record in records.items() if record is not None}
         return Overlay(path.stem, style.OVERLAY, cameras, {})

@@ -62,7 +62,7 @@ def _map_view(site: Site, extent: tuple[Array, Array] | None) -> rrb.Spatial3DVi
         name=f"Map (ellipsoids: {style.SIGMAS_DRAWN:.0f} sigma, {style.MAGNIFIED:.0f} × larger)",
         overrides={entity: [_SO_FAR] for entity in (*lines, *dots)},
         line_grid=rrb.LineGrid3D(spacing=1.0, color=[160, 170, 190, 60]),
-        background=[24, 27, 33],
+        background=list(style.FLOOR),
         eye_controls=_eye(*extent) if extent else None,
     )
 

@@ -30,7 +30,7 @@ class CameraScene:
     def __init__(
         self, name: str, index: int, camera: CameraModel, columns: Columns, log: "LogLine"
     ) -> None:
-        self._name, self._camera, self._columns, self._log = name, camera, columns, log
+        self.name, self._camera, self._columns, self._log = name, camera, columns, log
         self._colour = style.camera_colour(index)
         self._path, self._frustum = style.camera_path(name), style.frustum_path(name)
         self._picture = style.picture_path(name)
@@ -48,9 +48,9 @@ class CameraScene:
         frame = [[0, 0], [width, 0], [width, height], [0, height], [0, 0]]
         border = rr.LineStrips2D([frame], colors=[self._colour], radii=[style.ui_points(1.0)])
         self._columns.fixed(f"{self._picture}/border", border)
-        line = rr.SeriesLines(colors=[self._colour], names=[self._name], widths=[2.0])
+        line = rr.SeriesLines(colors=[self._colour], names=[self.name], widths=[2.0])
         for group in (style.CAMERA_SIGMAS, style.HEADING_SIGMAS, style.LATENCY):
-            self._columns.fixed(f"{group}/{self._name}", line)
+            self._columns.fixed(f"{group}/{self.name}", line)
 
     def add_info(self, message: CameraInfo) -> None:
         self._camera = message.camera
@@ -64,7 +64,7 @@ class CameraScene:
         if not self._is_located:
             self._is_located = True
             self._show_pinhole(stamp_ns)
-            self._log(stamp_ns, "INFO", f"{self._name} located, {style.centimetres(sigma_m)}")
+            self._log(stamp_ns, "INFO", f"{self.name} located, {style.centimetres(sigma_m)}")
         self._columns.row(
             self._path,
             stamp_ns,
@@ -72,19 +72,19 @@ class CameraScene:
             translation=[pose.translation],
             quaternion=[pose.quaternion],
         )
-        draw_ellipsoid(self._columns, f"/map/uncertainty/{self._name}", message, self._colour)
+        draw_ellipsoid(self._columns, f"/map/uncertainty/{self.name}", message, self._colour)
         self._columns.row(
-            f"/map/names/{self._name}",
+            f"/map/names/{self.name}",
             stamp_ns,
             rr.Points3D,
             positions=[pose.translation + _NAME_ABOVE],
-            **style.text_only(f"{self._name} {style.centimetres(sigma_m)}"),
+            **style.text_only(f"{self.name} {style.centimetres(sigma_m)}"),
         )
-        sigmas = f"{style.CAMERA_SIGMAS}/{self._name}"
+        sigmas = f"{style.CAMERA_SIGMAS}/{self.name}"
         centimetres = style.decades(100 * sigma_m)
         self._columns.row(sigmas, stamp_ns, rr.Scalars, scalars=[centimetres])
         heading = style.decades(1000 * style.heading_sigma(message.covariance))
-        headings = f"{style.HEADING_SIGMAS}/{self._name}"
+        headings = f"{style.HEADING_SIGMAS}/{self.name}"
         self._columns.row(headings, stamp_ns, rr.Scalars, scalars=[heading])
 
     def add_picture(self, message: Picture) -> None:
@@ -114,7 +114,7 @@ class CameraScene:
         after_ns = received_ns - stamp_ns
         if 0 <= after_ns < _LATEST_NS and stamp_ns - self._latency_ns >= _LATENCY_PERIOD_NS:
             self._latency_ns = stamp_ns
-            entity = f"{style.LATENCY}/{self._name}"
+            entity = f"{style.LATENCY}/{self.name}"
             self._columns.row(entity, stamp_ns, rr.Scalars, scalars=[after_ns / 1e6])
 
     def finish(self, stamp_ns: int) -> None:
@@ -126,7 +126,7 @@ class CameraScene:
         if not self._seen or min(np.linalg.norm(middle - s) for s in self._seen) > _SEEN_STEP_PX:
             self._seen.append(middle)
             self._columns.row(
-                style.seen_path(self._name),
+                style.seen_path(self.name),
                 stamp_ns,
                 rr.Points2D,
                 positions=[middle],
@@ -174,7 +174,7 @@ class CameraScene:
             self._frustum,
             stamp_ns,
             rr.Pinhole,
-            image_from_camera=[camera.matrix.T],  # rerun's matrices are column-major
+            image_from_camera=[camera.matrix],
             resolution=[[camera.width, camera.height]],
             camera_xyz=[rr.components.ViewCoordinates.RDF],
             image_plane_distance=[FRUSTUM_DEPTH_M],

@@ -36,7 +36,7 @@ class RobotScene:
     def __init__(
         self, name: str, index: int, target: Target | None, columns: Columns, *, is_first: bool
     ) -> None:
-        self._name, self._target, self._columns, self._is_first = name, target, columns, is_first
+        self.name, self._target, self._columns, self._is_first = name, target, columns, is_first
         self._colour = style.robot_colour(index)
         self._path = style.robot_path(name)
         self._map_from_odom: Pose | None = None
@@ -67,8 +67,8 @@ class RobotScene:
         if self._target:
             self._columns.fixed(f"{body}/target", _target_mesh(self._target))
         for group in (style.ROBOT_SIGMAS, style.HEADING_SIGMAS, style.DRIFT):
-            line = rr.SeriesLines(colors=[self._colour], names=[self._name], widths=[2.0])
-            self._columns.fixed(f"{group}/{self._name}", line)
+            line = rr.SeriesLines(colors=[self._colour], names=[self.name], widths=[2.0])
+            self._columns.fixed(f"{group}/{self.name}", line)
 
     def place_odometry(self, map_from_odom: Pose) -> None:
         """Take fusion's first word on where the odometry frame is; later ones are drift."""
@@ -92,11 +92,11 @@ class RobotScene:
         self._show_drift(message)
         draw_ellipsoid(self._columns, f"{self._path}/uncertainty", message, self._colour)
         self._name_body(message.stamp_ns, message.pose, f" {style.centimetres(sigma_m)}")
-        sigmas = f"{style.ROBOT_SIGMAS}/{self._name}"
+        sigmas = f"{style.ROBOT_SIGMAS}/{self.name}"
         centimetres = style.decades(100 * sigma_m)
         self._columns.row(sigmas, message.stamp_ns, rr.Scalars, scalars=[centimetres])
         heading = style.decades(1000 * style.heading_sigma(message.covariance))
-        headings = f"{style.HEADING_SIGMAS}/{self._name}"
+        headings = f"{style.HEADING_SIGMAS}/{self.name}"
         self._columns.row(headings, message.stamp_ns, rr.Scalars, scalars=[heading])
 
     def add_correction(self, message: PoseEstimate) -> None:
@@ -113,7 +113,7 @@ class RobotScene:
             )
 
     def add_suggestion(self, message: PoseStamped) -> None:
-        text = f"{self._name}: go here next"
+        text = f"{self.name}: go here next"
         where = message.pose.translation
         self._mark("suggestion", message.stamp_ns, where, self._colour, text)
 
@@ -175,7 +175,7 @@ class RobotScene:
             if stamp_ns == message.stamp_ns:
                 self._drift_ns = stamp_ns
                 away_m = np.linalg.norm(map_from_base.translation - message.pose.translation)
-                entity = f"{style.DRIFT}/{self._name}"
+                entity = f"{style.DRIFT}/{self.name}"
                 self._columns.row(entity, stamp_ns, rr.Scalars, scalars=[100 * float(away_m)])
 
     def _mark(
@@ -194,7 +194,7 @@ class RobotScene:
             stamp_ns,
             rr.Points3D,
             positions=[map_from_base.translation + _NAME_ABOVE],
-            **style.text_only(self._name + uncertainty),
+            **style.text_only(self.name + uncertainty),
         )
 
 

@@ -5,6 +5,7 @@ import rerun as rr
 
 from trigpoint.config import Site
 from trigpoint.errors import MessageError
+from trigpoint.floor_plan import FloorPlan
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import (
     CameraInfo,
@@ -24,6 +25,7 @@ from trigpoint.target import Target
 from trigpoint.topics import CAMERA_POSE, CORRECTION, ROBOT_POSE, Topic
 
 from . import rerun_style as style
+from .rerun_building import BuildingScene
 from .rerun_camera import CameraScene, LogLine
 from .rerun_columns import Columns
 from .rerun_robot import RobotScene
@@ -35,8 +37,15 @@ class Scene:
     """A site in rerun; used by one thread. Messages of cameras and robots that the site does not
     have are left out and counted."""
 
-    def __init__(self, site: Site, targets: dict[str, Target], columns: Columns) -> None:
-        """`targets`: by robot, as far as they are known."""
+    def __init__(
+        self,
+        site: Site,
+        targets: dict[str, Target],
+        columns: Columns,
+        *,
+        plan: FloorPlan | None = None,
+    ) -> None:
+        """`targets`: by robot, as far as they are known; `plan`: the site's floor plan."""
         self._site, self._columns, self._log = site, columns, LogLine(columns)
         self.cameras = {
             name: CameraScene(name, index, camera.nominal(), columns, self._log)
@@ -46,6 +55,7 @@ class Scene:
             name: RobotScene(name, i, targets.get(name), columns, is_first=name == site.first_robot)
             for i, name in enumerate(site.robots)
         }
+        self._building = BuildingScene(site, plan, columns, self._log)
         self._said: dict[str, tuple[int, str]] = {}
         self._held: dict[str, tuple[int, DiagnosticStatus]] = {}
         self._last_ns = 0
@@ -57,7 +67,7 @@ class Scene:
         self._columns.fixed(
             style.LEGEND, rr.TextDocument(_legend(self._site), media_type=_MARKDOWN)
         )
-        for part in (*self.cameras.values(), *self.robots.values()):
+        for part in (self._building, *self.cameras.values(), *self.robots.values()):
             part.announce()
 
     def add(self, topic: Topic, node: str, message: Message, received_ns: int = 0) -> None:
@@ -85,6 +95,7 @@ class Scene:
             camera.finish(self._last_ns)
         for robot in self.robots.values():
             robot.finish()
+        self._building.finish(self._last_ns)
 
     @property
     def extent(self) -> tuple[Array, Array] | None:
@@ -109,6 +120,7 @@ class Scene:
                 camera.add_info(message)
             case PoseEstimate() if topic is CAMERA_POSE:
                 camera.add_pose(message)
+                self._building.add_camera(camera.name, message)
             case Picture():
                 camera.add_picture(message)
             case Sightings():
@@ -124,6 +136,7 @@ class Scene:
                 robot.add_odometry(message)
             case PoseEstimate() if topic is ROBOT_POSE:
                 robot.add_pose(message)
+                self._building.add_robot(robot.name, message)
             case PoseEstimate() if topic is CORRECTION:
                 robot.add_correction(message)
             case PoseStamped():

@@ -39,7 +39,11 @@ MAGNIFIED = 5.0
 seen, so that ellipsoids are drawn larger, which the map's title says."""
 _THINNEST_M = 0.01
 
+FLOOR: Colour = (24, 27, 33)
+"""The map's background, and the paper of a floor plan in it."""
+WALL: Colour = (150, 160, 178)
 LEGEND, LOG = "/legend", "/log"
+PLAN = "/map/plan"
 CAMERA_SIGMAS, ROBOT_SIGMAS, DRIFT = "/sigma/cameras", "/sigma/robots", "/drift"
 HEADING_SIGMAS, LATENCY = "/sigma/headings", "/latency"
 TRUTH: Colour = (120, 255, 150)

@@ -7,6 +7,7 @@ from pathlib import Path
 import rerun as rr
 
 from trigpoint import cdr
+from trigpoint.building import attached_plan, load_plan
 from trigpoint.config import Site, parse_site
 from trigpoint.errors import MessageError, OperationError
 from trigpoint.messages import PoseEstimate
@@ -23,13 +24,21 @@ from .rerun_scene import Scene
 _LOG = logging.getLogger(__name__)
 
 
-def write_rrd(recording: Recording, path: Path, overlays: Collection[Overlay] = ()) -> int:
+def write_rrd(
+    recording: Recording,
+    path: Path,
+    overlays: Collection[Overlay] = (),
+    *,
+    given: Site | None = None,
+) -> int:
     """Write what `view` would have shown, with the overlays; return how many messages are in it.
+    `given`: the site in place of the one that is attached.
 
     Messages that do not decode are left out, counted and named. Raises RecordingError where the
     session has no site.toml, OperationError where the file cannot be written.
     """
-    site = attached_site(recording)
+    site = given or attached_site(recording)
+    plan = load_plan(given) if given else attached_plan(site, recording.attachments)
     stream = open_stream(site.name, recording.start_ns)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +47,7 @@ def write_rrd(recording: Recording, path: Path, overlays: Collection[Overlay] = 
         raise OperationError(f"{path}: cannot be written ({reason}); give another file") from None
     targets = attached_targets(recording, site)
     columns = Columns(stream, keeps=lambda archetype: archetype is not rr.EncodedImage)
-    scene = Scene(site, targets, columns)
+    scene = Scene(site, targets, columns, plan=plan)
     scene.announce()
     for overlay in overlays:
         draw(overlay, columns)

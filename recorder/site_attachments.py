@@ -1,7 +1,9 @@
 """The files of a site that a recording carries, without anybody's password."""
 
+import mimetypes
 import re
 
+from trigpoint.building import load_plan, plan_picture
 from trigpoint.config import Site
 from trigpoint.errors import ConfigError, TargetError, read_text
 from trigpoint.target import parse_target
@@ -31,8 +33,22 @@ def site_files(site: Site) -> list[tuple[str, bytes, str]]:
         text = read_text(path, "target file", TargetError)
         parse_target(text, file=str(path))
         files.append((name, text.encode(), _TOML))
+    files += _plan_files(site)
     lenses = [c.intrinsics for c in site.cameras.values() if not c.estimates_intrinsics]
     for name in dict.fromkeys(name for name in lenses if name):
         text = read_text(site.path(name), "camera_info file", ConfigError)
         files.append((name, text.encode(), "application/yaml"))
     return files
+
+
+def _plan_files(site: Site) -> list[tuple[str, bytes, str]]:
+    """The floor plan's two files, as the site file names the one and the one the other."""
+    if site.map is None or site.map.plan is None:
+        return []
+    name = site.map.plan
+    load_plan(site)  # what cannot be read is said now, not when the session is opened
+    text = read_text(site.path(name), "floor plan", ConfigError)
+    picture = plan_picture(name, text)
+    kind = mimetypes.guess_type(picture)[0] or "application/octet-stream"
+    data = site.path(picture).read_bytes()
+    return [(name, text.encode(), "application/yaml"), (picture, data, kind)]

@@ -5,6 +5,7 @@ from collections import deque
 
 import rerun as rr
 
+from trigpoint.building import load_plan
 from trigpoint.bus import Bus, Sample
 from trigpoint.config import Site
 from trigpoint.messages import Message
@@ -31,7 +32,7 @@ class LiveView:
     def __init__(self, site: Site, targets: dict[str, Target], stream: rr.RecordingStream) -> None:
         self._site, self._stream = site, stream
         self._columns = Columns(stream)
-        self._scene = Scene(site, targets, self._columns)
+        self._scene = Scene(site, targets, self._columns, plan=load_plan(site))
         self._queue: deque[tuple[Topic, str, Message, int]] = deque()
         self._lock = threading.Lock()
         self._shown_size = 0.0

@@ -8,6 +8,7 @@ import msgspec
 import typer
 
 from trigpoint import cdr, topics
+from trigpoint.building import attached_plan, load_plan
 from trigpoint.config import load_site
 from trigpoint.errors import InputError, MessageError, writing
 from trigpoint.fusion.estimators import check_estimator
@@ -17,6 +18,7 @@ from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.network import encode_network
 from trigpoint.recorder.recording import Recording, open_recording
+from trigpoint.tools.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.calibration_report import REPORT, write_report
 from trigpoint.tools.truth import NetworkError, load_truth, network_error
 from trigpoint.words import Progress
@@ -70,6 +72,11 @@ def main(
         chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
         check_estimator(chosen)
         inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
+    plan = (
+        attached_plan(inputs.site, recording.attachments)
+        if recording is not None and site is None
+        else load_plan(inputs.site)
+    )
     folder = out if out is not None else beside / "calibration"
     with writing(folder):  # now, not after all the work
         folder.mkdir(parents=True, exist_ok=True)
@@ -78,11 +85,17 @@ def main(
     results = pipeline.results()
     results.save(folder)
     error = _error(beside, results)
-    write_report(pipeline, results, error, session=session, folder=folder)
+    alignment = align(inputs.site, plan, results, folder)
+    write_report(pipeline, results, error, alignment, session=session, folder=folder)
     if json:
         typer.echo(encode_network(results.network).decode(), nl=False)
+    else:
+        _print(results, error)
+        _say_alignment(alignment)
+    if alignment.problem:
+        raise InputError(f"{alignment.problem} (the network itself is written to {folder})")
+    if json:
         return
-    _print(results, error)
     typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
 
 
@@ -155,6 +168,11 @@ def _error(folder: Path, results: Results) -> NetworkError | None:
     if not path.exists():
         return None
     return network_error(results.network, results.covariance, load_truth(path))
+
+
+def _say_alignment(alignment: Alignment) -> None:
+    if alignment.building is not None:
+        typer.echo(alignment_text(alignment.building))
 
 
 def _print(results: Results, error: NetworkError | None) -> None:

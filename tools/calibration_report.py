@@ -6,6 +6,7 @@ from trigpoint.errors import writing
 from trigpoint.fusion.guidance import Suggestion, next_poses
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.results import Results
+from trigpoint.tools.building_alignment import Alignment
 from trigpoint.tools.report.calibration import CalibrationResults
 from trigpoint.tools.report.calibration_page import calibration_page
 from trigpoint.tools.truth import NetworkError
@@ -18,6 +19,7 @@ def write_report(
     pipeline: Pipeline,
     results: Results,
     error: NetworkError | None,
+    alignment: Alignment,
     *,
     session: Path,
     folder: Path,
@@ -33,6 +35,8 @@ def write_report(
             note=pipeline.last_problem,
             suggestions=_next_poses(pipeline),
             error=error,
+            building=alignment.building,
+            building_problem=alignment.problem,
             session=str(session),
             folder=str(folder),
         )

@@ -12,8 +12,10 @@ from trigpoint.config import (
     BusConfig,
     CameraConfig,
     FusionConfig,
+    MapConfig,
     MavlinkConfig,
     OdometryNoise,
+    PointConfig,
     RecorderConfig,
     RobotConfig,
     RouterConfig,
@@ -99,6 +101,15 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (RecorderConfig, "minimum_free"): "bytes that stay free on the disk",
     (RecorderConfig, "when_full"): "or free: then the oldest finished recording is removed",
     (RecorderConfig, "ring_bytes"): "most that `record --ring` holds in memory",
+    (MapConfig, "frame"): "the building's frame, in which points and plan are",
+    (MapConfig, "level"): "false: tilt is worked out too, from 3 points not in line",
+    (MapConfig, "origin"): "without points: the map's origin in the frame, m, m, rad",
+    (MapConfig, "plan"): "a floor plan, as ROS map_server's YAML",
+    (PointConfig, "position"): "x, y (and z) in the frame, m",
+    (PointConfig, "pixel"): "or column and row in the plan's picture",
+    (PointConfig, "sigma"): "m; how well it was surveyed, each axis",
+    (PointConfig, "robot"): "not a camera but a mark: which robot stood on it,",
+    (PointConfig, "at"): "s after its first odometry",
 }
 
 _EXAMPLES = {
@@ -107,6 +118,11 @@ _EXAMPLES = {
     (RouterConfig, "picture_rate"): 2.0,
     (RobotConfig, "topic"): "/r1/odom",
     (MavlinkConfig, "key"): "mavlink.key",
+    (MapConfig, "origin"): (0.0, 0.0, 0.0),
+    (MapConfig, "plan"): "plan.yaml",
+    (PointConfig, "position"): (1.25, 4.5, 2.6),
+    (PointConfig, "pixel"): (312.0, 870.5),
+    (PointConfig, "robot"): "r1",
 }
 """Values of the keys that have no default; those that may be absent are written as comments."""
 
@@ -147,7 +163,7 @@ def full_site_text() -> str:
     """Every key with its default and a comment."""
     tables = [
         _table("bus", BusConfig),
-        "".join(f"# {line}\n" for line in _table("bus.tls", TlsConfig).splitlines() if line),
+        _commented(_table("bus.tls", TlsConfig)),
         _table("cameras.c1", CameraConfig),
         _table("robots.r1", RobotConfig),
         _table("robots.r1.wheels", WheelConfig),
@@ -157,8 +173,15 @@ def full_site_text() -> str:
         _table("fusion", FusionConfig),
         _table("recorder", RecorderConfig),
         _table("router", RouterConfig),
+        _commented(_table("map", MapConfig)),
+        _commented(_table("map.points.c1", PointConfig)),
     ]
     return "\n".join([_HEAD, *tables])
+
+
+def _commented(table: str) -> str:
+    """A table that a site may be without."""
+    return "".join(f"# {line.removeprefix('# ')}\n" for line in table.splitlines() if line)
 
 
 def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = None) -> str:
@@ -169,7 +192,7 @@ def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = No
 def _rows(struct: type[Struct]) -> Iterator[str]:
     for field in msgspec.structs.fields(struct):
         default = field.default
-        if isinstance(default, Struct) or field.name in _TABLES:
+        if isinstance(default, Struct) or field.name in _TABLES or field.default_factory is dict:
             continue  # a table of its own
         place = (struct, field.name)
         value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)

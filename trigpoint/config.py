@@ -11,6 +11,7 @@ from msgspec.structs import force_setattr
 from .errors import ConfigError, read_text
 from .geometry import CameraModel
 from .toml_file import parse_toml
+from .words import nearest
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -262,6 +263,53 @@ class RouterConfig(Struct, frozen=True, forbid_unknown_fields=True):
     picture_rate: Positive | None = None
 
 
+class PointConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """One surveyed point: a camera's optical centre, or a mark on the floor that a robot stood on.
+
+    `position`: x, y and, where it was surveyed, z, metres; or `pixel`: column and row in the plan.
+    """
+
+    position: tuple[float, ...] | None = None
+    pixel: tuple[float, float] | None = None
+    sigma: Positive = 0.01
+    robot: str | None = None
+    at: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        if (self.position is None) == (self.pixel is None):
+            raise ValueError("a point has either `position` (m) or `pixel` (of the plan); give one")
+        if self.position is not None and len(self.position) not in (2, 3):
+            raise ValueError(
+                f"`position` has {len(self.position)} numbers; write [x, y] or [x, y, z]"
+            )
+        if not all(math.isfinite(value) for value in (self.position or self.pixel or ())):
+            raise ValueError("`position` and `pixel` are finite numbers; correct them")
+
+
+class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the map lies in the building: by surveyed points, or by its origin alone."""
+
+    frame: str = "building"
+    level: bool = True
+    origin: tuple[float, float, float] | None = None
+    plan: str | None = None
+    points: dict[str, PointConfig] = {}
+
+    def __post_init__(self) -> None:
+        _check_name("frame", self.frame)
+        if self.frame == "map":
+            raise ValueError("`map` is the frame that is aligned; call the building's otherwise")
+        if self.points and self.origin is not None:
+            raise ValueError("`origin` and [map.points] say the same twice; take one of them out")
+        if not (self.points or self.plan or self.origin):
+            raise ValueError("[map] says nothing; give points, an origin or a plan")
+        for name, point in self.points.items():
+            if point.pixel is not None and self.plan is None:
+                raise ValueError(f"points.{name} is a pixel of no plan; give `plan` too")
+            if not self.level and len(point.position or ()) != 3:
+                raise ValueError(f"points.{name} has no z, which level = false needs; give it")
+
+
 class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     site: str
     cameras: dict[str, CameraConfig]
@@ -271,6 +319,7 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     fusion: FusionConfig = FusionConfig()
     recorder: RecorderConfig = RecorderConfig()
     router: RouterConfig = RouterConfig()
+    map: MapConfig | None = None
 
     def __post_init__(self) -> None:
         for what, name in [
@@ -284,6 +333,22 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
                 raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
+        for name, point in (self.map.points if self.map else {}).items():
+            self._check_point(name, point)
+
+    def _check_point(self, name: str, point: PointConfig) -> None:
+        if point.robot is None and name not in self.cameras:
+            raise ValueError(
+                f"map.points.{name}: there is no camera «{name}»{nearest(name, self.cameras)} "
+                "(a mark on the floor says which `robot` stood on it)"
+            )
+        if point.robot is not None and point.robot not in self.robots:
+            raise ValueError(
+                f"map.points.{name}: there is no robot «{point.robot}»"
+                f"{nearest(point.robot, self.robots)}"
+            )
+        if point.robot is not None and name in self.cameras:
+            raise ValueError(f"map.points.{name} is a camera; a mark needs another name")
 
 
 class Site(Struct, frozen=True):
@@ -299,6 +364,7 @@ class Site(Struct, frozen=True):
     text: str
     default_target: str | None = None
     router: RouterConfig = RouterConfig()
+    map: MapConfig | None = None
 
     def camera(self, name: str) -> CameraConfig:
         """A camera by name; raise ConfigError that lists the known ones."""
@@ -369,6 +435,7 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
         text=text,
         default_target=file.target,
         router=file.router,
+        map=file.map,
     )
 
 

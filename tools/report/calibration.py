@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.building import Building
 from trigpoint.fusion.guidance import Suggestion
 from trigpoint.fusion.residuals import CameraResiduals
 from trigpoint.geometry import Pose
@@ -22,7 +23,8 @@ class CalibrationResults:
     """A calibration: the network with its joint `covariance` (6n, 6n), `trajectories` (robot ->
     (stamps_ns, map_from_base)), each camera's residuals where the estimator gives them, what was
     `left_out` of the session by reason and the last of it in words (`note`), the next poses to
-    visit, and the `error` against the truth where that is known.
+    visit, and the `error` against the truth where that is known. `building`: where the map lies in
+    it, None where that is not asked for, or cannot be told for the `building_problem`.
 
     `session`, `folder`: the recording and where the results are, as the reader may type them.
     """
@@ -37,6 +39,8 @@ class CalibrationResults:
     error: NetworkError | None
     session: str
     folder: str
+    building: Building | None = None
+    building_problem: str = ""
 
     @property
     def seconds(self) -> float:

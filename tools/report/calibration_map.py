@@ -7,6 +7,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.network import CameraRecord
 
 from .calibration import CalibrationResults
+from .floor_plan_image import floor_plan_image
 from .plan import MARGIN, Plan, suggestion_mark
 from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
@@ -16,6 +17,8 @@ _NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _LARGEST_ELLIPSE = 30.0
 _MOST_POINTS = 600
 _ROOM_M = 0.35
+_WALLS_M = 1.5
+"""More room where a floor plan lies under the map, so that the walls around are on it."""
 
 
 def has_map(results: CalibrationResults) -> bool:
@@ -29,7 +32,9 @@ def plan_of(results: CalibrationResults, width: float, *, upright: bool) -> Plan
     points += [_wedge(pose) for pose in _poses(results).values()]
     points += [s.map_from_base.translation[None, :2] for s in results.suggestions]
     every = np.concatenate(points)
-    low, high = every.min(axis=0) - _ROOM_M, every.max(axis=0) + _ROOM_M
+    has_walls = results.building is not None and results.building.plan is not None
+    room = _WALLS_M if has_walls else _ROOM_M
+    low, high = every.min(axis=0) - room, every.max(axis=0) + room
     return Plan(np.stack([low, high]), width, upright=upright)
 
 
@@ -46,7 +51,8 @@ def map_drawing(results: CalibrationResults, *, width: float, upright: bool) -> 
     """The whole map."""
     plan = plan_of(results, width, upright=upright)
     factor = magnification(results, plan)
-    parts = [_way(poses, plan) for _, poses in results.trajectories.values() if len(poses)]
+    parts = [floor_plan_image(results.building, plan)] if results.building else []
+    parts += [_way(poses, plan) for _, poses in results.trajectories.values() if len(poses)]
     for index, (name, camera) in enumerate(results.network.cameras.items()):
         if camera.map_from_camera is not None and camera.covariance is not None:
             parts.append(_camera(name, camera, index, plan, factor))

@@ -5,6 +5,7 @@ from html import escape
 from trigpoint import __version__
 from trigpoint.network import CameraRecord
 
+from .building_section import building_section
 from .calibration import CalibrationResults
 from .calibration_map import has_map, legend, magnification, map_drawing, plan_of
 from .calibration_tables import (
@@ -35,6 +36,7 @@ def calibration_page(results: CalibrationResults) -> str:
         _undetermined(results),
         tiles(results),
         _map(results),
+        building_section(results),
         _guidance(results),
         _cameras(results),
         _distances(results),

@@ -30,6 +30,7 @@ STYLE = f"""
     --good:#5fc9a0; --bad:#ff8a80; color-scheme:dark;
   }}
   {_cameras(_CAMERAS_DARK)}
+  .floor-plan {{ filter:invert(1); mix-blend-mode:screen }}
 }}
 * {{ box-sizing:border-box }}
 body {{
@@ -67,6 +68,7 @@ svg {{ display:block; width:100%; height:auto }}
 svg text {{ fill:var(--soft); font-size:13px }}
 .upright {{ display:none }}
 .walls line {{ stroke:var(--wall); stroke-width:3; stroke-linecap:round }}
+.floor-plan {{ opacity:.55; mix-blend-mode:multiply }}
 .view {{ fill:var(--k); fill-opacity:.13; stroke:none }}
 svg .name {{ fill:var(--k); font-weight:650; font-size:16px; text-anchor:middle }}
 .way {{ fill:none; stroke-linejoin:round; stroke-linecap:round }}

@@ -26,6 +26,15 @@ from trigpoint.network import (
 )
 from trigpoint.recorder.mcap_check import check
 
+SITE = """site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "dir://c1"
+[cameras.c2]
+source = "dir://c2"
+[robots.r1]
+port = "loop://"
+"""
 LENS = CameraModel.from_field_of_view(640, 480, 1.0)
 POSES = {"c1": Pose.planar(1.0, 2.0, 0.3), "c2": Pose.planar(-1.0, 0.5, -1.2)}
 
@@ -47,8 +56,10 @@ def network() -> Network:
 @pytest.fixture(scope="module")
 def exported(session_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("exported")
+    (folder / "site.toml").write_text(f"{SITE}\n[map]\norigin = [20.0, 10.0, 0.5]\n")
     (folder / "network.json").write_bytes(encode_network(network()))
     words = ["export", str(session_file), "--out", str(folder), "--network", str(folder)]
+    words += ["--site", str(folder / "site.toml")]
     assert run([*words, *_formats("tum", "kalibr", "ros", "launch", "mcap")]) == 0
     return folder
 
@@ -92,8 +103,10 @@ def test_the_launch_file_says_every_camera(exported: Path, monkeypatch: pytest.M
         monkeypatch.setitem(sys.modules, name, module)
     runpy.run_path(str(exported / "cameras.launch.py"))["generate_launch_description"]()
     arguments = [dict(zip(n["arguments"][::2], n["arguments"][1::2], strict=True)) for n in nodes]
-    assert [one["--child-frame-id"] for one in arguments] == ["c1/optical", "c2/optical"]
+    assert [one["--child-frame-id"] for one in arguments] == ["c1/optical", "c2/optical", "map"]
     assert float(arguments[0]["--x"]) == 1.0
+    assert [one["--frame-id"] for one in arguments] == ["map", "map", "building"]
+    assert float(arguments[2]["--x"]) == 20.0
 
 
 def test_the_drawable_recording_has_all_that_viewers_need(exported: Path) -> None:
@@ -106,8 +119,9 @@ def test_the_drawable_recording_has_all_that_viewers_need(exported: Path) -> Non
             message = reader.deserialize(data, connection.msgtype)
             read.setdefault(connection.topic, []).append(message)
     assert topics["/lab/camera/c1/annotations"] == "foxglove_msgs/msg/ImageAnnotations"
-    frames = [t.child_frame_id for t in read["/lab/tf_static"][0].transforms]
-    assert frames == ["c1/optical", "c2/optical"]
+    placed = read["/lab/tf_static"][0].transforms
+    assert [t.child_frame_id for t in placed] == ["map", "c1/optical", "c2/optical"]
+    assert placed[0].header.frame_id == "building"
     pictures, infos = read["/lab/camera/c1/image/compressed"], read["/lab/camera/c1/camera_info"]
     stamps = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in infos}
     assert {(m.header.stamp.sec, m.header.stamp.nanosec) for m in pictures} <= stamps

@@ -13,8 +13,10 @@ from builders import make_site
 from rerun.chunk import RrdReader
 
 from trigpoint.errors import OperationError, RecordingError
-from trigpoint.geometry import Pose
+from trigpoint.floor_plan import FloorPlan
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.messages import (
+    CameraInfo,
     FaceSighting,
     Odometry,
     Picture,
@@ -37,7 +39,7 @@ from trigpoint.recorder.rerun_camera import outline
 from trigpoint.recorder.rerun_columns import Columns, open_stream
 from trigpoint.recorder.rerun_scene import Scene
 from trigpoint.recorder.review import write_rrd
-from trigpoint.topics import CAMERA_POSE, IMAGE, ODOMETRY, ROBOT_POSE, SIGHTINGS, TF
+from trigpoint.topics import CAMERA_INFO, CAMERA_POSE, IMAGE, ODOMETRY, ROBOT_POSE, SIGHTINGS, TF
 
 SECOND = 1_000_000_000
 
@@ -279,3 +281,61 @@ def test_cameras_of_a_network_beside_the_session_are_shown(
     found = entities(tmp_path / "s.rrd")
     assert "/map/cameras/c1/frustum" in found
     assert not {"/map/cameras/c2", "/map/cameras/c9"} & found
+
+
+def test_a_frustums_picture_lies_around_its_principal_point(scene: Scene, rows: Rows) -> None:
+    lens = CameraModel(640, 480, 500.0, 510.0, 300.0, 250.0)
+    scene.add(CAMERA_INFO, "c1", CameraInfo(SECOND, "c1/optical", lens))
+    scene.add(CAMERA_POSE, "c1", estimate(1, 0.0))
+    ((_, pinhole),) = rows.of("/map/cameras/c1/frustum")
+    (column,) = rr.Pinhole.columns(image_from_camera=pinhole["image_from_camera"])
+    # What rerun is given is column-major: fx 0 0, 0 fy 0, cx cy 1.
+    (numbers,) = column.as_arrow_array().to_pylist()
+    assert np.ravel(numbers).tolist() == [500, 0, 0, 0, 510, 0, 300, 250, 1]
+
+
+PLAN = FloorPlan(np.full((40, 60), 255, np.uint8), 0.1, Pose.planar(7.0, 8.0, 0.0))
+SURVEYED = "[map]\n" + "\n".join(
+    f"[map.points.c{i + 1}]\nposition = [{10 - y}, {10 + x}]"  # turned by a quarter
+    for i, (x, y) in enumerate([(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)])
+)
+
+
+def surveyed_scene(rows: Rows, text: str) -> Scene:
+    return Scene(make_site(cameras=4, more=text), {}, rows, plan=PLAN)
+
+
+def place_cameras(scene: Scene, places: list[tuple[float, float]]) -> None:
+    for i, (x, y) in enumerate(places):
+        pose = Pose(np.eye(3), np.array([x, y, 2.0]))
+        message = PoseEstimate(10 * SECOND + i, "map", pose, 1e-4 * np.eye(6))
+        scene.add(CAMERA_POSE, f"c{i + 1}", message)
+    scene.finish()
+
+
+def test_the_floor_plan_lies_where_the_surveyed_cameras_say(rows: Rows) -> None:
+    scene = surveyed_scene(rows, SURVEYED)
+    place_cameras(scene, [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)])
+    _, parts = rows.of(style.PLAN)[-1]
+    # The plan's corner (7, 8) of the building is 3 m off the map's origin there, turned back.
+    assert parts["translation"][0][:2] == pytest.approx([-2.0, 3.0], abs=0.01)
+    turn = Pose.from_quaternion([0, 0, 0], parts["quaternion"][0])
+    assert float(turn.heading) == pytest.approx(-np.pi / 2, abs=0.01)
+
+
+def test_a_point_that_contradicts_the_survey_is_said(rows: Rows) -> None:
+    scene = surveyed_scene(rows, SURVEYED)
+    place_cameras(scene, [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 4.0)])
+    said = [parts["text"][0] for _, parts in rows.of(style.LOG)]
+    assert any("c4: contradicts the other surveyed points" in line for line in said)
+
+
+def test_a_mark_counts_where_the_robot_stood_then(rows: Rows) -> None:
+    dock = "[map.points.dock]\nrobot = 'r1'\nat = 2\nposition = [10, 11]"
+    gate = "[map.points.gate]\nrobot = 'r1'\nat = 9\nposition = [10, 18]"
+    scene = surveyed_scene(rows, f"{dock}\n{gate}")
+    for t in range(12):
+        scene.add(ROBOT_POSE, "r1", estimate(t, float(t) - 1))
+    scene.finish()
+    _, parts = rows.of(style.PLAN)[-1]
+    assert parts["translation"][0][:2] == pytest.approx([-2.0, 3.0], abs=0.05)

@@ -111,6 +111,42 @@ def test_site_file_is_used_instead_of_the_attached_one(
     }
 
 
+def test_surveyed_cameras_lay_the_map_over_the_building(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = json.loads((recorded / "truth.json").read_text())["cameras"]
+    places = {name: pose["translation"] for name, pose in truth.items()}
+    here = _mapped(recorded, tmp_path, {n: [x + 50, y - 20, z] for n, (x, y, z) in places.items()})
+    assert run(["calibrate", str(recorded), "--site", str(here), "--out", str(tmp_path)]) == 0
+    assert "the map in building: (50.0" in capsys.readouterr().out
+    record = json.loads((tmp_path / "alignment.json").read_text())
+    assert record["frame_from_map"]["translation"] == pytest.approx([50, -20, 0], abs=0.1)
+    aligned = load_network(tmp_path / "building")
+    assert aligned.map == "building"
+    assert "The map in the building" in (tmp_path / "report.html").read_text()
+
+    wrong = _mapped(recorded, tmp_path, {n: [9 * x, y, z] for n, (x, y, z) in places.items()})
+    said = refused_after_work(capsys, recorded, "--site", wrong, "--out", tmp_path / "again")
+    assert "the surveyed points contradict the map" in said
+    assert (tmp_path / "again" / "network.json").exists()
+
+
+def _mapped(recorded: Path, folder: Path, places: dict[str, list[float]]) -> Path:
+    """The session's site file with its cameras surveyed."""
+    text = open_recording(recorded).site_text
+    rows = [f"[map.points.{name}]\nposition = {place}" for name, place in places.items()]
+    for name, data in open_recording(recorded).attachments.items():
+        (folder / name).write_bytes(data)
+    (folder / "mapped.toml").write_text("\n".join([text, *rows]))
+    return folder / "mapped.toml"
+
+
+def refused_after_work(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The last line on standard error of a command that ends with status 2."""
+    assert run(["calibrate", *map(str, arguments)]) == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
 def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     assert run(["calibrate", str(recorded), "--out", str(first)]) == 0

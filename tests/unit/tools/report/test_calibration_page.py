@@ -9,7 +9,9 @@ import pytest
 from drives import CameraPlan, lab_cameras, lab_plan, looking_at, make_session, write_session
 from pages import read_page
 
+from trigpoint.building import Building
 from trigpoint.cli import run
+from trigpoint.floor_plan import FloorPlan
 from trigpoint.fusion.guidance import Suggestion
 from trigpoint.fusion.residuals import CameraResiduals
 from trigpoint.geometry import CameraModel, Pose
@@ -20,6 +22,7 @@ from trigpoint.network import (
     PoseRecord,
     Statistics,
 )
+from trigpoint.survey import SurveyedPoint, lay
 from trigpoint.tools.report.calibration import (
     CalibrationResults,
     view_angle_sigmas,
@@ -82,6 +85,17 @@ def make_results(**more) -> CalibrationResults:
     return CalibrationResults(**(fields | more))
 
 
+def surveyed() -> Building:
+    """A map that is laid over two cameras, with a plan below it; a third point is missing."""
+    plan = FloorPlan(np.full((30, 40), 200, np.uint8), 0.1, Pose.planar(9.0, 8.0, 0.2))
+    points = [
+        SurveyedPoint(name, np.array(ours), np.add(ours, [10.0, 10.0, 0.0]), 0.01)
+        for name, ours in (("c1", [2.0, 0.0, 1.6]), ("c2", [2.0, 3.0, 1.6]))
+    ]
+    laying = lay(points, 1e-4 * np.eye(6), is_level=True)
+    return Building("hall", laying.frame_from_map, plan, laying, ("dock",))
+
+
 UNDETERMINED = CameraRecord("undetermined", undetermined=("which face it saw",), sightings=4)
 KINDS = {
     "good": make_results(),
@@ -91,6 +105,8 @@ KINDS = {
     "nothing at all": make_results(
         cameras={"c1": CameraRecord("unseen")}, suggestions=(), trajectories={}, residuals={}
     ),
+    "in a building": make_results(building=surveyed()),
+    "in no building": make_results(building_problem="c1, c2 do not tell the map's direction"),
     "no residuals": make_results(residuals={}),
     "robot stood": make_results(
         trajectories={"r1": (np.arange(3), Pose.planar(np.zeros(3), 0.0, 0.0))}
@@ -206,3 +222,12 @@ def test_calibrate_leaves_the_page_beside_the_network(
     deviations = re.findall(r"Standard deviation (\d\.\d\d) sigmas", text)
     assert len(deviations) == 3
     assert all(0.8 < float(value) < 1.1 for value in deviations)
+
+
+def test_a_floor_plan_lies_under_the_map_within_the_page() -> None:
+    page = calibration_page(make_results(building=surveyed()))
+    sources = [value for name, value in read_page(page).attributes if name == "href"]
+    assert any(value.startswith("data:image/png;base64,") for value in sources)
+    text = words(page)
+    assert "is at (10.000, 10.000, 0.000) m of «hall»" in text
+    assert "dock is not located" in text

@@ -1,0 +1,55 @@
+"""A calibration's map in its building: worked out, written beside the network, and told."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from trigpoint.building import Building, lay_network, save_building
+from trigpoint.config import Site
+from trigpoint.errors import InputError
+from trigpoint.floor_plan import FloorPlan
+from trigpoint.fusion.results import Results
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """`building`: None where the site file has no [map], or it cannot be laid; `problem`: why, ""
+    where all is well."""
+
+    building: Building | None = None
+    problem: str = ""
+
+
+def align(site: Site, plan: FloorPlan | None, results: Results, folder: Path) -> Alignment:
+    """Lay the map over the building by the site file, and write it beside the network."""
+    network, joint, ways = results.network, results.covariance, results.trajectories
+    try:
+        building = lay_network(site, plan, network, joint, ways)
+    except InputError as reason:
+        return Alignment(problem=str(reason))
+    if building is not None:
+        save_building(folder, building, network, joint, ways)
+    return Alignment(building)
+
+
+def alignment_text(building: Building) -> str:
+    """Where the map lies, and what each surveyed point is off."""
+    x, y, z = building.frame_from_map.translation
+    turn = math.degrees(float(building.frame_from_map.heading))
+    lines = [f"the map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"]
+    if building.laying is None:
+        return f"{lines[0]}, as the site file says"
+    sigmas = np.sqrt(np.diagonal(building.covariance))
+    lines[0] += (
+        f"; sigma {100 * float(np.linalg.norm(sigmas[:3])):.2f} cm, {math.degrees(sigmas[5]):.3f}°"
+    )
+    width = max(5, *(len(one.name) for one in building.laying.residuals))
+    lines.append(f"{'point':<{width}}   off cm   chi²  by chance")
+    for one in building.laying.residuals:
+        row = f"{one.name:<{width}} {100 * one.distance_m:8.2f} {one.chi2:6.1f} "
+        row += f"{one.probability:10.2g}"
+        lines.append(row + ("  contradicts the others; left out" if one.is_outlier else ""))
+    lines += [f"{name:<{width}}  is not located; left out" for name in building.missing]
+    return "\n".join(lines)
