@@ -1,10 +1,11 @@
-"""The robot bridge as a node between a pseudo-terminal and a bus: how late, how dear, how lossy.
+"""The robot bridge as a program between a pseudo-terminal and the bus: how late, dear and lossy.
 
     python -m benchmarks.robot_bridge [--rate 50] [--seconds 30] [--unplugs 100]
 
-The robot is a process of its own that stamps its readings as it writes them; the bridge's node runs
-here on a bus in memory, so that Zenoh's share is not in it. Or the line is unplugged and plugged in
-again under the same name. Processor time is that of the node's threads.
+A robot sends readings by turns on two lines: to `trigpoint robot`, and to a bare loop that puts
+every frame on the bus with Zenoh alone (`robot_line_ends`). Both are programs of their own, and so
+is the robot; what comes of both is taken by one session here. So what the machine costs, which has
+other things to do, is in both. Or the line is unplugged and plugged in again under the same name.
 """
 
 import argparse
@@ -17,23 +18,30 @@ import tempfile
 import threading
 import time
 import tty
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from uuid import UUID
 
 import numpy as np
+import zenoh
 
 from trigpoint.bus import Bus
 from trigpoint.bus_memory import MemoryBroker
+from trigpoint.bus_settings import Settings
+from trigpoint.bus_zenoh import open_session
 from trigpoint.cdr import decode, encode
 from trigpoint.config import parse_site
 from trigpoint.correction import CorrectionMark, encode_mark
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.messages import Diagnostics, Odometry, PoseEstimate
 from trigpoint.node import Node
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.node import RobotNode
-from trigpoint.topics import CORRECTION, ODOMETRY
+from trigpoint.topics import CORRECTION, DIAGNOSTICS, ODOMETRY
+
+from .bus_wire import free_endpoint
+from .robot_line_ends import BARE_CORRECTION, BARE_ODOMETRY, FRAME, STEP_M
 
 MAP = UUID(int=7)
 SITE = """\
@@ -47,39 +55,188 @@ baud = 921600
 [robots.r1.safety]
 establish_motion = 0.0
 """
+_START_S = 30.0
+_CORRECT_EVERY_S = 0.1
 
 
-def robot(descriptor: int, rate: float, boot: int, stopping: threading.Event | None = None) -> None:
-    """A firmware whose clock is this machine's monotonic one; says on standard output when each
-    correction's bytes had come, and at the end how many readings it sent."""
-    endpoint = FirmwareEndpoint(name="r1", program="benchmark", boot=boot)
-    os.write(descriptor, endpoint.hello())
-    due_ns, period_ns, sent = time.monotonic_ns(), round(1e9 / rate), 0
-    while stopping is None or not stopping.is_set():
-        timeout_s = max(0.0, (due_ns - time.monotonic_ns()) / 1e9)
-        ends: list[int] = [descriptor] if stopping else [descriptor, 0]
-        ready, _, _ = select.select(ends, [], [], min(timeout_s, 0.05))
-        if 0 in ready:
-            break
-        with suppress(OSError):
-            if descriptor in ready:
-                os.write(
-                    descriptor, endpoint.receive(os.read(descriptor, 4096), time.monotonic_ns())
-                )
-            now_ns = time.monotonic_ns()
-            for applied in endpoint.applied:
-                if stopping is None:
-                    print(f"{applied.sequence} {now_ns}", flush=True)
-            endpoint.applied.clear()
-            os.write(descriptor, endpoint.heartbeat(now_ns))
-            if now_ns >= due_ns:
-                pose = Pose.planar(1e-4 * sent, 0, 0)
-                stamp_ns = time.monotonic_ns()
-                os.write(descriptor, endpoint.odometry(stamp_ns, pose, np.zeros(3), np.zeros(3)))
-                sent += 1
-                due_ns += period_ns
-    if stopping is None:
-        print(f"sent {sent}", flush=True)
+@dataclass(slots=True)
+class Ear:
+    """What comes to the session here: (monotonic clock, payload) of each sample, by key."""
+
+    heard: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+
+    def hear(self, sample: zenoh.Sample) -> None:
+        now_ns = time.monotonic_ns()
+        self.heard.setdefault(str(sample.key_expr), []).append((now_ns, sample.payload.to_bytes()))
+
+    def of(self, key: str) -> list[tuple[int, bytes]]:
+        return self.heard.get(key, [])
+
+
+def measured(rate: float, seconds: float) -> None:
+    """Print how late odometry and corrections are, what it costs, and what is lost."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        endpoint = free_endpoint()
+        (folder / "site.toml").write_text(f'{SITE}[bus]\nconnect = ["{endpoint}"]\n')
+        lines = [os.openpty() for _ in range(2)]
+        for _, theirs in lines:
+            tty.setraw(theirs)
+        ours, bare = (os.ttyname(theirs) for _, theirs in lines)
+        (folder / "r1.port").symlink_to(ours)
+        session = stack.enter_context(open_session(Settings("peer", listen=(endpoint,))))
+        ear, callback = Ear(), zenoh.handlers.Callback
+        for key in (ODOMETRY.key("lab", "r1"), BARE_ODOMETRY, DIAGNOSTICS.key("lab")):
+            stack.enter_context(session.declare_subscriber(key, callback(ear.hear, indirect=False)))
+        answer = json.dumps({"map_id": str(MAP)})
+        stack.enter_context(
+            session.declare_queryable(
+                "lab/fusion/map", lambda query: query.reply("lab/fusion/map", answer)
+            )
+        )
+        module = [sys.executable, "-m"]
+        ends = [*module, "benchmarks.robot_line_ends"]
+        bridge = ["trigpoint", "robot", "--site", str(folder / "site.toml"), "--robot", "r1"]
+        programs = [
+            started(stack, words) for words in ([*module, *bridge], [*ends, "bare", bare, endpoint])
+        ]
+        masters = [master for master, _ in lines]
+        sender = stack.enter_context(
+            subprocess.Popen(
+                [*ends, "robot", *map(str, masters), str(rate)], pass_fds=masters, text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            )
+        )  # fmt: skip
+        stack.callback(sender.kill)
+        run = Run(session, ear, [program.pid for program in programs])
+        run.wait()
+        run.run(seconds)
+        assert sender.stdin is not None
+        out, _ = sender.communicate("\n", timeout=10)
+    run.report(rate, json.loads(out))
+
+
+def started(stack: ExitStack, words: list[str]) -> subprocess.Popen[bytes]:
+    """A program that is ended with the stack."""
+    process = stack.enter_context(subprocess.Popen(words))
+    stack.callback(process.terminate)
+    return process
+
+
+class Run:
+    """Corrections ten times a second for a while, and what came of it all. `pids`: of our bridge
+    and of the bare one."""
+
+    def __init__(self, session: zenoh.Session, ear: Ear, pids: list[int]) -> None:
+        self._ear, self._pids = ear, pids
+        self._key = ODOMETRY.key("lab", "r1")
+        urgent = {
+            "congestion_control": zenoh.CongestionControl.BLOCK,
+            "priority": zenoh.Priority.REAL_TIME,
+            "express": True,
+        }
+        self._ours = session.declare_publisher(
+            CORRECTION.key("lab", "r1"), encoding=CORRECTION.encoding, **urgent
+        )
+        self._bare = session.declare_publisher(BARE_CORRECTION, **urgent)
+        self._put: dict[int, int] = {}
+        self._bare_put: dict[int, int] = {}
+        self._window_ns = (0, 0)
+        self._spent_s = [0.0, 0.0]
+
+    def wait(self) -> None:
+        """Until both lines have brought something."""
+        deadline = time.monotonic() + _START_S
+        while not (self._ear.of(self._key) and self._ear.of(BARE_ODOMETRY)):
+            if time.monotonic() > deadline:
+                raise RuntimeError("the bridges did not start")
+            time.sleep(0.05)
+        time.sleep(1.0)
+
+    def run(self, seconds: float) -> None:
+        """Send corrections by turns."""
+        begin_s, before_s = time.monotonic(), [spent_s(pid) for pid in self._pids]
+        for number in range(1, round(seconds / _CORRECT_EVERY_S) + 1):
+            time.sleep(max(0.0, begin_s + number * _CORRECT_EVERY_S - time.monotonic()))
+            self._correct(number)
+            time.sleep(_CORRECT_EVERY_S / 2)
+            self._bare_put[number] = time.monotonic_ns()
+            self._bare.put(b"%0*d" % (FRAME, number))
+        self._window_ns = (round(begin_s * 1e9), time.monotonic_ns())
+        self._spent_s = [spent_s(pid) - s for pid, s in zip(self._pids, before_s, strict=True)]
+        time.sleep(0.5)
+
+    def _correct(self, number: int) -> None:
+        at = decode(ODOMETRY.type_name, self._ear.of(self._key)[-2][1])
+        assert isinstance(at, Odometry)
+        estimate = PoseEstimate(at.stamp_ns, "map", at.pose, np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4]))
+        payload, mark = encode(estimate), encode_mark(CorrectionMark(MAP, number))
+        self._put[number] = time.monotonic_ns()
+        self._ours.put(payload, attachment=mark)
+
+    def report(self, rate: float, told: list) -> None:  # type: ignore[type-arg]
+        """`told`: what the robot wrote and got, and when."""
+        sent, bare_sent, got, bare_got = told
+        came = {_reading(payload): at for at, payload in self._ear.of(self._key)}
+        bare_came = {int(payload): at for at, payload in self._ear.of(BARE_ODOMETRY)}
+        elapsed_s = (self._window_ns[1] - self._window_ns[0]) / 1e9
+        ours, lost = self._late(sent, came)
+        bare, bare_lost = self._late(bare_sent, bare_came)
+        print(f"{rate:g} readings a second for {elapsed_s:.0f} s, beside a bare loop:")
+        print(f"  lost: {lost} of {len(ours) + lost} (bare: {bare_lost})")
+        print(f"  bytes at the port to a subscriber's callback, ms: {beside(ours, bare)}")
+        way = _ways(self._put, got)
+        bare_way = _ways(self._bare_put, bare_got)
+        print(f"  correction put to bytes at the robot, ms: {beside(way, bare_way)}")
+        print(
+            f"    {len(way)} of {len(self._put)} corrections got there (the first place the robot)"
+        )
+        cores = [100 * s / elapsed_s for s in self._spent_s]
+        each_us = [1e6 * s / max(len(ours), 1) for s in self._spent_s]
+        print(
+            f"  processor: {cores[0]:.1f} % of a core (bare: {cores[1]:.1f}), "
+            f"{each_us[0]:.0f} µs a reading with all else (bare: {each_us[1]:.0f})"
+        )
+        print(f"  the bridge says: {self._last_word()}")
+
+    def _late(self, sent: list[int], came: dict[int, int]) -> tuple[np.ndarray, int]:
+        """(lateness in ms, how many never came) of what was sent within the window."""
+        begin_ns, end_ns = self._window_ns
+        within = {k: at for k, at in enumerate(sent) if begin_ns <= at < end_ns}
+        late = [(came[k] - at) / 1e6 for k, at in within.items() if k in came]
+        return np.array(late), len(within) - len(late)
+
+    def _last_word(self) -> str:
+        for _, payload in reversed(self._ear.of(DIAGNOSTICS.key("lab"))):
+            message = decode(DIAGNOSTICS.type_name, payload)
+            assert isinstance(message, Diagnostics)
+            for status in message.statuses:
+                if status.name == "robot/r1":
+                    return status.message
+        return "nothing"
+
+
+def _reading(payload: bytes) -> int:
+    message = decode(ODOMETRY.type_name, payload)
+    assert isinstance(message, Odometry)
+    return round(float(message.pose.translation[0]) / STEP_M)
+
+
+def _ways(put: dict[int, int], got: dict[str, int]) -> np.ndarray:
+    return np.array([(got[str(k)] - at) / 1e6 for k, at in put.items() if str(k) in got])
+
+
+def spent_s(pid: int) -> float:
+    """Processor time of a process's threads so far."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
+
+
+def beside(ours: np.ndarray, bare: np.ndarray) -> str:
+    marks = [np.percentile(values, [50, 99]) for values in (ours, bare)]
+    texts = ["p50 {:.2f}, p99 {:.2f}".format(*mark) for mark in marks]
+    more = marks[0] - marks[1]
+    return f"{texts[0]} (bare: {texts[1]}; ours adds {more[0]:.2f}, {more[1]:.2f})"
 
 
 class Desk:
@@ -92,11 +249,7 @@ class Desk:
         broker = MemoryBroker()
         self.bus: Bus = stack.enter_context(broker.session())
         self.odometry = self.bus.subscribe(ODOMETRY, ODOMETRY.key("lab", "r1"))
-        self.corrections = self.bus.publisher(CORRECTION, CORRECTION.key("lab", "r1"))
-        answer = json.dumps({"map_id": str(MAP)}).encode()
-        stack.enter_context(closing(self.bus.serve("lab/fusion/map", lambda _: answer)))
         self._stack, self._broker = stack, broker
-        self.sequence = 0
 
     def start(self) -> Node:
         bus = self._stack.enter_context(self._broker.session())
@@ -112,75 +265,26 @@ class Desk:
         assert isinstance(message, Odometry)
         return message, sample.received_ns
 
-    def correct(self, at: Odometry) -> tuple[int, int]:
-        """(number, when it was put on the bus)."""
-        self.sequence += 1
-        covariance = np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4])
-        payload = encode(PoseEstimate(at.stamp_ns, "map", at.pose, covariance))
-        begin_ns = time.monotonic_ns()
-        mark = encode_mark(CorrectionMark(MAP, self.sequence))
-        self.corrections.put(payload, attachment=mark)
-        return self.sequence, begin_ns
 
-
-def measured(rate: float, seconds: float) -> None:
-    """Print how late odometry and corrections are, what it costs, and what is lost."""
-    with ExitStack() as stack:
-        desk = Desk(stack)
-        ours, theirs = os.openpty()
-        tty.setraw(theirs)
-        desk.link.symlink_to(os.ttyname(theirs))
-        words = [sys.executable, "-m", "benchmarks.robot_bridge", "--robot", str(ours)]
-        process = subprocess.Popen(
-            [*words, "--rate", str(rate)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            pass_fds=[ours], text=True,
-        )  # fmt: skip
-        node = desk.start()
-        late, put, received = [], {}, 0
-        while (first := desk.take(10.0)) is None:
-            pass
-        begin_s, begin_cpu_s = time.monotonic(), bridge_seconds()
-        held = [first[0]]
-        while time.monotonic() < begin_s + seconds:
-            taken = desk.take(1.0)
-            if taken is None:
-                continue
-            message, arrived_ns = taken
-            received += 1
-            late.append((arrived_ns - message.stamp_ns) / 1e6)
-            held = [*held[-4:], message]
-            if received % max(1, round(rate / 10)) == 0:
-                number, begin_ns = desk.correct(held[-2])
-                put[number] = begin_ns
-        elapsed_s = time.monotonic() - begin_s
-        cores = (bridge_seconds() - begin_cpu_s) / elapsed_s
-        missing = node.health.lost("serial_frames_missing")
-        assert process.stdin is not None
-        out, _ = process.communicate("\n", timeout=10)
-    lines = [line.split() for line in out.splitlines()]
-    told = {int(number): int(at) for number, at in lines if number != "sent"}
-    way = np.array([(told[k] - put[k]) / 1e6 for k in put if k in told])
-    print(f"{rate:g} readings a second for {elapsed_s:.0f} s: {received} received, {missing} lost")
-    print(f"  written to bus, ms: {percentiles(np.array(late))}")
-    print(
-        f"  correction put to bytes read by the robot, ms: {percentiles(way)} ({len(way)} of them)"
-    )
-    print(f"  the bridge's threads take {100 * cores:.1f} % of a core")
-
-
-def bridge_seconds() -> float:
-    """Processor time of the node's own threads so far."""
-    total_ns = 0
-    for thread in threading.enumerate():
-        if thread.name.startswith("robot/r1"):
-            text = Path(f"/proc/self/task/{thread.native_id}/schedstat").read_text()
-            total_ns += int(text.split()[0])
-    return total_ns / 1e9
-
-
-def percentiles(values: np.ndarray) -> str:
-    marks = np.percentile(values, [50, 99, 99.9])
-    return "p50 {:.2f}, p99 {:.2f}, p99.9 {:.2f}".format(*marks)
+def robot(descriptor: int, boot: int, stopping: threading.Event) -> None:
+    """A firmware that sends 50 readings a second; its clock is this machine's monotonic one."""
+    endpoint = FirmwareEndpoint(name="r1", program="benchmark", boot=boot)
+    os.write(descriptor, endpoint.hello())
+    due_ns, sent = time.monotonic_ns(), 0
+    while not stopping.is_set():
+        wait_s = min(max(0.0, (due_ns - time.monotonic_ns()) / 1e9), 0.05)
+        ready, _, _ = select.select([descriptor], [], [], wait_s)
+        with suppress(OSError):
+            if ready:
+                data = os.read(descriptor, 4096)
+                os.write(descriptor, endpoint.receive(data, time.monotonic_ns()))
+            now_ns = time.monotonic_ns()
+            os.write(descriptor, endpoint.heartbeat(now_ns))
+            if now_ns >= due_ns:
+                pose, still = Pose.planar(STEP_M * sent, 0, 0), np.zeros(3)
+                os.write(descriptor, endpoint.odometry(now_ns, pose, still, still))
+                sent += 1
+                due_ns += 20_000_000
 
 
 def unplugged(times: int) -> None:
@@ -194,7 +298,7 @@ def unplugged(times: int) -> None:
             plugged_s = time.monotonic()
             desk.link.symlink_to(os.ttyname(theirs))
             stopping = threading.Event()
-            thread = threading.Thread(target=robot, args=(ours, 50.0, number, stopping))
+            thread = threading.Thread(target=robot, args=(ours, number, stopping))
             thread.start()
             if number == 0:
                 desk.start()
@@ -225,11 +329,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=50.0)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--unplugs", type=int, default=0)
-    parser.add_argument("--robot", type=int, default=-1, help="run the robot on this descriptor")
     arguments = parser.parse_args()
-    if arguments.robot >= 0:
-        robot(arguments.robot, arguments.rate, boot=os.getpid())
-    elif arguments.unplugs:
+    if arguments.unplugs:
         unplugged(arguments.unplugs)
     else:
         measured(arguments.rate, arguments.seconds)

@@ -5,6 +5,7 @@ shows as a step that no motor makes. Such a reading is refused. Where those afte
 another, the counting began anew somewhere: a new epoch, which goes on from the last sound pose.
 """
 
+import math
 from enum import Enum
 
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 from trigpoint.clock import to_seconds
 from trigpoint.config import RobotConfig
 from trigpoint.geometry import Pose
-from trigpoint.geometry.pose import angle_between
 
 # A site is a building; beyond, a double of a broken counter.
 FURTHEST_M = 100e3
@@ -61,7 +61,12 @@ class MotionLimits:
 
     def _is_possible(self, before: tuple[int, Pose], after: tuple[int, Pose]) -> bool:
         allowed_s = max(0.0, to_seconds(after[0] - before[0])) + JITTER_S
-        far = float(np.linalg.norm(after[1].translation - before[1].translation))
-        if far > self._speed * allowed_s:
+        if math.dist(after[1].translation, before[1].translation) > self._speed * allowed_s:
             return False
-        return float(angle_between(before[1], after[1])) <= self._turn * allowed_s
+        return _angle_between(before[1], after[1]) <= self._turn * allowed_s
+
+
+def _angle_between(first: Pose, second: Pose) -> float:
+    """`pose.angle_between` of two single poses, by plain numbers: this runs at every reading."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (first.rotation.T @ second.rotation).tolist()
+    return math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)

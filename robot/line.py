@@ -1,7 +1,8 @@
 """A port with a protocol on it: reads, writes, opens the port again after it was lost.
 
 Two threads: the reader owns the port's life and hands out events; the writer asks the protocol what
-is due. Nothing queues up: a protocol holds at most one correction, the newest.
+is due. Nothing queues up: a protocol holds at most one correction, the newest, which is written by
+whoever brings it.
 """
 
 import logging
@@ -74,10 +75,14 @@ class Line:
         return self._port is not None
 
     def correct(self, correction: RobotCorrection) -> None:
-        """Send a correction as soon as possible. Any thread."""
+        """Send a correction now: handing it to the writer would take longer than writing it. Any
+        thread but the reader's, since it waits where the port takes no bytes (`WRITE_TIMEOUT_S`).
+        """
         with self._changed:
             self._protocol.correct(correction)
-            self._changed.notify()
+        self._write_due()
+        with self._changed:
+            self._wake_writer()  # it sends again what is not answered
 
     def locate(self, pose: LocatedPose) -> None:
         """Tell the robot where it is now. Any thread."""
@@ -121,6 +126,11 @@ class Line:
             self._give_out(events)
             self._write_due()
 
+    def _wake_writer(self) -> None:
+        """Where something is due before it looks by itself."""
+        if self._protocol.due_ns(self._clock.elapsed_ns()) < self._wakes_ns:
+            self._changed.notify()
+
     def _is_due(self) -> bool:
         now_ns = self._clock.elapsed_ns()
         return self._port is not None and self._protocol.due_ns(now_ns) <= now_ns
@@ -149,8 +159,7 @@ class Line:
             if data:
                 with self._changed:
                     events = self._protocol.receive(data, received_ns)
-                    if self._protocol.due_ns(received_ns) < self._wakes_ns:
-                        self._changed.notify()
+                    self._wake_writer()
                 self._give_out(events)
 
     def _write_due(self) -> None:

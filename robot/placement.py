@@ -24,7 +24,7 @@ from trigpoint.geometry.rotation import Array
 
 from .history import OdometryHistory
 from .odometry import Stamped
-from .reckoning import carried, pose_covariance, started
+from .reckoning import carried, pose_covariances, started
 from .sent_covariance import as_sent
 
 # χ² that a true correction exceeds once in 100 000, by degrees of freedom (planar, in space).
@@ -55,6 +55,26 @@ class Contradiction:
     is_pull: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """A correction beside the n rows, all carried on to its moment: where they put the robot,
+    `covariances` (n, 8, 8); over what is checked (3 or 6 rows) `shown` (n, k, k) of the same,
+    `theirs` (k, k) the correction's, and `differences` (n, k) to it."""
+
+    at: Stamped
+    expected: Pose
+    covariances: Array
+    shown: Array
+    theirs: Array
+    differences: Array
+
+    @property
+    def chi2(self) -> Array:
+        """(n,)"""
+        scaled = np.linalg.solve(self.shown + self.theirs, self.differences[..., None])[..., 0]
+        return np.sum(self.differences * scaled, axis=-1)
+
+
 class Placement:
     """Row 0 is the belief, the others are the remembered corrections, oldest first. All are placed
     in the odometry frame and carried on together."""
@@ -62,11 +82,12 @@ class Placement:
     def __init__(self, first: Measured, config: RobotConfig) -> None:
         self._config = config
         self._rows = _PLANAR_ROWS if config.planar else list(range(6))
+        self._square = (..., *np.ix_(self._rows, self._rows))
         self._at = first.at
         frame = _map_from_odom(first.map_from_base, first.at)
         self._frames, self._stamps = [frame, frame], [first.at.stamp_ns] * 2
         self._covariances = np.stack([self._start(first)] * 2)
-        self._looked: tuple[Stamped, Array] | None = None
+        self._looked: tuple[Measured, _Look] | None = None
 
     @property
     def newest_ns(self) -> int:
@@ -91,41 +112,45 @@ class Placement:
         """map_from_base and its (6, 6) at a moment after the newest correction."""
         covariance = carried(self._covariances[0], history.steps(self._at, at))
         pose = self._frames[0] @ at.odom_from_base
-        return pose, pose_covariance(pose, covariance)
+        return pose, pose_covariances(pose, covariance)
 
     def contradiction(self, measured: Measured, history: OdometryHistory) -> Contradiction | None:
         """What is wrong with a correction beside what is known, or None."""
-        steps = history.steps(self._at, measured.at)
-        self._looked = (measured.at, carried(self._covariances, steps))
-        return self._jump(measured) or self._pull(measured)
+        look = self._look(measured, history)
+        chi2 = look.chi2
+        return self._jump(look.differences[0], chi2[0]) or self._pull(look, chi2)
 
     def take(self, measured: Measured, history: OdometryHistory) -> tuple[Pose, Array]:
         """Fuse a correction; returns the pose and covariance (6, 6) that are believed now."""
-        if self._looked is None or self._looked[0] != measured.at:
-            self.contradiction(measured, history)
-        assert self._looked is not None
-        self._at, self._covariances = self._looked
-        pose, covariance = self._fused(measured)
-        believed = Measured(measured.at, pose, covariance)
-        self._replace(0, believed)
+        look = self._look(measured, history)
+        self._at, self._covariances = look.at, look.covariances
+        pose, covariance = self._fused(look)
+        self._replace(0, Measured(measured.at, pose, covariance))
         self._remember(measured)
         return pose, covariance
 
+    def _look(self, measured: Measured, history: OdometryHistory) -> _Look:
+        """Done once for a correction that is judged and then taken."""
+        if self._looked is not None and self._looked[0] is measured:
+            return self._looked[1]
+        at = measured.at
+        covariances = carried(self._covariances, history.steps(self._at, at))
+        expected = Pose.stack(self._frames) @ at.odom_from_base
+        look = _Look(
+            at,
+            expected,
+            covariances,
+            self._shown(pose_covariances(expected, covariances)),
+            self._shown(measured.covariance),
+            measured.map_from_base.difference(expected)[:, self._rows],
+        )
+        self._looked = (measured, look)
+        return look
+
     # ---- what does not fit
 
-    def _difference(self, row: int, measured: Measured) -> tuple[Array, Array, float]:
-        """(difference, its covariance, χ²) of a correction and a row, over what is checked."""
-        assert self._looked is not None
-        expected = self._frames[row] @ measured.at.odom_from_base
-        difference = measured.map_from_base.difference(expected)[self._rows]
-        covariance = self._shown(pose_covariance(expected, self._looked[1][row]))
-        covariance = covariance + self._shown(measured.covariance)
-        chi2 = float(difference @ np.linalg.solve(covariance, difference))
-        return difference, covariance, chi2
-
-    def _jump(self, measured: Measured) -> Contradiction | None:
+    def _jump(self, difference: Array, chi2: float) -> Contradiction | None:
         limits = self._config.safety
-        difference, _, chi2 = self._difference(0, measured)
         far, turned = self._sizes(difference)
         text = ""
         if far > limits.max_jump:
@@ -136,20 +161,20 @@ class Placement:
             text = f"it jumps by {far:.3f} m and {turned:.3f} rad, {math.sqrt(chi2):.1f} sigmas"
         return Contradiction(text, is_pull=False) if text else None
 
-    def _pull(self, measured: Measured) -> Contradiction | None:
-        for row in range(1, len(self._frames)):
-            difference, _, chi2 = self._difference(row, measured)
-            if chi2 <= PULL_CHI2[len(self._rows)]:
-                continue
-            far, turned = self._sizes(difference)
-            age_s = to_seconds(measured.at.stamp_ns - self._stamps[row])
-            text = (
-                f"corrections moved the robot by {far:.2f} m and {turned:.2f} rad in {age_s:.1f} s "
-                f"beside its odometry, {math.sqrt(chi2):.1f} sigmas: either they are wrong, or "
-                "the odometry is worse than the site file says"
-            )
-            return Contradiction(text, is_pull=True)
-        return None
+    def _pull(self, look: _Look, chi2: Array) -> Contradiction | None:
+        is_pulled = ~(chi2 <= PULL_CHI2[len(self._rows)])  # also where it is no number
+        is_pulled[0] = False
+        if not np.any(is_pulled):
+            return None
+        row = int(np.argmax(is_pulled))
+        far, turned = self._sizes(look.differences[row])
+        age_s = to_seconds(look.at.stamp_ns - self._stamps[row])
+        text = (
+            f"corrections moved the robot by {far:.2f} m and {turned:.2f} rad in {age_s:.1f} s "
+            f"beside its odometry, {math.sqrt(chi2[row]):.1f} sigmas: either they are wrong, or "
+            "the odometry is worse than the site file says"
+        )
+        return Contradiction(text, is_pull=True)
 
     def _sizes(self, difference: Array) -> tuple[float, float]:
         places = len(self._rows) // 2 + len(self._rows) % 2
@@ -158,21 +183,17 @@ class Placement:
 
     # ---- what does
 
-    def _fused(self, measured: Measured) -> tuple[Pose, Array]:
+    def _fused(self, look: _Look) -> tuple[Pose, Array]:
         """Covariance intersection of the belief and a correction."""
-        assert self._looked is not None
-        expected = self._frames[0] @ measured.at.odom_from_base
-        ours = self._shown(pose_covariance(expected, self._looked[1][0]))
-        theirs = self._shown(measured.covariance)
+        ours, theirs = look.shown[0], look.theirs
         # How much of the sum's uncertainty is the correction's: so much of the belief stays.
         weight = float(np.trace(np.linalg.solve(ours + theirs, theirs))) / len(self._rows)
         gain = (1 - weight) * np.linalg.inv(theirs)
         shown = np.linalg.inv(weight * np.linalg.inv(ours) + gain)
         disturbance, covariance = np.zeros(6), np.zeros((6, 6))
-        difference = measured.map_from_base.difference(expected)[self._rows]
-        disturbance[self._rows] = shown @ gain @ difference
-        covariance[np.ix_(self._rows, self._rows)] = as_sent(0.5 * (shown + shown.T))
-        return expected.disturbed(disturbance), covariance
+        disturbance[self._rows] = shown @ gain @ look.differences[0]
+        covariance[self._square] = as_sent(0.5 * (shown + shown.T))
+        return look.expected[0].disturbed(disturbance), covariance
 
     def _replace(self, row: int, measured: Measured) -> None:
         self._frames[row] = _map_from_odom(measured.map_from_base, measured.at)
@@ -199,7 +220,7 @@ class Placement:
         return started(measured.map_from_base, measured.covariance, self._config.odometry)
 
     def _shown(self, covariance: Array) -> Array:
-        return covariance[np.ix_(self._rows, self._rows)]
+        return covariance[self._square]
 
 
 def _map_from_odom(map_from_base: Pose, at: Stamped) -> Pose:

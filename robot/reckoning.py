@@ -27,35 +27,46 @@ class Step:
     added: Array
 
 
-def step_between(first: Pose, second: Pose, noise: OdometryNoise) -> Step:
-    """The step from one reported pose to the next."""
-    back = first.rotation.T  # written out: this runs at every reading
-    way = back @ (second.translation - first.translation)
-    rotation = back @ second.rotation
+def steps_along(poses: Pose, noise: OdometryNoise) -> list[Step]:
+    """The steps from each reported pose (n) to the next; all at once, which for the five between
+    two corrections takes no longer than one by itself."""
+    back = np.swapaxes(poses.rotation[:-1], -1, -2)
+    way = (back @ np.diff(poses.translation, axis=0)[..., None])[..., 0]
+    rotation = back @ poses.rotation[1:]
     turn = log(rotation)
-    return Step(_carry(way, rotation, turn), _added(way, rotation, turn, noise))
+    carry, added = _carry(way, rotation, turn), _added(way, rotation, turn, noise)
+    return [Step(*step) for step in zip(carry, added, strict=True)]
 
 
 def _carry(way: Array, rotation: Array, turn: Array) -> Array:
-    carry = np.eye(8)
-    carry[:3, :3] = carry[3:6, 3:6] = rotation.T
-    carry[:3, 3:6] = -rotation.T @ hat(way)
-    carry[:3, 6] = rotation.T @ way
-    carry[3:6, 7] = turn  # about its own axis, which the turn leaves as it is
+    end_from_begin = np.swapaxes(rotation, -1, -2)
+    carry = np.zeros((len(way), 8, 8))
+    carry[:, [6, 7], [6, 7]] = 1.0
+    carry[:, :3, :3] = carry[:, 3:6, 3:6] = end_from_begin
+    carry[:, :3, 3:6] = -end_from_begin @ hat(way)
+    carry[:, :3, 6] = (end_from_begin @ way[..., None])[..., 0]
+    carry[:, 3:6, 7] = turn  # about its own axis, which the turn leaves as it is
     return carry
 
 
 def _added(way: Array, rotation: Array, turn: Array, noise: OdometryNoise) -> Array:
     """Along and across the direction at mid-heading, given in the axes at the step's end."""
-    length, turned = float(np.linalg.norm(way)), float(np.linalg.norm(turn))
-    end_from_middle = rotation.T @ exp(0.5 * turn)
-    spread = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2]) * length
-    tilt = noise.tilt**2 * length + noise.tilt_turn**2 * turned
-    heading = noise.heading_drive**2 * length + noise.heading_turn**2 * turned
-    added = np.zeros((8, 8))
-    added[:3, :3] = (end_from_middle * spread) @ end_from_middle.T
-    added[3:6, 3:6] = (rotation.T * [tilt, tilt, heading]) @ rotation
+    length = np.sqrt(np.sum(way * way, axis=-1))[:, None]
+    turned = np.sqrt(np.sum(turn * turn, axis=-1))[:, None]
+    end_from_begin = np.swapaxes(rotation, -1, -2)
+    end_from_middle = end_from_begin @ exp(0.5 * turn)
+    along = length * np.square([noise.distance, noise.lateral, noise.vertical])
+    about = length * np.square([noise.tilt, noise.tilt, noise.heading_drive])
+    about += turned * np.square([noise.tilt_turn, noise.tilt_turn, noise.heading_turn])
+    added = np.zeros((len(way), 8, 8))
+    added[:, :3, :3] = _spread(end_from_middle, along)
+    added[:, 3:6, 3:6] = _spread(end_from_begin, about)
     return added
+
+
+def _spread(rotation: Array, variances: Array) -> Array:
+    """(n, 3, 3) of independent variances (n, 3) along the axes of rotations (n, 3, 3)."""
+    return (rotation * variances[:, None, :]) @ np.swapaxes(rotation, -1, -2)
 
 
 def started(map_from_base: Pose, covariance: Array, noise: OdometryNoise) -> Array:
@@ -74,13 +85,15 @@ def carried(covariances: Array, steps: Iterable[Step]) -> Array:
     return covariances
 
 
-def pose_covariance(map_from_base: Pose, covariance: Array) -> Array:
-    """The contract's (6, 6) of a pose whose covariance here is (8, 8)."""
+def pose_covariances(map_from_base: Pose, covariances: Array) -> Array:
+    """The contract's (…, 6, 6) of poses (…) whose covariances here are (…, 8, 8)."""
     map_from_base_axes = _both_halves(map_from_base.rotation)
-    return map_from_base_axes @ covariance[POSE, POSE] @ map_from_base_axes.T
+    return (
+        map_from_base_axes @ covariances[..., POSE, POSE] @ np.swapaxes(map_from_base_axes, -1, -2)
+    )
 
 
 def _both_halves(rotation: Array) -> Array:
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = rotation
+    turn = np.zeros((*rotation.shape[:-2], 6, 6))
+    turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
     return turn

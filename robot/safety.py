@@ -31,7 +31,7 @@ FUTURE_NS = to_ns(0.05)
 SENDERS_NS = to_ns(2.0)
 # A site is a building; what lies further away is a broken number.
 FURTHEST_M = 100e3
-_PLANAR_ROWS = [0, 1, 5]
+_CHECKED = {True: np.ix_([0, 1, 5], [0, 1, 5]), False: np.ix_(range(6), range(6))}
 # 1 mm, and 1.4 mrad: what a planar estimator's rounding never reaches.
 _LIFT, _TILT = 1e-3, 1e-6
 
@@ -246,13 +246,12 @@ class SafetyGate:
     def _sent(self, covariance: Array) -> Array:
         """(6, 6), of which the robot is told the rows that are checked."""
         sent = np.zeros((6, 6))
-        rows = np.ix_(*[_PLANAR_ROWS if self._planar else range(6)] * 2)
-        sent[rows] = as_sent(covariance[rows])
+        sent[_CHECKED[self._planar]] = as_sent(self._shown(covariance))
         return sent
 
     def _shown(self, covariance: Array) -> Array:
         """The rows and columns that are checked: x, y and heading of a planar robot."""
-        return covariance[np.ix_(_PLANAR_ROWS, _PLANAR_ROWS)] if self._planar else covariance
+        return covariance[_CHECKED[self._planar]]
 
 
 def _is_planar(pose: Pose) -> bool:

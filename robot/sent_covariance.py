@@ -4,7 +4,10 @@ Every protocol carries the upper triangle in single precision. So a covariance i
 first, and then looked at; what comes out of the fusing is rounded the same way.
 """
 
+from functools import cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
@@ -21,8 +24,14 @@ _ASYMMETRY = 1e-6
 def as_sent(covariance: Array) -> Array:
     """The covariance (n, n) that the receiver has, who mirrors the upper triangle."""
     with np.errstate(over="ignore", under="ignore"):
-        upper = np.triu(covariance).astype(np.float32).astype(float)
-    return upper + np.triu(upper, 1).T
+        sent = covariance.astype(np.float32).astype(float)
+    return np.where(_below(len(sent)), sent.T, sent)
+
+
+@cache
+def _below(size: int) -> NDArray[np.bool_]:
+    """Which elements of a matrix lie below its diagonal."""
+    return np.tri(size, k=-1, dtype=bool)
 
 
 def covariance_fault(covariance: Array) -> str:

@@ -1,10 +1,14 @@
 """What is to be sent and waits for nobody: a bounded queue, and a thread that may wait.
 
 A put that must arrive waits for a subscriber that does not read, up to the time after which that
-one is cut off; whoever reads a port or a camera must not.
+one is cut off (a second); whoever sends other things too must not. Where a sender has nothing else
+to do (`is_direct`) it sends by itself, which is half as late: handing over to a thread takes about
+as long as Zenoh takes from process to process. Once that had to wait, the thread does it for a
+while.
 """
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -15,21 +19,28 @@ from .errors import BusError
 _log = logging.getLogger(__name__)
 
 _CAPACITY = 4096
+# Sending takes 30 µs; longer than this, and it waits for somebody (or the machine is busy).
+_WAITED_S = 0.05
+# Who did not read for a second is cut off, and comes back.
+_THREAD_S = 10.0
 
 Send = Callable[[], None]
 
 
 class Outbox:
-    """One thread that sends, in order. `put` may be called from any thread and only appends; where
-    it is full the oldest is dropped and counted as `lost`, like what the bus refuses."""
+    """Sends in order, one at a time. `put` may be called from any thread, and only appends unless
+    it `is_direct`; where it is full the oldest is dropped and counted as `lost`, like what the bus
+    refuses."""
 
-    def __init__(self, name: str, capacity: int = _CAPACITY) -> None:
-        self._name = name
+    def __init__(self, name: str, capacity: int = _CAPACITY, *, is_direct: bool = False) -> None:
+        self._name, self._is_direct = name, is_direct
+        self._by_thread_until = -math.inf
         self._items: deque[Send] = deque()
         self._capacity = capacity
         self._changed = threading.Condition(threading.Lock())
         self._is_sending = False
         self._is_closed = False
+        self._flushing = 0
         self._thread: threading.Thread | None = None
         self.lost = 0
 
@@ -38,14 +49,29 @@ class Outbox:
         with self._changed:
             if self._is_closed:
                 raise BusError("the bus is closed; nothing can be sent on it")
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
-            if len(self._items) == self._capacity:
-                self._items.popleft()
-                self.lost += 1
-            self._items.append(send)
-            self._changed.notify_all()
+            if not self._sends_itself():
+                self._append(send)
+                return
+            self._is_sending = True
+        begin_s = time.monotonic()
+        self._send(send)
+        if (end_s := time.monotonic()) - begin_s > _WAITED_S:
+            self._by_thread_until = end_s + _THREAD_S
+
+    def _sends_itself(self) -> bool:
+        """Whether the caller sends: nothing is before it, and nobody had to be waited for."""
+        is_free = self._is_direct and self._is_empty()
+        return is_free and time.monotonic() >= self._by_thread_until
+
+    def _append(self, send: Send) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+        if len(self._items) == self._capacity:
+            self._items.popleft()
+            self.lost += 1
+        self._items.append(send)
+        self._changed.notify_all()
 
     @property
     def waiting(self) -> int:
@@ -55,7 +81,10 @@ class Outbox:
     def flush(self, timeout_s: float) -> bool:
         """Wait until all is sent; whether it is in time."""
         with self._changed:
-            return self._changed.wait_for(self._is_empty, timeout_s)
+            self._flushing += 1
+            is_sent = self._changed.wait_for(self._is_empty, timeout_s)
+            self._flushing -= 1
+            return is_sent
 
     def close(self, timeout_s: float) -> bool:
         """Send what waits, within a time, and end the thread; whether it ended."""
@@ -76,18 +105,26 @@ class Outbox:
 
     def _run(self) -> None:
         while (send := self._next()) is not None:
-            try:
-                send()
-            except BusError as reason:
-                self.lost += 1
-                _log.warning("%s", reason)
+            self._send(send)
+
+    def _send(self, send: Send) -> None:
+        """Send one, after which it is the next one's turn."""
+        try:
+            send()
+        except BusError as reason:
+            self.lost += 1
+            _log.warning("%s", reason)
+        finally:
             with self._changed:
                 self._is_sending = False
-                self._changed.notify_all()
+                if self._items or self._flushing or self._is_closed:
+                    self._changed.notify_all()
 
     def _next(self) -> Send | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._items or self._is_closed)
+            self._changed.wait_for(
+                lambda: not self._is_sending and (self._items or self._is_closed)
+            )
             if not self._items:
                 return None
             self._is_sending = True

@@ -41,6 +41,9 @@ _ERROR_ENCODING = "text/plain"
 _MOST_UNSENT = 4096
 _OUTBOX = {Delivery.NEWEST: 8}
 """How many samples of a delivery wait to be sent; of pictures the newest are wanted."""
+_DIRECT = {Delivery.RECOVERED, Delivery.URGENT}
+"""What is sent on the caller's thread: odometry and sightings come from threads that have nothing
+else to send, and nothing is before a correction."""
 _FLUSH_S = 0.5
 _CLOSE_S = 5.0
 _LEAST_CLOSE_S = 0.2
@@ -313,7 +316,11 @@ class ZenohBus:
         self._connect = connect
         # What one delivery waits for holds up no other.
         self._outboxes = {
-            delivery: Outbox(f"bus sends: {delivery.value}", _OUTBOX.get(delivery, _MOST_UNSENT))
+            delivery: Outbox(
+                f"bus sends: {delivery.value}",
+                _OUTBOX.get(delivery, _MOST_UNSENT),
+                is_direct=delivery in _DIRECT,
+            )
             for delivery in Delivery
         }
         self._lock = threading.Lock()

@@ -1,4 +1,5 @@
 """Odometry and sightings read straight from their bytes: a session has tens of thousands of them.
+And odometry written so: it is the most frequent message, and robots' computers are small.
 
 rosbags takes 32 µs for an odometry message, this 5 µs. They only take what is sound in
 every respect; for all else they return None, and the general way of `cdr` says what is wrong. What
@@ -12,6 +13,7 @@ import numpy as np
 
 from .errors import MessageError
 from .geometry import Pose
+from .geometry.rotation import of_quaternion
 from .messages import FaceSighting, Odometry, Sightings
 
 # No corner is placed better or worse than this, nor so far away; outside, arithmetic would suffer.
@@ -58,9 +60,32 @@ def odometry(payload: bytes) -> Odometry | None:
         seconds * 1_000_000_000 + nanoseconds,
         frame_id,
         child_frame_id,
-        Pose(_rotation(*quaternion), np.array((x, y, z))),
+        Pose(of_quaternion(*quaternion), np.array((x, y, z))),
         np.array(values[7:10]),
         np.array(values[10:]),
+    )
+
+
+def odometry_bytes(message: Odometry) -> bytes | None:
+    """What `odometry` reads; None where the stamp is not one that it can hold."""
+    seconds, nanoseconds = divmod(message.stamp_ns, 1_000_000_000)
+    if not 0 <= seconds < 1 << 31:
+        return None
+    data = bytearray(_LITTLE_ENDIAN + b"\0\0")
+    data += _STAMP.pack(seconds, nanoseconds)
+    for name in (message.frame_id, message.child_frame_id):
+        text = name.encode() + b"\0"
+        data += bytes(_aligned(len(data), 4) - len(data)) + _COUNT.pack(len(text)) + text
+    data += bytes(_aligned(len(data), 8) - len(data))
+    pose = message.pose
+    return bytes(
+        data
+        + _ODOMETRY.pack(
+            *pose.translation,
+            *pose.quaternion,
+            *message.linear,
+            *message.angular,
+        )
     )
 
 
@@ -132,16 +157,3 @@ def _string(payload: bytes, position: int) -> tuple[str, int]:
 
 def _aligned(position: int, size: int) -> int:
     return _START + ((position - _START + size - 1) & -size)
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> np.ndarray:
-    """`geometry.rotation.from_quaternion` by plain numbers: a tenth of the time."""
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
-    )

@@ -4,6 +4,7 @@ All numbers are little-endian. The bridge and the firmware's side use the same c
 what comes: lengths, finite numbers, unit quaternions; it raises MessageError.
 """
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.rotation import Array, of_quaternion
 from trigpoint.robot.wheels import WheelGeometry
 
 VERSION = 1
@@ -304,14 +305,13 @@ def _expect_end(rest: bytes) -> None:
 
 
 def _finite(numbers: list[float], what: str) -> Array:
-    array = np.array(numbers, dtype=float)
-    if not np.all(np.isfinite(array)):
+    if not all(map(math.isfinite, numbers)):
         raise MessageError(f"{what} in a serial frame holds a number that is not finite")
-    return array
+    return np.array(numbers)
 
 
 def _pose(numbers: list[float]) -> Pose:
     array = _finite(numbers, "a pose")
-    if abs(np.linalg.norm(array[3:]) - 1) > 1e-3:
+    if abs(math.hypot(*numbers[3:]) - 1) > 1e-3:
         raise MessageError("an orientation in a serial frame is no unit quaternion")
-    return Pose.from_quaternion(array[:3], array[3:])
+    return Pose(of_quaternion(*numbers[3:]), array[:3])

