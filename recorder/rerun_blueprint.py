@@ -6,6 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
+from rerun.encodings import TimeRange
 
 from trigpoint.config import Site
 from trigpoint.geometry.rotation import Array
@@ -20,13 +21,17 @@ _SO_FAR = rrb.VisibleTimeRanges(
 )
 
 
-def blueprint(site: Site, extent: tuple[Array, Array] | None) -> rrb.Blueprint:
+def blueprint(
+    site: Site, extent: tuple[Array, Array] | None, span_ns: tuple[int, int] | None = None
+) -> rrb.Blueprint:
     """The map large on the left, pictures on the right, plots, log and legend below.
 
-    `extent`: two corners of what stands in the map, for the eye's place; None: rerun chooses. The
-    time follows what comes; where nothing comes any more, it stands at the end («paused» would be
-    at the beginning, and no blueprint can say a time).
+    `extent`: two corners of what stands in the map, for the eye's place; None: rerun chooses.
+    `span_ns`: the first and the last stamp of a session that is over, all of which the plots show.
+    The time follows what comes; where nothing comes any more, it stands at the end («paused» would
+    be at the beginning, and no blueprint can say a time).
     """
+    axis = _axis(*span_ns) if span_ns else None
     pictures = [_picture_view(camera) for camera in site.cameras]
     return rrb.Blueprint(
         rrb.Vertical(
@@ -36,16 +41,20 @@ def blueprint(site: Site, extent: tuple[Array, Array] | None) -> rrb.Blueprint:
                 column_shares=[3, 2],
             ),
             rrb.Horizontal(
-                _plot("Cameras: log10 cm", style.CAMERA_SIGMAS),
-                _plot("Robots: log10 cm", style.ROBOT_SIGMAS),
-                _plot("Headings: log10 mrad", style.HEADING_SIGMAS),
+                _plot("Cameras: log10 cm", style.CAMERA_SIGMAS, axis),
+                _plot("Robots: log10 cm", style.ROBOT_SIGMAS, axis),
+                _plot("Headings: log10 mrad", style.HEADING_SIGMAS, axis),
                 rrb.Tabs(
-                    _plot("Odometry off, cm", style.DRIFT),
-                    _plot("Latency, ms", style.LATENCY),
+                    _plot("Residuals, px", style.RESIDUALS, axis),
+                    _plot("Odometry off, cm", style.DRIFT, axis),
+                    _plot("Latency, ms", style.LATENCY, axis),
+                    _plot("Rates, Hz", style.RATES, axis),
                 ),
-                rrb.TextLogView(origin=style.LOG, name="Log", columns=_LOG_COLUMNS),
-                rrb.TextDocumentView(origin=style.LEGEND, name="Legend"),
-                column_shares=[3, 2.4, 2.7, 2.7, 3.2, 2.6],
+                rrb.Tabs(
+                    rrb.TextLogView(origin=style.LOG, name="Log", columns=_LOG_COLUMNS),
+                    rrb.TextDocumentView(origin=style.LEGEND, name="Legend"),
+                ),
+                column_shares=[3, 2.4, 2.7, 3.4, 5],
             ),
             row_shares=[5, 2],
         ),
@@ -113,5 +122,14 @@ def _grid_columns(count: int) -> int:
     return max(1, math.ceil(math.sqrt(count / 2)))
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.Corner2D.RightTop)
+def _axis(start_ns: int, end_ns: int) -> rrb.archetypes.TimeAxis:
+    """One for all plots, from the session's beginning to its end: rerun's own keeps the cursor in
+    the middle, and so half of each plot empty."""
+    start = rr.TimeRangeBoundary.absolute(nanos=start_ns)
+    end = rr.TimeRangeBoundary.absolute(nanos=end_ns)
+    return rrb.archetypes.TimeAxis(view_range=TimeRange(start=start, end=end))
+
+
+def _plot(name: str, origin: str, axis: rrb.archetypes.TimeAxis | None) -> rrb.TimeSeriesView:
+    legend = rrb.Corner2D.LeftTop
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend, axis_x=axis)

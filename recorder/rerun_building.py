@@ -14,8 +14,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.messages import PoseEstimate
 
 from . import rerun_style as style
-from .rerun_camera import LogLine
 from .rerun_columns import Columns
+from .rerun_log import LogLine
 
 _MOST_PIXELS = 4096
 """A side: what every graphics card takes as one texture."""

@@ -1,18 +1,22 @@
 """One camera in rerun: its frustum, uncertainty, picture, and what was sighted in it."""
 
 from collections import deque
-from datetime import UTC, datetime
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
 
-from trigpoint.clock import NANOSECONDS, to_ns
+from trigpoint.clock import to_ns
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array, to_quaternion
 from trigpoint.messages import CameraInfo, FaceSighting, Picture, PoseEstimate, Sightings
 
 from . import rerun_style as style
-from .rerun_columns import Columns
+from .hull import outline
+from .rerun_columns import Columns, Rate
+from .rerun_log import LogLine
+from .rerun_verdicts import VerdictScene
+from .residuals import Residual
 
 FRUSTUM_DEPTH_M = 0.8
 _FRUSTUM_PERIOD_NS = to_ns(1.0)
@@ -21,6 +25,13 @@ _SEEN_STEP_PX = 12.0
 _SHOWN_NS = to_ns(1.0)
 _PICTURES_ARE_LIVE_NS = to_ns(3.0)
 _LATENCY_PERIOD_NS = to_ns(0.5)
+_PLOTS = (
+    style.CAMERA_SIGMAS,
+    style.HEADING_SIGMAS,
+    style.LATENCY,
+    style.RESIDUALS,
+    style.RATES,
+)
 _LATEST_NS = to_ns(10.0)  # more is a replay, whose stamps are of another time
 
 
@@ -28,9 +39,21 @@ class CameraScene:
     """Turns one camera's messages into rows. A camera stands in the map once it is located."""
 
     def __init__(
-        self, name: str, index: int, camera: CameraModel, columns: Columns, log: "LogLine"
+        self,
+        name: str,
+        index: int,
+        camera: CameraModel,
+        columns: Columns,
+        log: LogLine,
+        *,
+        is_crowded: bool = False,
     ) -> None:
+        """`is_crowded`: there are so many cameras that labels in the map are names alone."""
         self.name, self._camera, self._columns, self._log = name, camera, columns, log
+        self._is_crowded = is_crowded
+        self._rate = Rate(columns, f"{style.RATES}/{name}")
+        self._verdicts = VerdictScene(name, columns, log)
+        self.estimate: PoseEstimate | None = None
         self._colour = style.camera_colour(index)
         self._path, self._frustum = style.camera_path(name), style.frustum_path(name)
         self._picture = style.picture_path(name)
@@ -49,7 +72,7 @@ class CameraScene:
         border = rr.LineStrips2D([frame], colors=[self._colour], radii=[style.ui_points(1.0)])
         self._columns.fixed(f"{self._picture}/border", border)
         line = rr.SeriesLines(colors=[self._colour], names=[self.name], widths=[2.0])
-        for group in (style.CAMERA_SIGMAS, style.HEADING_SIGMAS, style.LATENCY):
+        for group in _PLOTS:
             self._columns.fixed(f"{group}/{self.name}", line)
 
     def add_info(self, message: CameraInfo) -> None:
@@ -60,7 +83,7 @@ class CameraScene:
     def add_pose(self, message: PoseEstimate) -> None:
         stamp_ns, pose = message.stamp_ns, message.pose
         sigma_m = style.position_sigma(message.covariance)
-        self.position = pose.translation
+        self.position, self.estimate = pose.translation, message
         if not self._is_located:
             self._is_located = True
             self._show_pinhole(stamp_ns)
@@ -73,12 +96,13 @@ class CameraScene:
             quaternion=[pose.quaternion],
         )
         draw_ellipsoid(self._columns, f"/map/uncertainty/{self.name}", message, self._colour)
+        said = f"{self.name} {style.centimetres(sigma_m)}"
         self._columns.row(
             f"/map/names/{self.name}",
             stamp_ns,
             rr.Points3D,
             positions=[pose.translation + _NAME_ABOVE],
-            **style.text_only(f"{self.name} {style.centimetres(sigma_m)}"),
+            **style.text_only(self.name if self._is_crowded else said),
         )
         sigmas = f"{style.CAMERA_SIGMAS}/{self.name}"
         centimetres = style.decades(100 * sigma_m)
@@ -100,6 +124,7 @@ class CameraScene:
     def add_sightings(self, message: Sightings) -> None:
         """Draw on the picture of the same stamp; on nothing where pictures are not sent."""
         self._recent.append(message)
+        self._rate.add(message.stamp_ns)
         for face in message.faces:
             self._remember(message.stamp_ns, np.mean(face.pixels, axis=0))
         picture_ns = self._picture_ns
@@ -108,6 +133,16 @@ class CameraScene:
         elif picture_ns is None or message.stamp_ns - picture_ns > _PICTURES_ARE_LIVE_NS:
             self._wipe_before(message.stamp_ns)
             self._draw(message.stamp_ns, message.faces)
+
+    @property
+    def lens(self) -> CameraModel:
+        return self._camera
+
+    def add_residuals(self, message: Sightings, residuals: Sequence[Residual | None]) -> None:
+        """Draw what each face of a picture is off, by where it should be seen."""
+        self._verdicts.add(message.stamp_ns, residuals)
+        if self._drawn_ns == message.stamp_ns:
+            self._verdicts.draw(message.stamp_ns)
 
     def add_latency(self, stamp_ns: int, received_ns: int) -> None:
         """How much later than the exposure a sighting came."""
@@ -167,6 +202,7 @@ class CameraScene:
             labels=[_label(face) for face in faces],
         )
         self._drawn_ns = stamp_ns if faces else None
+        self._verdicts.draw(stamp_ns)
 
     def _show_pinhole(self, stamp_ns: int) -> None:
         camera = self._camera
@@ -181,19 +217,6 @@ class CameraScene:
             color=[self._colour],
             line_width=[style.ui_points(2.0)],
         )
-
-
-class LogLine:
-    """Writes a line into the scene's log."""
-
-    def __init__(self, columns: Columns) -> None:
-        self._columns = columns
-
-    def __call__(self, stamp_ns: int, level: str, text: str) -> None:
-        # The log's own column of times is too narrow to be read, and cannot be widened.
-        time = datetime.fromtimestamp(stamp_ns // NANOSECONDS, UTC).strftime("%H:%M:%S")
-        said = f"{time} {text}"
-        self._columns.row(style.LOG, stamp_ns, rr.TextLog, text=[said], level=[level])
 
 
 def draw_ellipsoid(
@@ -212,27 +235,6 @@ def draw_ellipsoid(
         fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe],
         line_radii=[style.ui_points(1.5)],
     )
-
-
-def outline(points: Array) -> Array:
-    """The convex hull of (n, 2) points as a closed line (Andrew's monotone chain)."""
-    ordered = sorted(map(tuple, points.tolist()))
-    lower, upper = _half_hull(ordered), _half_hull(ordered[::-1])
-    hull = [*lower[:-1], *upper[:-1]] or ordered
-    return np.array([*hull, hull[0]])
-
-
-def _half_hull(ordered: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    hull: list[tuple[float, ...]] = []
-    for point in ordered:
-        while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
-            hull.pop()
-        hull.append(point)
-    return hull
-
-
-def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _label(face: FaceSighting) -> str:

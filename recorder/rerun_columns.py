@@ -7,8 +7,11 @@ from typing import Any, Protocol
 import numpy as np
 import rerun as rr
 
+from trigpoint.clock import NANOSECONDS, to_ns
+
 TIMELINE = "time"
 FLUSH_BYTES = 8 * 2**20
+_RATE_PERIOD_NS = to_ns(2.0)
 
 
 def open_stream(site: str, start_ns: int) -> rr.RecordingStream:
@@ -99,6 +102,26 @@ class Columns:
             )
         self._tables.clear()
         self._bytes = 0
+
+
+class Rate:
+    """How often something comes, as a plot: messages a second over two seconds and more."""
+
+    def __init__(self, columns: Columns, entity: str) -> None:
+        self._columns, self._entity = columns, entity
+        self._since_ns = self._count = 0
+
+    def add(self, stamp_ns: int) -> None:
+        """Count one."""
+        if not self._since_ns or stamp_ns < self._since_ns:
+            self._since_ns, self._count = stamp_ns, 0
+            return
+        self._count += 1
+        after_ns = stamp_ns - self._since_ns
+        if after_ns >= _RATE_PERIOD_NS:
+            rate = self._count / (after_ns / NANOSECONDS)
+            self._columns.row(self._entity, stamp_ns, rr.Scalars, scalars=[rate])
+            self._since_ns, self._count = stamp_ns, 0
 
 
 def _sent(table: _Table) -> Iterable[rr.ComponentColumn]:

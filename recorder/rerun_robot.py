@@ -13,13 +13,14 @@ from trigpoint.target import Target
 
 from . import rerun_style as style
 from .rerun_camera import draw_ellipsoid
-from .rerun_columns import Columns
+from .rerun_columns import Columns, Rate
 
 _SEGMENT_NS = to_ns(0.5)
 _STEP_M = 0.02
 _CORRECTION_STEP_M = 0.3
 _ABOVE_THE_LINE = np.array([0.0, 0.0, 0.03])
-_NAME_ABOVE = np.array([0.0, 0.0, 1.1])
+_NAME_AT = np.array([0.0, 0.0, -0.4])
+"""Below the floor: cameras' names are above, so that the two do not cover each other."""
 _MAP_PATIENCE_NS = to_ns(5.0)
 _HELD_POSES = 20_000
 _DRIFT_PERIOD_NS = to_ns(0.2)
@@ -46,6 +47,7 @@ class RobotScene:
         self._corrected = _Path(columns, f"{self._path}/corrected", self._colour)
         self._is_corrected = False
         self._drift_ns = 0
+        self._rate = Rate(columns, f"{style.RATES}/{name}")
         self._last_correction: Array | None = None
 
     def announce(self) -> None:
@@ -66,7 +68,7 @@ class RobotScene:
         )
         if self._target:
             self._columns.fixed(f"{body}/target", _target_mesh(self._target))
-        for group in (style.ROBOT_SIGMAS, style.HEADING_SIGMAS, style.DRIFT):
+        for group in (style.ROBOT_SIGMAS, style.HEADING_SIGMAS, style.DRIFT, style.RATES):
             line = rr.SeriesLines(colors=[self._colour], names=[self.name], widths=[2.0])
             self._columns.fixed(f"{group}/{self.name}", line)
 
@@ -76,6 +78,7 @@ class RobotScene:
             self._place(map_from_odom)
 
     def add_odometry(self, message: Odometry) -> None:
+        self._rate.add(message.stamp_ns)
         if self._map_from_odom is not None:
             self._show_odometry(message, self._map_from_odom)
             return
@@ -86,14 +89,13 @@ class RobotScene:
     def add_pose(self, message: PoseEstimate) -> None:
         """The corrected pose, at an odometry message's stamp."""
         self._is_corrected = True
-        sigma_m = style.position_sigma(message.covariance)
         self._corrected.add(message.stamp_ns, message.pose.translation)
         self._move_body(message.stamp_ns, message.pose)
         self._show_drift(message)
         draw_ellipsoid(self._columns, f"{self._path}/uncertainty", message, self._colour)
-        self._name_body(message.stamp_ns, message.pose, f" {style.centimetres(sigma_m)}")
+        self._name_body(message.stamp_ns, message.pose)
         sigmas = f"{style.ROBOT_SIGMAS}/{self.name}"
-        centimetres = style.decades(100 * sigma_m)
+        centimetres = style.decades(100 * style.position_sigma(message.covariance))
         self._columns.row(sigmas, message.stamp_ns, rr.Scalars, scalars=[centimetres])
         heading = style.decades(1000 * style.heading_sigma(message.covariance))
         headings = f"{style.HEADING_SIGMAS}/{self.name}"
@@ -113,7 +115,7 @@ class RobotScene:
             )
 
     def add_suggestion(self, message: PoseStamped) -> None:
-        text = f"{self.name}: go here next"
+        text = f"{self.name} next"
         where = message.pose.translation
         self._mark("suggestion", message.stamp_ns, where, self._colour, text)
 
@@ -157,7 +159,7 @@ class RobotScene:
             self._columns.row(entity, message.stamp_ns, rr.Points3D, positions=[where], **dot)
         if not self._is_corrected:
             self._move_body(message.stamp_ns, map_from_base)
-            self._name_body(message.stamp_ns, map_from_base, "")
+            self._name_body(message.stamp_ns, map_from_base)
 
     def _move_body(self, stamp_ns: int, map_from_base: Pose) -> None:
         self._columns.row(
@@ -188,13 +190,14 @@ class RobotScene:
         words = style.text_only(text)
         self._columns.row(f"{entity}/text", stamp_ns, rr.Points3D, positions=[position], **words)
 
-    def _name_body(self, stamp_ns: int, map_from_base: Pose, uncertainty: str) -> None:
+    def _name_body(self, stamp_ns: int, map_from_base: Pose) -> None:
+        """The name alone: a longer label covers those of the cameras that it passes."""
         self._columns.row(
             f"{self._path}/name",
             stamp_ns,
             rr.Points3D,
-            positions=[map_from_base.translation + _NAME_ABOVE],
-            **style.text_only(self.name + uncertainty),
+            positions=[map_from_base.translation + _NAME_AT],
+            **style.text_only(self.name),
         )
 
 

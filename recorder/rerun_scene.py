@@ -1,5 +1,7 @@
 """From the bus's messages to what rerun shows: one mapping for `view` and `review`."""
 
+from collections import deque
+
 import numpy as np
 import rerun as rr
 
@@ -26,10 +28,15 @@ from trigpoint.topics import CAMERA_POSE, CORRECTION, ROBOT_POSE, Topic
 
 from . import rerun_style as style
 from .rerun_building import BuildingScene
-from .rerun_camera import CameraScene, LogLine
+from .rerun_camera import CameraScene
 from .rerun_columns import Columns
+from .rerun_log import LogLine
 from .rerun_robot import RobotScene
+from .residuals import Eye, RobotTrack, residual_of
 
+_ROOMY = 8
+"""Cameras whose labels in the map, with their sigmas, still stand beside each other."""
+_UNJUDGED = 256
 _LEVELS = ("INFO", "WARN", "ERROR", "WARN")
 
 
@@ -47,8 +54,11 @@ class Scene:
     ) -> None:
         """`targets`: by robot, as far as they are known; `plan`: the site's floor plan."""
         self._site, self._columns, self._log = site, columns, LogLine(columns)
+        is_crowded = len(site.cameras) > _ROOMY
         self.cameras = {
-            name: CameraScene(name, index, camera.nominal(), columns, self._log)
+            name: CameraScene(
+                name, index, camera.nominal(), columns, self._log, is_crowded=is_crowded
+            )
             for index, (name, camera) in enumerate(site.cameras.items())
         }
         self.robots = {
@@ -56,9 +66,12 @@ class Scene:
             for i, name in enumerate(site.robots)
         }
         self._building = BuildingScene(site, plan, columns, self._log)
+        self._targets = targets
+        self._tracks = {robot: RobotTrack() for robot in targets}
+        self._unjudged: deque[tuple[str, Sightings]] = deque(maxlen=_UNJUDGED)
         self._said: dict[str, tuple[int, str]] = {}
         self._held: dict[str, tuple[int, DiagnosticStatus]] = {}
-        self._last_ns = 0
+        self._first_ns = self._last_ns = 0
         self.strangers = 0
 
     def announce(self) -> None:
@@ -109,6 +122,11 @@ class Scene:
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
     @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """The first and the last stamp of what was measured; None where nothing was."""
+        return (self._first_ns, self._last_ns) if self._last_ns > self._first_ns else None
+
+    @property
     def size_m(self) -> float:
         """The longest side of the extent, 0 where nothing stands in the map."""
         extent = self.extent
@@ -126,8 +144,27 @@ class Scene:
             case Sightings():
                 self._measured(message.stamp_ns)
                 camera.add_sightings(message)
+                if message.faces and camera.estimate is not None:
+                    self._unjudged.append((camera.name, message))
+                    self._judge()
             case _:
                 raise MessageError(f"{topic.name}: nothing is shown of a {type(message).__name__}")
+
+    def _judge(self) -> None:
+        """Hold sightings against where the robots were, once that is known for their moment."""
+        while self._unjudged and self._is_covered(self._unjudged[0][1].stamp_ns):
+            name, message = self._unjudged.popleft()
+            camera = self.cameras[name]
+            assert camera.estimate is not None  # else it does not wait here
+            eye = Eye(camera.estimate, camera.lens, self._site.cameras[name].time_offset_sigma)
+            found = [
+                residual_of(face, message.stamp_ns, eye, self._tracks, self._targets)
+                for face in message.faces
+            ]
+            camera.add_residuals(message, found)
+
+    def _is_covered(self, stamp_ns: int) -> bool:
+        return any(track.covers(stamp_ns) for track in self._tracks.values())
 
     def _add_to_robot(self, robot: RobotScene, topic: Topic, message: Message) -> None:
         match message:
@@ -137,6 +174,9 @@ class Scene:
             case PoseEstimate() if topic is ROBOT_POSE:
                 robot.add_pose(message)
                 self._building.add_robot(robot.name, message)
+                if robot.name in self._tracks:
+                    self._tracks[robot.name].add(message)
+                    self._judge()
             case PoseEstimate() if topic is CORRECTION:
                 robot.add_correction(message)
             case PoseStamped():
@@ -168,6 +208,7 @@ class Scene:
 
     def _measured(self, stamp_ns: int) -> None:
         """Follow the time of the measurements, and say what waited for it."""
+        self._first_ns = self._first_ns or stamp_ns
         self._last_ns = max(self._last_ns, stamp_ns)
         if self._held:
             self._release(self._last_ns)
@@ -211,5 +252,10 @@ def _legend(site: Site) -> str:
         "**Green, white**: the truth, another network, where they lie beside the session  \n"
         "**Plots**: sigmas as decimal logarithms: 0 is 1 cm (1 mrad), -1 a tenth  \n"
         "**Outlines on the floor**: where a camera sees the target  \n"
-        "**Dots in the pictures**: where the target has been seen so far\n"
+        "**Dots in the pictures**: where the target has been seen so far  \n"
+        "**Yellow lines in the pictures**: from each corner to where it should be, by the poses of "
+        f"robot and camera, {style.RESIDUALS_DRAWN:.0f} times larger  \n"
+        "**Red in the pictures**: a sighting that is off by more than these explain, and where it "
+        "should be  \n"
+        "**Under the map**: the floor plan, where the site file has one\n"
     )

@@ -46,6 +46,11 @@ LEGEND, LOG = "/legend", "/log"
 PLAN = "/map/plan"
 CAMERA_SIGMAS, ROBOT_SIGMAS, DRIFT = "/sigma/cameras", "/sigma/robots", "/drift"
 HEADING_SIGMAS, LATENCY = "/sigma/headings", "/latency"
+RESIDUALS, RATES = "/residuals", "/rates"
+REJECTED: Colour = (255, 40, 40)
+RESIDUAL: Colour = (255, 240, 120)
+RESIDUALS_DRAWN = 10.0
+"""A good corner is off by a tenth of a pixel, which nobody would see."""
 TRUTH: Colour = (120, 255, 150)
 OVERLAY: Colour = (255, 255, 255)
 _LEAST = 1e-6

@@ -56,7 +56,7 @@ def write_rrd(
     _warn(recording, unsound, scene.strangers)
     scene.finish()
     columns.flush()
-    stream.send_blueprint(blueprint(site, scene.extent))
+    stream.send_blueprint(blueprint(site, scene.extent, scene.span_ns))
     # Pictures come last: they are nearly all of the bytes, and a viewer that takes its time over
     # them shows the whole map and every plot meanwhile.
     pictures = Columns(stream, keeps=lambda archetype: archetype is rr.EncodedImage)

@@ -4,8 +4,10 @@ The SDK's own server binds every interface; the viewer's program can be told to 
 program is started directly, since the `rerun` script is a wrapper whose end leaves it running.
 """
 
+import ctypes
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -28,6 +30,8 @@ STOP_TIMEOUT_S = 2.0
 WEB_PORT = 9080
 """Of the page, where none is given: a fixed one, so that a tunnel to it works (and to the next
 one, where the data are)."""
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
 _MEMORY = "2GB"
 """What the viewer may hold; beyond, the oldest goes. A live site may be watched for weeks."""
 
@@ -147,6 +151,7 @@ class Viewer:
                 stderr=subprocess.STDOUT,
                 env=os.environ | {"XDG_CONFIG_HOME": str(_quiet_settings(self._folder.name))},
                 start_new_session=True,  # Ctrl-C reaches us, and we stop it in order
+                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
             )
         except OSError as reason:
             raise OperationError(
@@ -163,6 +168,11 @@ class Viewer:
             if time.monotonic() > deadline:
                 raise OperationError(f"rerun's viewer did not start in {START_TIMEOUT_S:.0f} s")
             time.sleep(0.05)
+
+
+def _end_with_parent() -> None:
+    """In the child, before it becomes the viewer: it ends when we do, however we are killed."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _check_free(host: str, port: int) -> None:

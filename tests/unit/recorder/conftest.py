@@ -267,6 +267,12 @@ def write_session(path: Path, sent: list[Sent]) -> Path:
 
 
 @pytest.fixture(scope="session")
+def lab() -> Story:
+    """The lab itself, by time."""
+    return Story()
+
+
+@pytest.fixture(scope="session")
 def story() -> list[Sent]:
     """Four seconds of everything."""
     return list(Story(seconds=4.0, rate=20.0).messages())

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from builders import make_site
+from builders import make_site, make_target
 from rerun.chunk import RrdReader
 
 from trigpoint.errors import OperationError, RecordingError
@@ -33,9 +33,9 @@ from trigpoint.network import (
     encode_network,
 )
 from trigpoint.recorder import rerun_style as style
+from trigpoint.recorder.hull import outline
 from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.recorder.recording import open_recording
-from trigpoint.recorder.rerun_camera import outline
 from trigpoint.recorder.rerun_columns import Columns, open_stream
 from trigpoint.recorder.rerun_scene import Scene
 from trigpoint.recorder.review import write_rrd
@@ -339,3 +339,50 @@ def test_a_mark_counts_where_the_robot_stood_then(rows: Rows) -> None:
     scene.finish()
     _, parts = rows.of(style.PLAN)[-1]
     assert parts["translation"][0][:2] == pytest.approx([-2.0, 3.0], abs=0.05)
+
+
+def test_a_sighting_that_contradicts_the_poses_is_red_and_in_the_log(
+    scene: Scene, rows: Rows
+) -> None:
+    target = make_target()
+    scene = Scene(make_site(), {"r1": target}, rows)
+    lens = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
+    forward = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # looks along the map's x
+    place = Pose(forward, np.array([0.0, 0.0, 0.4]))
+    scene.add(CAMERA_INFO, "c1", CameraInfo(0, "c1/optical", lens))
+    scene.add(CAMERA_POSE, "c1", PoseEstimate(0, "map", place, 1e-6 * np.eye(6)))
+    face = target.faces[0]
+    for t in range(4):
+        scene.add(ROBOT_POSE, "r1", estimate(t, 2.0, sigma=0.001))
+    points = Pose.planar(2.0, 0.0, 0.0) @ face.base_from_face @ face.corners
+    pixels = lens.project(place.inverse() @ points).astype(np.float32)
+    ids = np.arange(len(pixels), dtype=np.uint16)
+    for t, shift in ((1, 0.0), (2, 50.0)):
+        found = FaceSighting("", 0, ids, pixels + np.array([shift, 0], np.float32), 0.1)
+        scene.add(SIGHTINGS, "c1", Sightings(t * SECOND, "c1/optical", 640, 480, (found,)))
+    rejected = dict(rows.of("/pictures/c1/rejected"))
+    assert not rejected[SECOND]["strips"]
+    assert len(rejected[2 * SECOND]["strips"]) == 2
+    assert [parts["scalars"] for _, parts in rows.of(f"{style.RESIDUALS}/c1")] == [
+        pytest.approx([0.0], abs=0.01),
+        pytest.approx([50.0], abs=0.01),
+    ]
+    said = [parts["text"][0] for _, parts in rows.of(style.LOG)]
+    assert any("c1: a sighting is 50 px" in line for line in said)
+
+
+def test_rates_are_plotted(scene: Scene, rows: Rows) -> None:
+    for i in range(61):
+        scene.add(ODOMETRY, "r1", odometry(1 + i / 20, 0.0))
+    assert [parts["scalars"] for _, parts in rows.of(f"{style.RATES}/r1")] == [
+        pytest.approx([20.0], abs=0.5)
+    ]
+
+
+def test_many_cameras_have_their_names_alone(rows: Rows) -> None:
+    for count, expected in ((8, "c1 ±"), (9, "c1")):
+        scene = Scene(make_site(cameras=count), {}, rows)
+        scene.add(CAMERA_POSE, "c1", estimate(1, 0.0))
+        label = rows.of("/map/names/c1")[-1][1]["labels"][0]
+        assert label.startswith(expected)
+        assert ("±" in label) == (count == 8)

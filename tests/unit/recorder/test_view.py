@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -82,6 +83,25 @@ def test_the_web_viewer_is_on_loopback_alone_and_ends() -> None:
     assert addresses == {"127.0.0.1"}
     assert "connect-src 'self' data: blob: http://127.0.0.1:" in policy
     assert not process.is_running()
+
+
+_HOLDS_A_VIEWER = """
+import sys, time
+from trigpoint.recorder.viewer import Viewer
+viewer = Viewer(is_web=True)
+print(viewer.process_id, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_killed_program_leaves_no_viewer_behind() -> None:
+    command = [sys.executable, "-c", _HOLDS_A_VIEWER]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        viewer = psutil.Process(int(program.stdout.readline()))
+        program.kill()
+    gone = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+    assert eventually(lambda: not viewer.is_running() or viewer.status() in gone, timeout_s=20)
 
 
 def test_a_page_that_rerun_does_not_have_is_not_found() -> None:
