@@ -139,6 +139,7 @@ class Run:
             CORRECTION.key("lab", "r1"), encoding=CORRECTION.encoding, **urgent
         )
         self._bare = session.declare_publisher(BARE_CORRECTION, **urgent)
+        self._corrected_ns = 0
         self._put: dict[int, int] = {}
         self._bare_put: dict[int, int] = {}
         self._window_ns = (0, 0)
@@ -169,6 +170,9 @@ class Run:
     def _correct(self, number: int) -> None:
         at = decode(ODOMETRY.type_name, self._ear.of(self._key)[-2][1])
         assert isinstance(at, Odometry)
+        if at.stamp_ns <= self._corrected_ns:
+            return  # nothing new came since the last one
+        self._corrected_ns = at.stamp_ns
         estimate = PoseEstimate(at.stamp_ns, "map", at.pose, np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4]))
         payload, mark = encode(estimate), encode_mark(CorrectionMark(MAP, number))
         self._put[number] = time.monotonic_ns()

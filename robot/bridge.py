@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass
 from uuid import UUID
 
-from trigpoint.clock import to_ns, to_seconds
+from trigpoint.clock import Clock, to_ns
 from trigpoint.config import RobotConfig
 from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
@@ -17,7 +17,7 @@ from trigpoint.health import Health
 from trigpoint.messages import Odometry, PoseEstimate
 
 from .blend import Blend
-from .firmware_clock import CONTRADICTION_NS, FirmwareClock
+from .firmware_clock import FirmwareClock
 from .limits import Motion, MotionLimits
 from .odometry import OdometryStream, Stamped
 from .protocol import (
@@ -40,6 +40,7 @@ from .protocol import (
 )
 from .safety import Approved, Refusal, Refused, SafetyGate
 from .sent_covariance import as_sent
+from .stamps import Offset, Stamps
 
 _log = logging.getLogger(__name__)
 
@@ -75,20 +76,8 @@ class Location:
         return LocatedPose(self.at.firmware_ns, self.map_from_base, self.covariance, self.resets)
 
 
-@dataclass(frozen=True, slots=True)
-class Offset:
-    """What turns this machine's monotonic clock into Unix time: nanoseconds to add.
-
-    Taken anew only where a clock that was set is believed: stamps must not jump as it is set.
-    """
-
-    unix_minus_elapsed_ns: int
-
-
 # Odometry comes at least 20 times a second (docs/serial.md); so long without any is a gap.
 _GAP_NS = to_ns(0.5)
-# Two machines without NTP are seconds apart; more is a clock that was never set.
-_CLOCKS_APART_NS = to_ns(5.0)
 # How often a robot that takes no corrections is told, and the bus, where it is: navigation stacks
 # expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.
 LOCATE_EVERY_NS = to_ns(0.05)
@@ -118,13 +107,13 @@ class Bridge:
         *,
         number: int = 0,
     ) -> None:
-        self._robot, self._health, self._offset = robot, health, offset
+        self._robot, self._health = robot, health
         self._traits, self._limits = traits, MotionLimits(config)
         self._blend, self._planar = Blend(config.safety.blend), config.planar
         self._located_ns: int | None = None
         self._resets = 0
         self._lock = threading.Lock()
-        self._clock = FirmwareClock()
+        self._stamps = Stamps(robot, traits.clock, offset, health)
         self._stream = OdometryStream(robot)
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
@@ -146,7 +135,12 @@ class Bridge:
     @property
     def clock(self) -> FirmwareClock:
         """The firmware's clock as known so far."""
-        return self._clock
+        return self._stamps.clock
+
+    @property
+    def odometry_ahead_s(self) -> float:
+        """How far a robot's own Unix time was ahead of ours when its newest reading came."""
+        return self._stamps.ahead_s
 
     @property
     def connected(self) -> Connected | None:
@@ -171,14 +165,15 @@ class Bridge:
 
     def unix_ns(self, elapsed_ns: int) -> int:
         """Unix time on the scale of the odometry's stamps."""
-        return elapsed_ns + self._offset.unix_minus_elapsed_ns
+        return self._stamps.unix_ns(elapsed_ns)
 
-    def follow(self, offset: Offset) -> None:
-        """Stamp by this machine's clock as it was set: its odometry goes on, and what corrections
-        are held against is of the time before."""
+    def follow(self, clock: Clock) -> None:
+        """Stamp by `clock`, also where it was set: odometry goes on, and what corrections are held
+        against is of the time before. Call it once a second."""
         with self._lock:
-            moved_ns = offset.unix_minus_elapsed_ns - self._offset.unix_minus_elapsed_ns
-            self._offset = offset
+            moved_ns = self._stamps.follow(clock)
+            if moved_ns == 0:
+                return
             self._stream.shift(moved_ns)
             self._limits.restart()
             self._gate.restart()
@@ -191,7 +186,7 @@ class Bridge:
                 case Reading():
                     return self._read(event)
                 case ClockExchange():
-                    self._clock.add(event)
+                    self._stamps.clock.add(event)
                 case Connected():
                     self._connect(event)
                 case Acknowledged():
@@ -250,7 +245,7 @@ class Bridge:
             return self._hand_on(mark, verdict)
 
     def _read(self, reading: Reading) -> Odometry | None:
-        stamp_ns = self._stamp(reading)
+        stamp_ns = self._stamps.of(reading)
         if stamp_ns is None:
             return None
         last = self._stream.last
@@ -267,36 +262,6 @@ class Bridge:
         self._gate.add_odometry(self._stream.last)
         self._health.count("odometry")
         return odometry
-
-    def _stamp(self, reading: Reading) -> int | None:
-        """When the reading was taken, Unix time; None where that cannot be told or be true."""
-        match self._traits.clock:
-            case StampClock.UNIX:
-                return self._unix_stamp(reading)
-            case StampClock.MACHINE:
-                machine_ns = reading.firmware_ns
-            case StampClock.FIRMWARE:
-                machine_ns = self._clock.machine_ns(reading.firmware_ns)
-        if machine_ns is None:
-            self._health.count("odometry_before_clock")
-            return None
-        if machine_ns > reading.received_ns + CONTRADICTION_NS:
-            # The firmware's clock was set: such a stamp would make all later readings out of order.
-            self._health.lose("odometry_ahead_of_clock")
-            return None
-        return self.unix_ns(machine_ns)
-
-    def _unix_stamp(self, reading: Reading) -> int | None:
-        """A robot's own Unix time: it need not be ours, but far off nothing of it can be used."""
-        off_ns = reading.firmware_ns - self.unix_ns(reading.received_ns)
-        if abs(off_ns) <= _CLOCKS_APART_NS:
-            return reading.firmware_ns
-        self._health.lose("odometry_clock_off")
-        self._health.fail(
-            f"odometry of robot {self._robot} is stamped {to_seconds(off_ns):+.1f} s from this "
-            "machine's clock; synchronise the two (chrony), or restart this bridge after that"
-        )
-        return None
 
     def _is_possible(self, stamp_ns: int, reading: Reading) -> bool:
         """Whether the robot can have moved so; a count that began anew goes on from here."""
@@ -329,7 +294,7 @@ class Bridge:
         self._health.count("connections")
         if known is None or known.boot == event.boot:
             return
-        self._clock.restart()
+        self._stamps.clock.restart()
         self._limits.restart()
         self._restart()
         self._health.lose("firmware_restarts")

@@ -21,11 +21,11 @@ from .bridge import Bridge
 from .corrections import Corrections, subscribed
 from .line import Line
 from .node import port_url, protocol_setup
-from .offset import measured_offset
 from .port import PortOpener
 from .protocol import Event, Mismatched, RobotCorrection, Takes, Traits, make_protocol
 from .relocation import ask_for_map
 from .ros2 import FOREIGN, TRAITS, foreign_keys, reading_of, ros_topic
+from .stamps import measured_offset
 
 SECONDS = 5.0
 _TROUBLE = ("serial_framing_errors", "serial_checksum_errors", "serial_content_errors")

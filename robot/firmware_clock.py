@@ -19,7 +19,12 @@ from trigpoint.clock import to_ns
 from .protocol import ClockExchange
 
 WINDOW_NS = to_ns(60.0)
+# Half the shortest round trip is the most that the first stamps can be wrong by. A line of 115 200
+# baud takes 5 ms, the same both ways. Where all took longer than this (on a busy machine the first
+# stamps were 120 ms wrong), they wait for the best of the first burst.
 NEEDED = 4
+QUICK_NS = to_ns(0.01)
+NEEDED_SLOW = 10
 # Crystals are good to 20 … 50 ppm, cheap resonators are worse.
 DRIFT_SIGMA = 100e-6
 # Scheduling noise of a quick exchange; keeps weights finite.
@@ -70,7 +75,8 @@ class FirmwareClock:
         self._exchanges.append(exchange)
         while self._exchanges[0].received_ns < exchange.received_ns - WINDOW_NS:
             self._exchanges.popleft()
-        if len(self._exchanges) >= NEEDED:
+        needed = NEEDED if self.round_trip_us * 1e3 <= QUICK_NS else NEEDED_SLOW
+        if self._line is not None or len(self._exchanges) >= needed:
             self._line = self._fitted()
 
     @property

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from trigpoint.bus import Bus, Publisher
 from trigpoint.cdr import encode, warm_up
-from trigpoint.clock import Clock, to_ns, to_seconds
+from trigpoint.clock import Clock, to_seconds
 from trigpoint.config import Site
 from trigpoint.errors import ConfigError, read_text
 from trigpoint.node import Node
@@ -16,16 +16,15 @@ from .bridge import Bridge, first_number
 from .clock_watch import ClockWatch
 from .corrections import Corrections, subscribed
 from .line import Line
-from .offset import measured_offset
 from .places import Places
 from .port import PortOpener, is_device, lasting_name
 from .protocol import Event, RobotCorrection, Setup, Takes, make_protocol
 from .relocation import MapQuestion
+from .stamps import measured_offset
 
 _log = logging.getLogger(__name__)
 
 KIND = "robot"
-_STEP_NS = to_ns(0.01)
 
 
 class RobotNode:
@@ -38,13 +37,11 @@ class RobotNode:
         self._clock = clock or node.clock
         config = site.robot(robot)
         url = port_url(site, robot)
-        self._offset = measured_offset(self._clock)
         protocol = make_protocol(protocol_setup(site, robot, self._clock))
         self._traits = protocol.traits
         number = first_number(self._clock.now_ns())
-        self._bridge = Bridge(
-            robot, config, node.health, self._offset, protocol.traits, number=number
-        )
+        offset = measured_offset(self._clock)
+        self._bridge = Bridge(robot, config, node.health, offset, protocol.traits, number=number)
         self._line = Line(
             PortOpener(url, config.baud).open,
             protocol,
@@ -108,10 +105,7 @@ class RobotNode:
     def _firmware_clock_s(self) -> float:
         """What the firmware's clock reads, 0 where that is not known. Called once a second, so it
         also looks whether the node's clock follows this machine's, which was set."""
-        offset = measured_offset(self._clock)
-        if abs(offset.unix_minus_elapsed_ns - self._offset.unix_minus_elapsed_ns) > _STEP_NS:
-            self._offset = offset
-            self._bridge.follow(offset)
+        self._bridge.follow(self._clock)
         zero_ns = self._bridge.clock.machine_ns(0)
         return 0.0 if zero_ns is None else to_seconds(self._clock.elapsed_ns() - zero_ns)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from trigpoint.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.cdr import decode, encode, warm_up
-from trigpoint.clock import Clock, SystemClock
+from trigpoint.clock import Clock
 from trigpoint.config import Site
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
@@ -22,10 +22,10 @@ from trigpoint.watchdog import Pulse
 
 from .bridge import Bridge
 from .corrections import Corrections, subscribed
-from .offset import measured_offset
 from .places import Places
 from .protocol import Connected, Event, Reading, RobotCorrection, StampClock, Takes, Traits
 from .relocation import MapQuestion
+from .stamps import measured_offset
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +53,7 @@ class RosRobotNode:
         self, bus: Bus, node: Node, site: Site, robot: str, *, clock: Clock | None = None
     ) -> None:
         self._bus, self._node, self._site, self._robot = bus, node, site, robot
-        self._clock = clock or SystemClock()
+        self._clock = clock or node.clock
         config = site.robot(robot)
         self._key = ODOMETRY.key(site.name, robot)
         self._expressions = foreign_keys(ros_topic(site, robot))
@@ -70,6 +70,7 @@ class RosRobotNode:
         self._publisher = self._bus.publisher(ODOMETRY, self._key)
         self._places = Places(self._bus, name, self._robot, node.health)
         corrections = subscribed(self._bus, self._site, self._robot)
+        node.health.gauge("odometry_ahead_ms", self._odometry_ahead_ms)
         for expression in self._expressions:
             samples = self._bus.subscribe(FOREIGN, expression)
             node.health.watch(f"odometry {expression}", samples)
@@ -78,6 +79,12 @@ class RosRobotNode:
         question = MapQuestion(self._bus, node, name, self._bridge, self._clock)
         node.work("asks", question.run)
         _log.info("%s waits for odometry on %s", node.label, " and ".join(self._expressions))
+
+    def _odometry_ahead_ms(self) -> float:
+        """How far the robot's clock is ahead. Called once a second, so it also looks whether the
+        node's clock follows this machine's, which was set."""
+        self._bridge.follow(self._clock)
+        return 1e3 * self._bridge.odometry_ahead_s
 
     def _reader(self, samples: Subscription) -> Callable[[Pulse], None]:
         def read(pulse: Pulse) -> None:

@@ -36,10 +36,16 @@ def test_odometry_on_the_bus_is_the_worlds_at_the_moments_of_reading(desk: Desk)
     with desk.bridge() as node:
         messages = desk.take(50)
         assert node.health.total("odometry") >= 50
-    numbers = [round((message.stamp_ns - desk.epoch_ns) / PERIOD_NS) for message in messages]
+    # The robot never stands here, so a pose tells which reading it is.
+    apart = [np.abs(message.pose.difference(world.poses)).max(axis=1) for message in messages]
+    numbers = [int(np.argmin(each)) for each in apart]
     assert numbers == list(range(numbers[0], numbers[0] + 50))
-    for number, message in zip(numbers, messages, strict=True):
-        np.testing.assert_allclose(message.pose.difference(world.poses[number]), 0, atol=1e-9)
+    assert max(each.min() for each in apart) < 1e-9
+    # Stamps are as good as the best exchange so far, which on a busy machine is late to come.
+    late_ns = [
+        m.stamp_ns - desk.epoch_ns - n * PERIOD_NS for n, m in zip(numbers, messages, strict=True)
+    ]
+    assert abs(np.median(late_ns)) < PERIOD_NS / 2
 
 
 def test_correction_reaches_the_robot_which_acknowledges_it_and_moves_its_map(desk: Desk) -> None:

@@ -1,5 +1,6 @@
 """The bridge without bus and port: events in, messages and corrections out, everything counted."""
 
+import threading
 from uuid import UUID
 
 import numpy as np
@@ -11,7 +12,7 @@ from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
 from trigpoint.health import Health
 from trigpoint.messages import Odometry, PoseEstimate
-from trigpoint.robot.bridge import Bridge, Offset, first_number
+from trigpoint.robot.bridge import Bridge, first_number
 from trigpoint.robot.protocol import (
     Acknowledged,
     ClockExchange,
@@ -23,9 +24,13 @@ from trigpoint.robot.protocol import (
     Reading,
     RobotCorrection,
     Silent,
+    StampClock,
+    Takes,
+    Traits,
     Unanswered,
     Vitals,
 )
+from trigpoint.robot.stamps import Offset, measured_offset
 
 UNIX_NS = to_ns(1_700_000_000.0)
 FIRMWARE_NS = to_ns(77.0)
@@ -276,3 +281,36 @@ def test_place_is_told_on_with_an_uncertainty_that_grows(robot: Robot) -> None:
     assert later.map_from_base.translation[0] == pytest.approx(14.0, abs=1e-6)
     assert later.covariance[0, 0] > first.covariance[0, 0]
     assert first.resets == later.resets == 1
+
+
+class Machine:
+    """A machine's clock that somebody sets."""
+
+    def __init__(self) -> None:
+        self.unix_minus_elapsed_ns = UNIX_NS
+
+    def now_ns(self) -> int:
+        return self.elapsed_ns() + self.unix_minus_elapsed_ns
+
+    def elapsed_ns(self) -> int:
+        return to_ns(5.0)
+
+    def wait(self, event: threading.Event, timeout_s: float) -> bool:
+        return event.is_set()
+
+
+def test_robots_own_time_is_believed_once_this_machines_clock_is_set_right() -> None:
+    machine, health = Machine(), Health(ManualClock())
+    traits = Traits(Takes.NOTHING, StampClock.UNIX)
+    bridge = Bridge("r1", RobotConfig(topic="/r1/odom"), health, measured_offset(machine), traits)
+    bridge.on_event(Connected("r1", "test", 1))
+    stamp_ns = UNIX_NS + to_ns(3605.0)
+    reading = Reading(stamp_ns, to_ns(5.0), Pose.identity(), np.zeros(3), np.zeros(3))
+    assert bridge.on_event(reading) is None
+    assert health.lost("odometry_clock_off") == 1
+    assert bridge.odometry_ahead_s == 3600.0
+    machine.unix_minus_elapsed_ns += to_ns(3600.0)
+    bridge.follow(machine)
+    odometry = bridge.on_event(reading)
+    assert odometry is not None
+    assert odometry.stamp_ns == stamp_ns

@@ -53,6 +53,17 @@ def test_nothing_is_claimed_before_a_few_exchanges() -> None:
     assert clock.is_known
 
 
+def test_slow_exchanges_are_not_believed_before_there_are_more() -> None:
+    simulated, clock = Simulated(0, drift_ppm=0, spread_s=0.0), FirmwareClock()
+    for k in range(9):
+        at_ns = to_ns(0.1 * k)
+        clock.add(ClockExchange(at_ns, simulated.firmware_ns(at_ns), at_ns + to_ns(0.08)))
+        assert not clock.is_known
+    clock.add(simulated.exchange(to_ns(1.0)))
+    assert clock.is_known
+    assert abs(error_us(clock, simulated, to_ns(1.0))) < 100
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), st.floats(-100, 100))
 def test_time_is_known_to_a_part_of_the_delays_spread(seed: int, drift_ppm: float) -> None:

@@ -112,16 +112,17 @@ def test_port_that_takes_no_bytes_loses_them_and_says_so(pty: Pty) -> None:
 class Device:
     """What pyserial says of a USB adapter."""
 
-    vid, pid, serial_number = 0x0403, 0x6015, "DN01"
+    vid, pid = 0x0403, 0x6015
 
-    def __init__(self, device: str) -> None:
-        self.device = device
+    def __init__(self, device: str, serial_number: str = "DN01") -> None:
+        self.device, self.serial_number = device, serial_number
 
 
-def test_adapter_that_comes_back_under_another_name_is_found(
-    pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = tmp_path / "ttyUSB0"
+def pulled_out(
+    pty: Pty, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> tuple[PortOpener, list[Device]]:
+    """An adapter's opener, which had it open before it was pulled out; what is plugged in now."""
+    first = folder / "ttyUSB0"
     first.symlink_to(pty.path)
     plugged = [Device(pty.path)]
     monkeypatch.setattr(port_module.list_ports, "comports", lambda: plugged)
@@ -129,6 +130,13 @@ def test_adapter_that_comes_back_under_another_name_is_found(
     opener.open().close()
     first.unlink()
     plugged.clear()
+    return opener, plugged
+
+
+def test_adapter_that_comes_back_under_another_name_is_found(
+    pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opener, plugged = pulled_out(pty, tmp_path, monkeypatch)
     with pytest.raises(PortError, match="does not exist"):
         opener.open()
     plugged.append(Device(pty.path))
@@ -139,14 +147,8 @@ def test_adapter_that_comes_back_under_another_name_is_found(
 def test_another_adapter_is_not_taken_for_the_one_that_is_gone(
     pty: Pty, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = tmp_path / "ttyUSB0"
-    first.symlink_to(pty.path)
-    plugged = [Device(pty.path)]
-    monkeypatch.setattr(port_module.list_ports, "comports", lambda: plugged)
-    opener = PortOpener(str(first), 115200)
-    opener.open().close()
-    first.unlink()
-    plugged[0].serial_number = "DN02"
+    opener, plugged = pulled_out(pty, tmp_path, monkeypatch)
+    plugged.append(Device(pty.path, serial_number="DN02"))
     with pytest.raises(PortError, match="does not exist"):
         opener.open()
 
