@@ -1,4 +1,4 @@
-"""What a browser draws of a session: the page is looked at, pixel by pixel, in headless Chromium."""
+"""What a browser draws of a session: the page is looked at in headless Chromium, by its pixels."""
 
 import io
 import shutil
@@ -72,7 +72,7 @@ def test_a_reviewed_session_is_drawn_without_an_error(
         page.goto(f"{viewer.web_url}&renderer=webgl")
         until = time.monotonic() + PATIENCE_S
         while not whole(picture := picture_of(page)) and time.monotonic() < until:
-            time.sleep(0.3)
+            time.sleep(1.0)  # to draw costs the page more than to wait
         # What is left of a long first frame: panels say a moment later what they cannot draw.
         picture = picture_of(page)
     Image.fromarray(picture.astype(np.uint8)).save(tmp_path / "drawn.png")
