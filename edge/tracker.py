@@ -23,7 +23,8 @@ from .image.region import Region, regions_around
 from .image.time_limit import IsOver
 from .registration.finder import FaceFinder
 from .registration.measurement import LEAST_CORNERS, Located
-from .registration.planar_fit import PlanarFit, fit_plane
+from .registration.planar_fit import PlanarFit
+from .registration.plane_fitting import fit_plane
 
 # While faces are followed, the whole picture is searched so often.
 SEARCH_EVERY_NS = 500_000_000

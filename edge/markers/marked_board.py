@@ -8,7 +8,8 @@ from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.measurement import LEAST_CORNERS, Measured, measured, placed_again
 from trigpoint.edge.registration.patches import CornerPattern
-from trigpoint.edge.registration.planar_fit import PlanarFit, settled_fit
+from trigpoint.edge.registration.planar_fit import PlanarFit
+from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 

@@ -77,7 +77,7 @@ def aligned(
     most = usual or Usual.of(match)
     odd = most.odd(match)
     if odd.any():
-        rows[odd] *= ~most.foreign(rows[odd])[:, None]
+        rows[odd] *= ~most.foreign(rows[odd], match.values[odd])[:, None]
         match = match.replaced(odd, _Match.of(rows[odd]))
         most = usual or Usual.of(match)
     clear = _clear(match, most, patches)
@@ -218,19 +218,29 @@ class Usual:
     def of(cls, match: _Match) -> "Usual":
         return cls(median(match.gain), median(match.values[:, _ONE]), median(match.power))
 
-    @property
-    def most_power(self) -> float:
-        """What may be left of a corner."""
-        return MOST_MISMATCH**2 * (self.power + QUIET_POWER)
+    def most_power(self, gain: Array) -> Array:
+        """What may be left of corners of some contrast (n,): where more light falls there is more
+        of everything."""
+        lit = np.maximum(gain / max(self.gain, LEAST_CONTRAST), 1.0)
+        return MOST_MISMATCH**2 * (self.power * lit**2 + QUIET_POWER)
 
     def odd(self, match: _Match) -> np.ndarray:
         """Which corners (n,) something else may cover in part."""
-        return (match.power > self.most_power) | (match.gain < LEAST_CONTRAST_SHARE * self.gain)
+        is_faint = match.gain < LEAST_CONTRAST_SHARE * self.gain
+        return (match.power > self.most_power(match.gain)) | is_faint
 
-    def foreign(self, rows: np.ndarray) -> np.ndarray:
-        """Which pixels (n, m) of rows (n, 11, m) show something else."""
-        drawn = self.gain * rows[:, _VALUE] + self.level * rows[:, _ONE]
-        return np.abs(rows[:, _SEEN] - drawn) > FOREIGN_SHARE * abs(self.gain)
+    def foreign(self, rows: np.ndarray, values: Array) -> np.ndarray:
+        """Which pixels (n, m) of rows (n, 11, m) show something else, in the light of most corners
+        or in each one's own, by its match `values` (n, 6): in the one that explains more."""
+        own = values[:, _VALUE:].astype(np.float32)
+        is_faint = own[:, 0] < LEAST_CONTRAST_SHARE * self.gain
+        usual = np.array([self.gain, self.level, 0.0, 0.0], np.float32)
+        own = np.where(is_faint[:, None], usual, own)
+        lights = np.stack([np.broadcast_to(usual, own.shape), own])
+        drawn = (lights[:, :, None] @ rows[:, _VALUE : _Y + 1])[:, :, 0]
+        beyond = np.abs(rows[:, _SEEN] - drawn) > FOREIGN_SHARE * np.abs(lights[:, :, :1])
+        best = np.argmin(np.count_nonzero(beyond, axis=2), axis=0)
+        return beyond[best, np.arange(len(rows))]
 
 
 def _clear(match: _Match, usual: Usual, patches: Patches) -> np.ndarray:
@@ -241,7 +251,7 @@ def _clear(match: _Match, usual: Usual, patches: Patches) -> np.ndarray:
     return (
         (match.count > np.maximum(LEAST_SHOWN * total, LEAST_PIXELS))
         & (match.gain > least_gain)
-        & (match.power < np.maximum(usual.most_power, SCRATCHED_SHARE * drawn))
+        & (match.power < np.maximum(usual.most_power(match.gain), SCRATCHED_SHARE * drawn))
         & (match.power < NOISE_POWER + MOST_UNEXPLAINED * drawn)
     )
 

@@ -13,8 +13,10 @@ from trigpoint.messages import FaceSighting
 from .appearance import Appearance
 from .blur import Blur
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, scatter_about, sound_corners
+from .planar_fit import PlanarFit
+from .plane_fitting import scatter_about
 from .registration import registered
+from .sound_corners import sound_corners
 from .template_search import found_by_template
 
 LEAST_CORNERS = 4

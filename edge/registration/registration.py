@@ -18,7 +18,8 @@ from trigpoint.geometry.rotation import Array
 from .alignment import Alignment, Usual, aligned
 from .blur import SHARP, Blur
 from .patches import MOST_HALF_PX, CornerPattern, patches_around
-from .planar_fit import PlanarFit, sound_corners
+from .planar_fit import PlanarFit
+from .sound_corners import sound_corners
 
 ROUNDS = 6
 ROUGH_ROUNDS = 2

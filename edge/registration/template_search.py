@@ -9,7 +9,8 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .patches import CornerPattern
-from .planar_fit import PlanarFit, fit_plane
+from .planar_fit import PlanarFit
+from .plane_fitting import fit_plane
 from .printed_pattern import printed_pattern_of
 
 # The drawing's longer side at most, and of a square at least, in its own pixels.

@@ -7,7 +7,7 @@ from boards import checkerboard, picture_of, placed, target_of, true_pixels
 
 from trigpoint.edge.boards.evidence import weighed
 from trigpoint.edge.detector import detector_for
-from trigpoint.edge.registration.planar_fit import fit_plane
+from trigpoint.edge.registration.plane_fitting import fit_plane
 
 FACE = checkerboard(8, 7, number=1)
 TRULY_RMS_PX = 0.06

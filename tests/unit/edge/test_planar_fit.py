@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from boards import CAMERA, checkerboard, placed, true_pixels
 
-from trigpoint.edge.registration.planar_fit import fit_plane, scatter_about, sound_corners
+from trigpoint.edge.registration.plane_fitting import fit_plane, scatter_about
+from trigpoint.edge.registration.sound_corners import sound_corners
 from trigpoint.geometry import CameraModel
 
 BOARD = checkerboard(9, 7)

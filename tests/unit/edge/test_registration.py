@@ -8,7 +8,8 @@ from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
 from trigpoint.edge.registration import registration
 from trigpoint.edge.registration.measurement import Measured, measured
 from trigpoint.edge.registration.patches import CornerPattern
-from trigpoint.edge.registration.planar_fit import PlanarFit, fit_plane
+from trigpoint.edge.registration.planar_fit import PlanarFit
+from trigpoint.edge.registration.plane_fitting import fit_plane
 from trigpoint.edge.registration.registration import registered
 
 BOARD = charuco(5, 4)

@@ -5,7 +5,8 @@ import pytest
 from boards import aprilgrid, charuco, checkerboard, picture_of, placed, plain_picture, true_pixels
 
 from trigpoint.edge.registration.patches import CornerPattern
-from trigpoint.edge.registration.planar_fit import PlanarFit, fit_plane
+from trigpoint.edge.registration.planar_fit import PlanarFit
+from trigpoint.edge.registration.plane_fitting import fit_plane
 from trigpoint.edge.registration.template_search import found_by_template
 from trigpoint.target import Face
 
