@@ -1,8 +1,9 @@
 """From about where a face lies to its corners: registered, sorted out, with their sigma."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
+import cv2
 import numpy as np
 
 from trigpoint.edge.image.median import median
@@ -15,7 +16,7 @@ from .blur import Blur
 from .patches import CornerPattern
 from .planar_fit import PlanarFit
 from .plane_fitting import scatter_about
-from .registration import registered
+from .registration import Registration, registered
 from .sound_corners import sound_corners
 from .template_search import found_by_template
 
@@ -28,7 +29,7 @@ LEAST_SIGMA_PX = 0.003
 # it, which is not flat to better than the second share; one with something before it may be off.
 LEAST_WILD_PX = 0.1
 LEAST_WILD_SHARE = 0.01
-WHOLE_WILD_SHARE = 0.04
+WHOLE_WILD_SHARE = 0.06
 # Corners that are so near their plane need no lens of their own, pixels.
 ENOUGH_PX = 0.03
 # What the picture's noise says of a face's sigma is worth so many squares of what its corners
@@ -41,6 +42,9 @@ _MARGIN_PX = 2.0
 # A face that lies so near where it was expected also looks as expected, and is found to a third
 # of a pixel; else its size and slant are off too.
 SURE_PX = 2.0
+# Of the window in which gradients are asked, half, and when they are settled: steps, pixels.
+GRADIENTS_HALF_PX = 4
+_SETTLING = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
 # Of a corner of a face that shows too few of them for a plane.
 FEW_CORNERS_SIGMA_PX = 0.1
 
@@ -98,6 +102,7 @@ def measured(
     )
     if found is None:
         return None
+    found = found if near is None else _with_gradients(grey, found, near)
     clear = found.is_clear
     ids, pixels, sigma = ids[clear], found.pixels[clear], found.sigma[clear]
     if 0 < len(ids) < LEAST_CORNERS:
@@ -115,6 +120,26 @@ def measured(
         return None
     scatter = scatter_about(plane, pattern.points[ids[keep]], pixels[keep])
     return Measured(ids[keep], pixels[keep], sigma_of(sigma[keep], *scatter), found.blur, plane)
+
+
+def _with_gradients(grey: np.ndarray, found: Registration, near: Array) -> Registration:
+    """With the corners that the search saw, at `near` (n, 2), and that do not look as printed:
+    where light clips or a reflection ends. They are where the gradients about them meet, if that is
+    near where they were seen; they count as having something before them."""
+    lost = np.flatnonzero(~found.is_clear & ~np.isnan(near[:, 0]))
+    if len(lost) == 0:
+        return found
+    half, starts = 2 * (GRADIENTS_HALF_PX,), near[lost]
+    settled = cv2.cornerSubPix(
+        grey, starts.reshape(-1, 1, 2).astype(np.float32), half, (-1, -1), _SETTLING
+    )
+    settled = np.asarray(settled, dtype=float).reshape(-1, 2)
+    kept = np.linalg.norm(settled - starts, axis=1) < SURE_PX
+    pixels, clear, whole = found.pixels.copy(), found.is_clear.copy(), found.is_whole.copy()
+    sigma = found.sigma.copy()
+    pixels[lost], clear[lost], whole[lost] = settled, kept, False
+    sigma[lost] = FEW_CORNERS_SIGMA_PX
+    return replace(found, pixels=pixels, is_clear=clear, is_whole=whole, sigma=sigma)
 
 
 def placed_again(

@@ -108,9 +108,10 @@ def scatter_about(fit: PlanarFit, points: Array, pixels: Array) -> tuple[float, 
     numbers = _numbers(homography, fit)
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ normal.T
     error, jacobian = _linearised(numbers, homogeneous, (pixels - fit.centre) / fit.scale)
-    error = np.append(error, [0.0, 0.0])
-    held = np.eye(2, _ALL, _ALL - 2) * _CENTRE_WEIGHT_PX / fit.scale
-    jacobian = np.concatenate([jacobian, held])
+    # Two more residuals hold the centre of the lens.
+    weight = _CENTRE_WEIGHT_PX / fit.scale
+    error = np.append(error, -weight * fit.aside)
+    jacobian = np.concatenate([jacobian, weight * np.eye(2, _ALL, _ALL - 2)])
     explained = np.linalg.qr(jacobian)[0].T @ error
     return fit.scale**2 * max(0.0, float(error @ error - explained @ explained)), freedom
 
