@@ -108,7 +108,7 @@ class CheckerboardDetector(FaceFinder):
         still = in_view(found.fit, pattern.points[last.found.corners], size)
         if len(found.corners) < LEAST_AGAIN * len(still):
             return None
-        is_there = weighed(grey, face, found.fit, found.corners).is_board
+        is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
         return Located(last.look, found) if is_there else None
 
     def _search(
@@ -230,7 +230,7 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     found = measured(grey, CornerPattern.of(face), fit, starts=starts, is_over=is_over)
     if found is None or len(found.corners) < LEAST_SHARE * face.corner_count:
         return None
-    is_there = weighed(grey, face, found.fit, found.corners).is_board
+    is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
     return Located(board.look, found) if is_there else None
 
 

@@ -38,7 +38,23 @@ def test_part_of_a_larger_board_has_no_end_and_is_not_taken() -> None:
         fit = fit_plane(FACE.corners[:, :2], pixels, (640, 480), has_lens=False)
         assert fit is not None
         ids = np.delete(np.arange(FACE.corner_count), [9, 10, 16, 17])
-        assert weighed(picture_of([view]), FACE, fit, ids).is_board == is_ours
+        assert weighed(picture_of([view]), FACE, fit, ids, pixels[ids]).is_board == is_ours
+
+
+def test_crossing_bars_are_no_board_though_dark_and_light_take_turns() -> None:
+    """Of a grille seen from aside, whose openings are wider than its bars: where bars lie midway
+    between crossings is an X, and these lie in two kinds of lines that are not evenly apart."""
+    view = placed(FACE, tilt_deg=20)
+    pixels = true_pixels(view)
+    fit = fit_plane(FACE.corners[:, :2], pixels, (640, 480), has_lens=False)
+    assert fit is not None
+    every = np.arange(FACE.corner_count)
+    columns, rows = every % (FACE.columns - 1), every // (FACE.columns - 1)
+    side = np.linalg.norm(pixels[1] - pixels[0])
+    uneven = pixels + 0.06 * side * np.where((columns + rows) % 2, 1.0, -1.0)[:, None]
+    picture = picture_of([view])
+    assert weighed(picture, FACE, fit, every, pixels).is_board
+    assert not weighed(picture, FACE, fit, every, uneven).is_board
 
 
 def test_board_without_one_of_its_outermost_lines_is_not_taken() -> None:

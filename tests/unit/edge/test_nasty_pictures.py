@@ -14,7 +14,7 @@ from trigpoint.edge.boards import detector_checkerboard, grid, saddles
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.markers import marked_board, marked_search, marker_groups, quads
 from trigpoint.edge.markers.detector_charuco import CharucoDetector
-from trigpoint.edge.registration import planar_fit
+from trigpoint.edge.registration import plane_fitting
 from trigpoint.edge.registration.appearance import appearances
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.errors import InputError
@@ -32,7 +32,7 @@ COSTLY: list[tuple[object, str]] = [
     (quads.QuadFinder, "_outlines"),
     (marker_groups, "_gathered"),
     (quads, "_quad_of"),
-    (planar_fit, "_linearised"),
+    (plane_fitting, "_linearised"),
 ]
 
 
