@@ -3,7 +3,6 @@
 Worked out by columns: a message costs half a microsecond in place of four.
 """
 
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -11,6 +10,7 @@ from enum import Enum
 import lz4.frame
 import numpy as np
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 
 from . import mcap_records as records
@@ -122,10 +122,10 @@ def _stored(
     not compressed."""
     if compression is not Compression.NONE:
         content = b"".join(pieces)
-        return [compress(content)], zlib.crc32(content), len(content)
+        return [compress(content)], crc32(content), len(content)
     checksum = 0
     for piece in pieces:
-        checksum = zlib.crc32(piece, checksum)
+        checksum = crc32(piece, checksum)
     return pieces, checksum, sum(map(len, pieces))
 
 

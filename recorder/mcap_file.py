@@ -4,13 +4,13 @@ Record layouts: the MCAP specification.
 """
 
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
@@ -150,7 +150,7 @@ def take_schema(index: McapIndex, body: bytes) -> None:
 def take_attachment(index: McapIndex, body: bytes, offset: int) -> None:
     """Keep an attachment; ValueError where it is damaged."""
     expected = int.from_bytes(body[-4:], "little")
-    if expected and expected != zlib.crc32(body[:-4]):
+    if expected and expected != crc32(body[:-4]):
         raise ValueError(f"the attachment at byte {offset} is damaged")
     attachment = Attachment.read(stream(body))
     index.attachments[attachment.name] = attachment.data

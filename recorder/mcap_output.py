@@ -7,6 +7,8 @@ from trigpoint.errors import OperationError
 
 _MOST_PIECES = 1024  # IOV_MAX of Linux
 
+_HANDED_ON = 8 * 2**20  # some tens of milliseconds of a disk's time
+
 
 class Output:
     """A new file. Methods raise OperationError where the disk does not take the bytes."""
@@ -23,7 +25,7 @@ class Output:
             raise OperationError(
                 f"{path}: cannot be created ({reason.strerror}); give another folder with --out"
             ) from None
-        self.position = 0
+        self.position = self._handed_on = 0
 
     def write(self, *pieces: bytes) -> None:
         """Append the pieces, in one call to the system as far as it takes them."""
@@ -44,6 +46,15 @@ class Output:
                 f"{self.position / 1e6:.1f} MB, which are kept; make room on the disk"
             ) from None
         self.position += size
+        self._hand_on()
+
+    def _hand_on(self) -> None:
+        """Have the system begin to write to the disk, without waiting for it: else all that a
+        camera sends in five seconds goes there at once, and `synchronise` waits for all of it."""
+        if self.position - self._handed_on >= _HANDED_ON and hasattr(os, "posix_fadvise"):
+            size = self.position - self._handed_on
+            os.posix_fadvise(self._file.fileno(), self._handed_on, size, os.POSIX_FADV_DONTNEED)
+            self._handed_on = self.position
 
     def synchronise(self) -> None:
         """Wait until the disk has it."""

@@ -5,9 +5,9 @@ within one and takes four microseconds a message.
 """
 
 import struct
-import zlib
 from collections.abc import Iterable, Mapping
 
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -93,7 +93,7 @@ def attachment(name: str, media_type: str, data: bytes, time_ns: int) -> bytes:
             data,
         )
     )
-    return record(Opcode.ATTACHMENT, body, _U32.pack(zlib.crc32(body)))
+    return record(Opcode.ATTACHMENT, body, _U32.pack(crc32(body)))
 
 
 def attachment_index(
@@ -146,7 +146,7 @@ def data_end() -> bytes:
 def footer(summary: bytes, summary_start: int, offsets_start: int) -> bytes:
     """The footer, whose checksum covers the summary and the footer's own start."""
     start = HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", summary_start, offsets_start)
-    return start + _U32.pack(zlib.crc32(start, zlib.crc32(summary)))
+    return start + _U32.pack(crc32(start, crc32(summary)))
 
 
 def _texts(values: Mapping[str, str]) -> bytes:

@@ -1,10 +1,10 @@
 """A finished file's index, by the summary at its end."""
 
 import struct
-import zlib
 from pathlib import Path
 from typing import IO
 
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Metadata, MetadataIndex
 
@@ -39,7 +39,7 @@ def read_summary(path: Path, file: IO[bytes]) -> McapIndex | None:
         return None
     file.seek(start)
     summary = file.read(size - _TAIL - start)
-    if checksum and zlib.crc32(tail[: HEAD.size + 16], zlib.crc32(summary)) != checksum:
+    if checksum and crc32(tail[: HEAD.size + 16], crc32(summary)) != checksum:
         return None
     try:
         return _index(path, file, summary)
@@ -54,7 +54,7 @@ def summary_is_sound(data: bytes) -> bool:
     if not checksum:
         return True
     summary = data[start or len(data) - _TAIL : len(data) - _TAIL]
-    return zlib.crc32(tail[: HEAD.size + 16], zlib.crc32(summary)) == checksum
+    return crc32(tail[: HEAD.size + 16], crc32(summary)) == checksum
 
 
 def _index(path: Path, file: IO[bytes], summary: bytes) -> McapIndex | None:

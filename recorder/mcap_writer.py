@@ -22,8 +22,9 @@ from .mcap_chunk import Compression, Pending, chunk, compressor
 from .mcap_output import Output
 from .sink_queue import Message
 
-CHUNK_BYTES = 2**20
-"""A chunk of this size is closed: what one damaged byte may cost, and what a reader must hold."""
+CHUNK_BYTES = 4 * 2**20
+"""A chunk of this size is closed: what one damaged byte may cost, and what a reader must hold.
+Pictures of a mebibyte are written a fifth faster by fours than one by one."""
 
 __all__ = ["CHUNK_BYTES", "McapWriter", "quality_of_service"]
 

@@ -135,6 +135,8 @@ EXTRAS: dict[str, str] = {
     "serial": "robot",
     "cobs": "robot",
     "scipy": "fusion",
+    "PIL": "recorder",
+    "isal": "recorder",
     "mcap": "recorder",
     "rerun": "recorder",
     "pyarrow": "recorder",

@@ -76,7 +76,7 @@ from trigpoint.clock import SystemClock
 from trigpoint.recorder import sink_mcap
 from trigpoint.topics import IMAGE
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, resource.RLIM_INFINITY))
+resource.setrlimit(resource.RLIMIT_FSIZE, (10_000_000, resource.RLIM_INFINITY))
 sink_mcap._FIRST_RETRY_S = 0.2
 random = np.random.default_rng(0)
 said = []
