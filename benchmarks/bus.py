@@ -1,12 +1,15 @@
-"""From put in one process to taken in another: our bus against bare Zenoh, on loopback.
+"""From put in one process to another's callback, and to whoever takes it there.
 
-A second process sends on both by turns (`bus_sender`); the clock is the system's monotonic one,
-which all processes of a machine share.
+Our callback only appends to a queue, from which a thread takes; so does, for comparison, a bare one
+with Python's own queue. A second process sends on both by turns (`bus_sender`), on loopback; the
+clock is the system's monotonic one, which all processes of a machine share.
 """
 
+import queue
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +24,6 @@ from trigpoint.topics import Topic
 from .bus_wire import WARM_UP, Wire, free_endpoint, open_bare, sent_ns
 from .table import Row, share_of
 
-_TIMEOUT_S = 60.0
 _LAST_S = 0.5
 
 
@@ -46,59 +48,92 @@ def run(effort: float = 1.0) -> list[Row]:
 
 
 def _rows(load: Load) -> list[Row]:
-    ours, bare = delays_ms(load)
+    delays = delays_ms(load)
     return [
         Row(
             "bus",
-            f"put to taken, {load.what}, p{percent}",
+            f"put to {what}, {load.what}, p{percent}",
             "ms",
             float(np.percentile(ours, percent)),
             float(np.percentile(bare, percent)),
-            "zenoh's callback",
+            against,
+        )
+        for what, ours, bare, against in (
+            ("callback", delays.called, delays.bare_called, "zenoh's callback"),
+            ("taken", delays.taken, delays.bare_taken, "zenoh's callback and a queue"),
         )
         for percent in (50, 99)
     ]
 
 
-def delays_ms(load: Load) -> tuple[list[float], list[float]]:
-    """Delay of each message through ours and through bare Zenoh, warming up left out."""
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """Milliseconds from put to callback, and to whoever takes it, of each message."""
+
+    called: list[float]
+    taken: list[float]
+    bare_called: list[float]
+    bare_taken: list[float]
+
+
+def delays_ms(load: Load) -> Delays:
+    """Through ours and through bare Zenoh, warming up left out."""
     wire = Wire(
         free_endpoint(), free_endpoint(), load.topic.name, load.size, load.count, load.pause_s
     )
-    bare: list[float] = []
+    called, waiting = list[float](), queue.SimpleQueue[bytes]()
 
     def receive(sample: zenoh.Sample) -> None:
-        bare.append(_age_ms(sample.payload.to_bytes()))
+        payload = sample.payload.to_bytes()
+        called.append(_age_ms(payload))
+        waiting.put(payload)
 
     with (
         ZenohBus(open_session(Settings("peer", listen=(wire.ours,)))) as bus,
         open_bare(listen=wire.bare) as session,
         session.declare_subscriber(wire.bare_key, receive),
+        ThreadPoolExecutor(2) as threads,
     ):
         subscription = bus.subscribe(load.topic, wire.our_key)
         with subprocess.Popen(
             [sys.executable, "-m", "benchmarks.bus_sender", *wire.arguments]
         ) as sender:
             try:
-                ours = _taken(subscription, sender)
+                ours = threads.submit(_taken, subscription, sender)
+                bare = threads.submit(_bare_taken, waiting, sender)
+                ages, bare_ages = ours.result(), bare.result()
             finally:
                 sender.kill()
         if sender.returncode != 0:
             raise RuntimeError(f"the sender failed with status {sender.returncode}")
-    return ours[WARM_UP:], bare[WARM_UP:]
+    our_called, our_taken = (list(each)[WARM_UP:] for each in zip(*ages, strict=True))
+    return Delays(our_called, our_taken, called[WARM_UP:], bare_ages[WARM_UP:])
 
 
-def _taken(subscription: Subscription, sender: subprocess.Popen[bytes]) -> list[float]:
-    """Take until the sender has ended and nothing comes any more."""
-    ages_ms: list[float] = []
-    deadline = time.monotonic() + _TIMEOUT_S
-    while time.monotonic() < deadline:
+def _taken(
+    subscription: Subscription, sender: subprocess.Popen[bytes]
+) -> list[tuple[float, float]]:
+    """Take until the sender has ended and nothing comes any more: age at our callback, and now."""
+    ages_ms: list[tuple[float, float]] = []
+    while True:
         sample = subscription.take(_LAST_S)
         if sample is not None:
-            ages_ms.append(_age_ms(sample.payload))
+            age_ms, since_ms = _age_ms(sample.payload), (time.time_ns() - sample.received_ns) / 1e6
+            ages_ms.append((age_ms - since_ms, age_ms))
         elif sender.poll() is not None:
-            break
-    return ages_ms
+            return ages_ms
+
+
+def _bare_taken(
+    waiting: "queue.SimpleQueue[bytes]", sender: subprocess.Popen[bytes]
+) -> list[float]:
+    ages_ms: list[float] = []
+    while True:
+        try:
+            ages_ms.append(_age_ms(waiting.get(timeout=_LAST_S)))
+        except queue.Empty:
+            if sender.poll() is not None:
+                return ages_ms
 
 
 def _age_ms(payload: bytes) -> float:

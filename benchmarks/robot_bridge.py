@@ -201,7 +201,7 @@ class Run:
             f"  processor: {cores[0]:.1f} % of a core (bare: {cores[1]:.1f}), "
             f"{each_us[0]:.0f} µs a reading with all else (bare: {each_us[1]:.0f})"
         )
-        print(f"  the bridge says: {self._last_word()}")
+        print(f"  the bridge counted as lost: {self._losses() or 'nothing'}")
 
     def _late(self, sent: list[int], came: dict[int, int]) -> tuple[np.ndarray, int]:
         """(lateness in ms, how many never came) of what was sent within the window."""
@@ -210,14 +210,15 @@ class Run:
         late = [(came[k] - at) / 1e6 for k, at in within.items() if k in came]
         return np.array(late), len(within) - len(late)
 
-    def _last_word(self) -> str:
+    def _losses(self) -> str:
+        """What the bridge itself counted as lost, by its last word."""
         for _, payload in reversed(self._ear.of(DIAGNOSTICS.key("lab"))):
             message = decode(DIAGNOSTICS.type_name, payload)
             assert isinstance(message, Diagnostics)
             for status in message.statuses:
-                if status.name == "robot/r1":
-                    return status.message
-        return "nothing"
+                lost = {n: v for n, v in status.values.items() if n.endswith(".lost") and v != "0"}
+                return ", ".join(f"{v} {n.removesuffix('.lost')}" for n, v in lost.items())
+        return ""
 
 
 def _reading(payload: bytes) -> int:

@@ -41,9 +41,10 @@ _ERROR_ENCODING = "text/plain"
 _MOST_UNSENT = 4096
 _OUTBOX = {Delivery.NEWEST: 8}
 """How many samples of a delivery wait to be sent; of pictures the newest are wanted."""
-_DIRECT = {Delivery.RECOVERED, Delivery.URGENT}
+_DIRECT = set(Delivery) - {Delivery.RELIABLE, Delivery.LAST_VALUE}
 """What is sent on the caller's thread: odometry and sightings come from threads that have nothing
-else to send, and nothing is before a correction."""
+else to send, nothing is before a correction, and what may be dropped waits 50 ms at most. All else
+is fusion's, whose corrections must not wait for it."""
 _FLUSH_S = 0.5
 _CLOSE_S = 5.0
 _LEAST_CLOSE_S = 0.2
