@@ -30,7 +30,7 @@ from .evidence import weighed
 from .grid import Grid, find_grids
 from .grid_growth import LEAST_SEED, cleaned, grown
 from .misdescribed import other_colours, remedy, turned
-from .placement import LEAST_SHARE, Placement, placed
+from .placement import LEAST_SHARE, Placement, keeps_its_place, placed
 from .saddles import Curvature, find_saddles
 
 # Of the corners that were seen last and are in view, how many must be seen again.
@@ -229,6 +229,8 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
         return None
     found = measured(grey, CornerPattern.of(face), fit, starts=starts, is_over=is_over)
     if found is None or len(found.corners) < LEAST_SHARE * face.corner_count:
+        return None
+    if not keeps_its_place(board.look, found.corners, found.pixels, found.fit, size):
         return None
     is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
     return Located(board.look, found) if is_there else None

@@ -23,6 +23,8 @@ LEAST_SHARE = 0.55
 # By how many corners a place must be better than the next best one. A corner is seen on a board, or
 # not seen elsewhere, nine times of ten: two of them are odds of 80.
 LEAST_LEAD = 2
+# Of the line after the last that is seen of a board, how much may be missing though it is in view.
+MOST_MISSING = 0.5
 # Corners nearer to the picture's edge than this are not found.
 _MARGIN_PX = 4.0
 
@@ -61,46 +63,91 @@ def placed(
     """
     columns, rows = look.face.columns - 1, look.face.rows - 1
     enough, whole = LEAST_SHARE * look.face.corner_count, look.face.corner_count
-    best = _windows(grid, {(columns, rows), (rows, columns)}, None, size)
+    extents = {(columns, rows), (rows, columns)}
+    field = _Field.of(grid, max(columns, rows))
+    best = field.windows(extents)
     if best[0].count < enough:
         return None
     if best[0].score < whole:
         fit = fit_of()
         if fit is None:
             return None
-        best = _windows(grid, {(columns, rows), (rows, columns)}, fit, size)
+        field = field.within(fit, size)
+        best = field.windows(extents)
     if best[0].count < enough or best[1].score > best[0].score - LEAST_LEAD:
         return None
     first, extent = best[0].first, best[0].extent
     inside = np.all((grid.places >= first) & (grid.places < np.add(first, extent)), axis=1)
     board = grid.only(inside)
+    if field.shows_an_end(board.places, best[0]):
+        return None
     ids = _numbered(board, board.places - first, extent, look)
     if ids is None:
         return None
     return Placement(look, ids, board.pixels, grid.only(~inside), best[0].score)
 
 
-def _windows(
-    grid: Grid, extents: set[tuple[int, int]], fit: PlanarFit | None, size: tuple[int, int]
-) -> list[_Window]:
-    """The best places of boards of these extents, the best first: at least two. Without a `fit` all
-    missing corners count."""
-    reach = max(max(extent) for extent in extents)
-    low = grid.places.min(axis=0) - reach
-    across, down = grid.places.max(axis=0) + reach + 1 - low
-    seen = np.zeros((down, across), np.float32)
-    x, y = (grid.places - low).T
-    seen[y, x] = 1
-    missing = 1 - seen
-    if fit is not None:
-        every = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1) + low
+@dataclass(frozen=True, slots=True, eq=False)
+class _Field:
+    """The places about a grid, from place `low` on, (h, w) of 1 and 0: which are seen, and which
+    are missing though the picture has them."""
+
+    low: np.ndarray
+    seen: np.ndarray
+    missing: np.ndarray
+
+    @classmethod
+    def of(cls, grid: Grid, reach: int) -> "_Field":
+        """All that are not seen are missing; `reach`: how far beyond the grid."""
+        low = grid.places.min(axis=0) - reach
+        across, down = grid.places.max(axis=0) + reach + 1 - low
+        seen = np.zeros((down, across), np.float32)
+        x, y = (grid.places - low).T
+        seen[y, x] = 1
+        return cls(low, seen, 1 - seen)
+
+    def within(self, fit: PlanarFit, size: tuple[int, int]) -> "_Field":
+        """Missing are those alone that the picture has, by the fit."""
+        down, across = self.seen.shape
+        every = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1) + self.low
         pixels = fit.project(every.reshape(-1, 2).astype(float)).reshape(down, across, 2)
         limit = np.array(size) - 1 - _MARGIN_PX
-        missing *= np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1)
-    found: list[_Window] = []
-    for extent in extents:
-        found += _best_of(seen, missing, extent, low)
-    return sorted(found, key=lambda window: window.score, reverse=True)
+        inside = np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1)
+        return _Field(self.low, self.seen, self.missing * inside)
+
+    def windows(self, extents: set[tuple[int, int]]) -> list[_Window]:
+        """The best places of boards of these extents, the best first: at least two."""
+        found: list[_Window] = []
+        for extent in extents:
+            found += _best_of(self.seen, self.missing, extent, self.low)
+        return sorted(found, key=lambda window: window.score, reverse=True)
+
+    def shows_an_end(self, places: np.ndarray, window: _Window) -> bool:
+        """Whether what is seen of a window, `places` (n, 2), ends at a line that most of the next
+        one is missing after: another board's end, or one of a board that leaves its place open."""
+        x, y = np.subtract(window.first, self.low)
+        missing = self.missing[y : y + window.extent[1], x : x + window.extent[0]]
+        places = places - window.first
+        for axis in (0, 1):
+            lines = missing.mean(axis=axis)  # of the lines across that axis
+            low, high = int(places[:, axis].min()), int(places[:, axis].max())
+            beyond = [*lines[max(low - 1, 0) : low], *lines[high + 1 : high + 2]]
+            if any(share > MOST_MISSING for share in beyond):
+                return True
+        return False
+
+
+def keeps_its_place(
+    look: Appearance, ids: np.ndarray, pixels: Array, fit: PlanarFit, size: tuple[int, int]
+) -> bool:
+    """Whether corners `ids` (n,) at `pixels` (n, 2), measured, still leave no doubt which they are:
+    some that spoke for the place may have turned out to be none."""
+    face = look.face
+    places = np.stack([ids % (face.columns - 1), ids // (face.columns - 1)], axis=-1).astype(int)
+    is_dark = (places.sum(axis=1) % 2 == 0) ^ face.inverted
+    scaled = fit.scaled(face.square)
+    again = placed(Grid(places, pixels, is_dark), look, size, lambda: scaled)
+    return again is not None and len(again.ids) == len(ids)
 
 
 def _best_of(

@@ -125,9 +125,10 @@ def measured(
 def _with_gradients(grey: np.ndarray, found: Registration, near: Array) -> Registration:
     """With the corners that the search saw, at `near` (n, 2), and that do not look as printed:
     where light clips or a reflection ends. They are where the gradients about them meet, if that is
-    near where they were seen; they count as having something before them."""
+    near where they were seen; they count as having something before them. Where most are lost, the
+    face itself is not as printed."""
     lost = np.flatnonzero(~found.is_clear & ~np.isnan(near[:, 0]))
-    if len(lost) == 0:
+    if len(lost) == 0 or 2 * len(lost) > len(near):
         return found
     half, starts = 2 * (GRADIENTS_HALF_PX,), near[lost]
     settled = cv2.cornerSubPix(

@@ -6,7 +6,7 @@ beyond, and is inverted without a search. What both leave, because the lens is a
 is not flat, a smooth `Bend` takes up.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,6 +47,13 @@ class PlanarFit:
         """Pixels (n, 2) of face points (n, 2)."""
         pixels = self._straight(points)
         return pixels if self.bend is None else pixels + self.bend.at(points)
+
+    def scaled(self, unit: float) -> "PlanarFit":
+        """The same for points in units of `unit` metres."""
+        bend = self.bend and replace(
+            self.bend, middle=self.bend.middle / unit, half=self.bend.half / unit
+        )
+        return replace(self, homography=self.homography * [unit, unit, 1.0], bend=bend)
 
     def residuals(self, points: Array, pixels: Array) -> Array:
         """Distance of each pixel (n, 2) from where the fit puts its point; (n,), pixels."""

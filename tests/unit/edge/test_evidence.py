@@ -87,3 +87,17 @@ def test_larger_board_that_leaves_the_picture_is_not_taken_for_ours(strip: float
     cut = picture_of([view])[:, :end]
     assert not detector_for([target_of(FACE)]).detect(np.ascontiguousarray(cut))
     assert detector_for([target_of(other)]).detect(picture_of([view]))
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (6, 7)])
+def test_smaller_board_is_not_taken_for_ours(columns: int, rows: int) -> None:
+    """Not even where ours would reach beyond the picture: it ends before that."""
+    other = checkerboard(columns, rows, number=2)
+    view = placed(other, tilt_deg=10)
+    pixels = true_pixels(view)
+    side = (np.ptp(pixels[:, 0]) + 1) / (columns - 2)
+    end = round(pixels[:, 0].max() + 2.2 * side)
+    picture = picture_of([view])
+    assert detector_for([target_of(other)]).detect(picture)
+    for shown in (picture, np.ascontiguousarray(picture[:, :end])):
+        assert not detector_for([target_of(FACE)]).detect(shown)
