@@ -11,11 +11,11 @@ What is accelerated is how often things break, nothing else: hours of memory are
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -29,17 +29,16 @@ from trigpoint.tools.authority import Authority, addresses_of
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
-from .impairment import Impairment, Link, Namespace
+from .impairment import Link, Namespace
+from .soak_clock import SettableClock
+from .soak_faults import FAIR, RECORDING, Fault, Faults
 from .soak_page import page
 
 _PORT = 7447
 _DAYS = 90
-_FAIR = Impairment(delay_s=0.002, bits_per_s=100e6)
-_BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
 _SAMPLE_S = 2.0
 _UP_S = 40.0
-_BREAK_S = 3.0
-_BAD_S = 8.0
+_DISK_MB = 256
 _BACK_MOST_S = 60.0
 _CAMERAS = ("c1", "c2")
 _PAGE_BYTES = 4096
@@ -80,14 +79,19 @@ class Record:
 class Program:
     """One program in its namespace; started again when it was killed."""
 
-    def __init__(self, name: str, space: Namespace, words: list[str], log: Path) -> None:
+    def __init__(
+        self, name: str, space: Namespace, words: list[str], log: Path, environment: dict[str, str]
+    ) -> None:
         self.name, self._space, self._words, self._log = name, space, words, log
+        self._environment = {**os.environ, **environment}
         self.process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         with self._log.open("ab") as log:
             words = self._space.command(sys.executable, "-m", *self._words)
-            return subprocess.Popen(words, stderr=log, stdout=log, stdin=subprocess.DEVNULL)
+            return subprocess.Popen(
+                words, stderr=log, stdout=log, stdin=subprocess.DEVNULL, env=self._environment
+            )
 
     def kill(self) -> None:
         self.process.kill()
@@ -143,20 +147,34 @@ class Soak:
                 Link(
                     (spaces["server"], spaces[name]),
                     (f"10.78.{number}.1", f"10.78.{number}.2"),
-                    _FAIR,
+                    FAIR,
                     seed=number,
                 )
             )
             for number, name in enumerate(("cameras", "robot"))
         }
         self._write_sites(load_world("lab", seed=1))
+        self._disk = self._small_disk()
+        self._clock = SettableClock(folder)
         self.programs = self._programs(spaces)
+        self._faults = Faults(
+            dict(self.programs), self.links, spaces["cameras"], self._clock, self._disk
+        ).each()
         self._watch = self._start_watch(spaces["server"])
 
     def _space(self) -> Namespace:
         space = Namespace()
         self._stack.callback(space.close)
         return space
+
+    def _small_disk(self) -> Path:
+        """A file system of its own for what the site writes, so that it can be full."""
+        disk = self.folder / "session"
+        disk.mkdir()
+        words = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_MB}m", "soak", str(disk)]
+        subprocess.run(words, check=True, timeout=10)
+        self._stack.callback(subprocess.run, ["umount", str(disk)], check=True, timeout=10)
+        return disk
 
     def _write_sites(self, world: World) -> None:
         for name in list(world.cameras):
@@ -204,7 +222,9 @@ class Soak:
         }
         found = {}
         for name, (space, line) in words.items():
-            found[name] = Program(name, spaces[space], line, self.folder / f"{name}.log")
+            log, clock = self.folder / f"{name}.log", self._clock.environment
+            environment = clock if name == "edge" else {}
+            found[name] = Program(name, spaces[space], line, log, environment)
             self._stack.callback(lambda name=name: self.programs[name].stop())
         return found
 
@@ -230,7 +250,7 @@ class Soak:
         for text in watch.stdout:
             row = json.loads(text)
             row["t"] -= self._began_s
-            self._last = {name: one["last"] for name, one in row["heard"].items()}
+            self._last |= {name: one["last"] for name, one in row["heard"].items()}
             self.record.heard.append(row)
 
     @property
@@ -247,8 +267,7 @@ class Soak:
             number = 0
             while self.now_s + every_s < self.record.seconds:
                 time.sleep(every_s)
-                kind, key, act = self._faults()[number % len(self._faults())]
-                self._break(kind, key, act)
+                self._break(self._faults[number % len(self._faults)])
                 number += 1
             time.sleep(max(0.0, self.record.seconds - self.now_s))
         finally:
@@ -267,46 +286,24 @@ class Soak:
                 raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
             time.sleep(0.2)
 
-    def _faults(self) -> list[tuple[str, str, Callable[[], None]]]:
-        """(what, by which key one sees that it is back, how)."""
-        return [
-            ("cameras' cable pulled", "sightings", lambda: self._cut("cameras")),
-            ("router killed", "odom", lambda: self._kill("router")),
-            ("cameras' agent killed", "sightings", lambda: self._kill("edge")),
-            ("robot's network bad", "odom", lambda: self._spoil("robot")),
-            ("robot killed (its cable)", "odom", lambda: self._kill("firmware")),
-            ("bridge killed", "odom", lambda: self._kill("robot")),
-            ("fusion killed", "robot_pose", lambda: self._kill("fusion")),
-            ("recorder killed", "odom", lambda: self._kill("recorder")),
-            ("robot's cable pulled", "odom", lambda: self._cut("robot")),
-        ]
-
-    def _break(self, kind: str, key: str, act: Callable[[], None]) -> None:
-        broken = Break(self.now_s, kind, key)
+    def _break(self, fault: Fault) -> None:
+        broken = Break(self.now_s, fault.kind, fault.key)
         self.record.breaks.append(broken)
-        act()
-        mended_s = time.monotonic()
+        fault.act()
+        mended_s, recorded = time.monotonic(), self._recorded()
         while time.monotonic() - mended_s < _BACK_MOST_S:
             time.sleep(0.1)
-            if self._last.get(key, 0.0) > mended_s:
-                broken.back_s = self._last[key] - mended_s
+            if fault.key == RECORDING and self._recorded() > recorded:
+                self._last[RECORDING] = time.monotonic()
+            if self._last.get(fault.key, 0.0) > mended_s:
+                broken.back_s = self._last[fault.key] - mended_s
                 break
-        print(f"{broken.t_s:6.0f} s  {kind}: {key} back {broken.back_s:.1f} s after", flush=True)
+        back = f"{broken.t_s:6.0f} s  {broken.kind}: {broken.key} back {broken.back_s:.1f} s after"
+        print(back, flush=True)
 
-    def _kill(self, name: str) -> None:
-        self.programs[name].kill()
-        time.sleep(_BREAK_S)
-        self.programs[name].start_again()
-
-    def _cut(self, name: str) -> None:
-        self.links[name].is_up = False
-        time.sleep(_BREAK_S)
-        self.links[name].is_up = True
-
-    def _spoil(self, name: str) -> None:
-        self.links[name].impairment = _BAD
-        time.sleep(_BAD_S)
-        self.links[name].impairment = _FAIR
+    def _recorded(self) -> int:
+        """Bytes of all recordings so far."""
+        return sum(path.stat().st_size for path in self._disk.glob("**/*.mcap*"))
 
 
 def main(
@@ -322,6 +319,8 @@ def main(
         soak.run(every)
     (out / "soak.json").write_text(json.dumps(asdict(soak.record)))
     (out / "soak.html").write_text(page(soak.record), encoding="utf-8")
+    maps = soak.record.heard[-1]["maps"] if soak.record.heard else []
+    typer.echo(f"maps of fusion from begin to end: {', '.join(maps)}")
     typer.echo(f"written to {out / 'soak.html'}")
 
 

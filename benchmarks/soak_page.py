@@ -40,7 +40,9 @@ def _backs(record: "Record") -> str:
         f"<tr><td>{b.t_s:.0f} s<td>{html.escape(b.kind)}<td>{b.key}<td>{b.back_s:.1f} s"
         for b in record.breaks
     ]
+    maps = record.heard[-1]["maps"] if record.heard else []
     return (
+        f"<p>Maps of fusion from begin to end, in order (one is right): {', '.join(maps)}</p>"
         "<h2>What broke</h2><table><tr><th>when<th>what<th>seen by<th>back after mending"
         f"{''.join(rows)}</table>"
     )

@@ -2,9 +2,11 @@
 
 Twice a second one JSON line: of every key that was heard, how many came, the time of the last (on
 the monotonic clock) and the latencies from its stamp (exposure, or odometry reading) to here in
-seconds; and what each node says that it lost. Ends when standard input does.
+seconds; what each node says that it lost, and which maps fusion said it has, in order. Ends when
+standard input does.
 """
 
+import itertools
 import json
 import sys
 import threading
@@ -12,7 +14,7 @@ import time
 from pathlib import Path
 
 from trigpoint import topics
-from trigpoint.bus import Subscription
+from trigpoint.bus import Bus, Subscription
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.cdr import decode
 from trigpoint.config import load_site
@@ -21,6 +23,8 @@ from trigpoint.messages import Diagnostics, Odometry, PoseEstimate, Sightings
 
 _PERIOD_S = 0.5
 _TAKE_S = 0.05
+_ASK_EVERY = 4
+_ANSWER_S = 0.5
 HEARD = (topics.SIGHTINGS, topics.ODOMETRY, topics.CORRECTION, topics.ROBOT_POSE)
 
 
@@ -37,7 +41,10 @@ class Ear:
             sample = self._subscription.take(_TAKE_S)
             if sample is None:
                 continue
-            message = decode(self._topic.type_name, sample.payload)
+            try:
+                message = decode(self._topic.type_name, sample.payload)
+            except MessageError:
+                continue  # of the flood
             assert isinstance(message, Sightings | Odometry | PoseEstimate)
             late_s = (sample.received_ns - message.stamp_ns) / 1e9
             with self._lock:
@@ -62,12 +69,24 @@ def main() -> None:
         for thread in threads:
             thread.start()
         losses: dict[str, dict[str, int]] = {}
-        while not stopping.wait(_PERIOD_S):
+        maps: list[str] = []
+        for number in itertools.count():
+            if stopping.wait(_PERIOD_S):
+                break
             _hear(diagnostics, losses)
-            heard = {name: ear.told() for name, ear in ears.items()}
-            print(json.dumps({"t": time.monotonic(), "heard": heard, "losses": losses}), flush=True)
+            if number % _ASK_EVERY == 0:
+                maps += [map_id for map_id in _maps(bus, site.name) if [map_id] != maps[-1:]]
+            row = {"t": time.monotonic(), "losses": losses, "maps": maps}
+            row["heard"] = {name: ear.told() for name, ear in ears.items()}
+            print(json.dumps(row), flush=True)
         for thread in threads:
             thread.join()
+
+
+def _maps(bus: Bus, site: str) -> list[str]:
+    """What fusion says its map is; nothing while it does not answer."""
+    replies = bus.query(topics.command_key(site, "fusion/map"), timeout_s=_ANSWER_S)
+    return [json.loads(reply.payload)["map_id"] for reply in replies if not reply.error]
 
 
 def _hear(diagnostics: Subscription, losses: dict[str, dict[str, int]]) -> None:

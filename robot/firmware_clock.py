@@ -56,12 +56,15 @@ class FirmwareClock:
         self._line: _Line | None = None
         self._contradictions = 0
         self.jumps = 0
+        self.round_trip_us = 0.0
+        """The shortest round trip of the window; 0 where there was none. Any thread may read it."""
 
     def restart(self) -> None:
         """The firmware was restarted: its clock is another one."""
         self._exchanges.clear()
         self._line = None
         self._contradictions = 0
+        self.round_trip_us = 0.0
 
     def add(self, exchange: ClockExchange) -> None:
         """Take one more exchange into account."""
@@ -75,6 +78,7 @@ class FirmwareClock:
         self._exchanges.append(exchange)
         while self._exchanges[0].received_ns < exchange.received_ns - WINDOW_NS:
             self._exchanges.popleft()
+        self.round_trip_us = min(map(_round_trip_ns, self._exchanges)) / 1e3
         needed = NEEDED if self.round_trip_us * 1e3 <= QUICK_NS else NEEDED_SLOW
         if self._line is not None or len(self._exchanges) >= needed:
             self._line = self._fitted()
@@ -92,11 +96,6 @@ class FirmwareClock:
     def drift_ppm(self) -> float:
         """How much slower the firmware's clock runs than ours, parts per million; 0 if unknown."""
         return 0.0 if self._line is None else self._line.drift * 1e6
-
-    @property
-    def round_trip_us(self) -> float:
-        """The shortest round trip of the window, microseconds; 0 where there was none."""
-        return min((_round_trip_ns(e) for e in self._exchanges), default=0) / 1e3
 
     def _is_contradicted_by(self, exchange: ClockExchange) -> bool:
         """Whether what we believe lies outside of what the exchange allows."""

@@ -1,5 +1,7 @@
 """The firmware's clock, against simulated delays."""
 
+import sys
+import threading
 from itertools import pairwise
 
 import numpy as np
@@ -130,3 +132,24 @@ def test_stamps_of_a_steady_stream_rise_while_the_estimate_settles() -> None:
         stamps += [] if mapped is None else [mapped]
     assert len(stamps) > 400
     assert all(later > earlier for earlier, later in pairwise(stamps))
+
+
+def test_diagnostics_may_look_while_an_exchange_comes() -> None:
+    simulated, clock = Simulated(0, drift_ppm=0, spread_s=1e-4), FirmwareClock()
+    stopping, interval_s = threading.Event(), sys.getswitchinterval()
+
+    def look() -> None:
+        while not stopping.is_set():
+            assert clock.round_trip_us >= 0
+
+    looker = threading.Thread(target=look)
+    sys.setswitchinterval(1e-6)
+    looker.start()
+    try:
+        for k in range(2000):
+            clock.add(simulated.exchange(to_ns(0.5 * k)))
+        assert looker.is_alive()
+    finally:
+        stopping.set()
+        looker.join()
+        sys.setswitchinterval(interval_s)

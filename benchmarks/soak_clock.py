@@ -1,0 +1,27 @@
+"""A Unix clock that a soak run sets for one of its programs, by a preloaded library."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+_SOURCE = Path(__file__).with_name("set_clock.c")
+
+
+class SettableClock:
+    """Whoever runs with its `environment` has this machine's time, and what `set_by` adds."""
+
+    def __init__(self, folder: Path) -> None:
+        self._offset, self._library = folder / "clock_offset", folder / "set_clock.so"
+        self.set_by(0.0)
+        compiler = shutil.which("cc") or "gcc"
+        words = [compiler, "-shared", "-fPIC", "-O2", "-Wall", "-o", str(self._library)]
+        subprocess.run([*words, str(_SOURCE), "-ldl"], check=True, timeout=60)
+
+    def set_by(self, seconds: float) -> None:
+        """Set it; 0 is right again. The file stays the same, for it is mapped."""
+        with self._offset.open("r+b" if self._offset.exists() else "wb") as file:
+            file.write(round(seconds * 1e9).to_bytes(8, "little", signed=True))
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {"LD_PRELOAD": str(self._library), "SOAK_CLOCK": str(self._offset)}
