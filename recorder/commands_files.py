@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from trigpoint.errors import InputError
+from trigpoint.terminal import table
 
 from .mcap_check import check as check_file
 from .recording import open_recording
@@ -29,10 +30,11 @@ def info(
         return
     for line in info_lines(found):
         typer.echo(line)
-    width = max(len(key) for key in found.keys)
-    typer.echo(f"{'key':<{width}}  messages      Hz   gap s   lost  breaks  type")
-    for key, one in sorted(found.keys.items()):
-        typer.echo(f"{key:<{width}}{_row(one)}")
+    keys = sorted(found.keys.items())
+    head = ("key", "messages", "Hz", "gap s", "lost", "breaks", "type")
+    rows = [_row(key, one) for key, one in keys]
+    styles = ["red" if one.lost or one.sequence_breaks else "" for _, one in keys]
+    typer.echo(table(head, rows, left=(0, 6), styles=styles))
 
 
 def check(session: Session) -> None:
@@ -74,8 +76,6 @@ def recover(
     typer.echo(f"{sum(counts.values()):8d}  messages saved: {file}")
 
 
-def _row(one: KeyInfo) -> str:
-    return (
-        f"  {one.messages:8d} {one.rate_hz:7.1f} {one.longest_gap_s:7.2f} {one.lost:6d} "
-        f"{one.sequence_breaks:7d}  {one.type}"
-    )
+def _row(key: str, one: KeyInfo) -> tuple[str, ...]:
+    numbers = (f"{one.rate_hz:.1f}", f"{one.longest_gap_s:.2f}", str(one.lost))
+    return (key, str(one.messages), *numbers, str(one.sequence_breaks), one.type)

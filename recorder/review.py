@@ -13,6 +13,7 @@ from trigpoint.errors import MessageError, OperationError
 from trigpoint.messages import PoseEstimate
 from trigpoint.network import decode_network
 from trigpoint.target import Target, parse_target
+from trigpoint.terminal import Progress
 from trigpoint.topics import CAMERA_POSE, IMAGE, TOPICS, Topic, node_of, topic_of
 
 from .overlay import Overlay, draw
@@ -52,7 +53,8 @@ def write_rrd(
     for overlay in overlays:
         draw(overlay, columns)
     _place_cameras(recording, scene)
-    shown, unsound = _show_all(recording, scene, columns, TOPICS)
+    with Progress("review", sum(recording.counts.values())) as progress:
+        shown, unsound = _show_all(recording, scene, columns, TOPICS, progress)
     _warn(recording, unsound, scene.strangers)
     scene.finish()
     columns.flush()
@@ -62,7 +64,8 @@ def write_rrd(
     pictures = Columns(stream, keeps=lambda archetype: archetype is rr.EncodedImage)
     scene = Scene(site, targets, pictures)
     _place_cameras(recording, scene)
-    _show_all(recording, scene, pictures, (IMAGE, CAMERA_POSE))
+    with Progress("review: pictures") as progress:
+        _show_all(recording, scene, pictures, (IMAGE, CAMERA_POSE), progress)
     pictures.flush()
     stream.flush()
     stream.disconnect()
@@ -111,11 +114,16 @@ def _place_cameras(recording: Recording, scene: Scene) -> None:
 
 
 def _show_all(
-    recording: Recording, scene: Scene, columns: Columns, topics: Collection[Topic]
+    recording: Recording,
+    scene: Scene,
+    columns: Columns,
+    topics: Collection[Topic],
+    progress: Progress,
 ) -> tuple[int, int]:
     """How many messages are shown, and how many do not decode."""
     shown, unsound = 0, 0
     for sample in recording.samples(topics):
+        progress.step()
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
             scene.add(sample.topic, node_of(sample.key), message, sample.log_ns)

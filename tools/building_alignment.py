@@ -11,6 +11,7 @@ from trigpoint.config import Site
 from trigpoint.errors import InputError
 from trigpoint.floor_plan import FloorPlan
 from trigpoint.fusion.results import Results
+from trigpoint.terminal import table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,11 +46,19 @@ def alignment_text(building: Building) -> str:
     lines[0] += (
         f"; sigma {100 * float(np.linalg.norm(sigmas[:3])):.2f} cm, {math.degrees(sigmas[5]):.3f}°"
     )
-    width = max(5, *(len(one.name) for one in building.laying.residuals))
-    lines.append(f"{'point':<{width}}   off cm   chi²  by chance")
-    for one in building.laying.residuals:
-        row = f"{one.name:<{width}} {100 * one.distance_m:8.2f} {one.chi2:6.1f} "
-        row += f"{one.probability:10.2g}"
-        lines.append(row + ("  contradicts the others; left out" if one.is_outlier else ""))
-    lines += [f"{name:<{width}}  is not located; left out" for name in building.missing]
-    return "\n".join(lines)
+    residuals = building.laying.residuals
+    rows = [
+        (
+            one.name,
+            f"{100 * one.distance_m:.2f}",
+            f"{one.chi2:.1f}",
+            f"{one.probability:.2g}",
+            "contradicts the others; left out" if one.is_outlier else "",
+        )
+        for one in residuals
+    ]
+    rows += [(name, "", "", "", "is not located; left out") for name in building.missing]
+    styles = ["red" if one.is_outlier else "" for one in residuals]
+    styles += ["yellow"] * len(building.missing)
+    head = ("point", "off cm", "chi²", "by chance", "")
+    return "\n".join([lines[0], table(head, rows, left=(0, 4), styles=styles)])

@@ -16,12 +16,12 @@ from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
-from trigpoint.network import encode_network
+from trigpoint.network import CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
+from trigpoint.terminal import Progress, table
 from trigpoint.tools.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.calibration_report import REPORT, write_report
 from trigpoint.tools.truth import NetworkError, load_truth, network_error
-from trigpoint.words import Progress
 
 from .noise_words import noise_text
 from .session_inputs import session_inputs
@@ -114,14 +114,13 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
     pipeline = Pipeline(inputs, is_live=False)
     if not any(isinstance(message, Odometry) for _, message in messages):
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
-    progress = Progress("calibrate", len(messages))
-    for node, message in messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
-        progress.step()
-    pipeline.finish()
-    progress.close()
+    with Progress("calibrate", len(messages)) as progress:
+        for node, message in messages:
+            pipeline.push(node, message)
+            if isinstance(message, Odometry):
+                pipeline.advance()
+            progress.step()
+        pipeline.finish()
     for reason, count in sorted(pipeline.left_out.items()):
         typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
     if pipeline.last_problem:
@@ -175,22 +174,32 @@ def _say_alignment(alignment: Alignment) -> None:
         typer.echo(alignment_text(alignment.building))
 
 
+def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[str]:
+    if camera.status != "located":
+        return [name, camera.status]
+    turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
+    row = [name, camera.status, f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
+    row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
+    if error and name in error.cameras:
+        mine = error.cameras[name]
+        row += [f"{100 * mine.position:.2f}", f"{math.degrees(mine.rotation):.2f}"]
+        row.append(f"{mine.sigmas:.1f}")
+    return row
+
+
 def _print(results: Results, error: NetworkError | None) -> None:
-    truth = "   error cm    deg  sigmas" if error else ""
-    typer.echo(f"camera      status        sigma cm    deg   sightings rejected  rms px{truth}")
-    for name, camera in results.network.cameras.items():
-        line = f"{name:<11} {camera.status:<12}"
-        if camera.status == "located":
-            turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
-            line += f"  {100 * camera.position_sigma:8.2f} {turn:6.2f}"
-            line += f"  {camera.sightings:10d} {camera.rejected:8d} {camera.reprojection_rms:7.2f}"
-        if error and name in error.cameras:
-            mine = error.cameras[name]
-            line += f" {100 * mine.position:10.2f} {math.degrees(mine.rotation):6.2f}"
-            line += f" {mine.sigmas:7.1f}"
-        typer.echo(line.rstrip())
+    head = ["camera", "status", "sigma cm", "deg", "sightings", "rejected", "rms px"]
+    if error:
+        head += ["error cm", "deg", "sigmas"]
+    cameras = results.network.cameras.items()
+    rows = [_row(name, camera, error) for name, camera in cameras]
+    width = max(map(len, rows), default=0)
+    filled = [row + [""] * (width - len(row)) for row in rows]
+    styles = ["" if camera.status == "located" else "yellow" for _, camera in cameras]
+    typer.echo(table(head[:width], filled, left=(0, 1), styles=styles))
+    for name, camera in cameras:
         for reason in camera.undetermined:
-            typer.echo(f"            not determined: {reason}")
+            typer.echo(f"{name} is not determined: {reason}")
     if results.network.statistics.chi2_per_dof is not None:
         typer.echo(noise_text(results.network.statistics.chi2_per_dof))
     if error and error.distance is not None:

@@ -16,11 +16,14 @@ import typer
 from trigpoint.errors import InputError, read_text
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network, load_covariance, load_network
+from trigpoint.terminal import table
+from trigpoint.words import counted
 
 from .network_changes import changes, changes_json, changes_table, check_file
 
 _HEAD = ("camera", "camera", "metres")
 _MOST_TAPE_SIGMA_M = 1.0
+_FAR_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,38 +214,38 @@ def _place(network: Network, name: str) -> Array:
 
 
 def _table(found: Distances) -> str:
-    width = _width(found.pairs)
-    lines = [f"{'from':<{width}}  {'to':<{width}}  network m  sigma cm"]
-    for (first, second), metres, sigma in zip(
-        found.pairs, found.metres, found.sigmas_m, strict=True
-    ):
-        lines.append(f"{first:<{width}}  {second:<{width}}  {metres:9.4f}  {100 * sigma:8.2f}")
-    return "\n".join(lines)
+    rows = [
+        (*pair, f"{metres:.4f}", f"{100 * sigma:.2f}")
+        for pair, metres, sigma in zip(found.pairs, found.metres, found.sigmas_m, strict=True)
+    ]
+    return table(("from", "to", "network m", "sigma cm"), rows, left=(0, 1))
 
 
 def _compared_table(found: Comparison) -> str:
-    width = _width(found.network.pairs)
-    head = "measured m  network m  difference cm  sigma cm  in sigmas"
-    lines = [f"{'from':<{width}}  {'to':<{width}}  {head}"]
-    sigmas = found.sigmas_m
-    for i, row in enumerate(found.measured):
-        difference = found.difference_m[i]
-        lines.append(
-            f"{row.first:<{width}}  {row.second:<{width}}  {row.metres:10.4f}  "
-            f"{found.network.metres[i]:9.4f}  {100 * difference:+13.2f}  {100 * sigmas[i]:8.2f}  "
-            f"{difference / sigmas[i]:+9.1f}"
+    head = ("from", "to", "measured m", "network m", "difference cm", "sigma cm", "in sigmas")
+    in_sigmas = found.difference_m / found.sigmas_m
+    rows = [
+        (
+            row.first,
+            row.second,
+            f"{row.metres:.4f}",
+            f"{found.network.metres[i]:.4f}",
+            f"{100 * found.difference_m[i]:+.2f}",
+            f"{100 * found.sigmas_m[i]:.2f}",
+            f"{in_sigmas[i]:+.1f}",
         )
+        for i, row in enumerate(found.measured)
+    ]
+    styles = ["red" if abs(value) > _FAR_SIGMAS else "" for value in in_sigmas]
     count = len(found.measured)
-    lines.append(
-        f"mean error of {count} distance{'s' * (count > 1)}: {100 * found.mean_error_m:.2f} cm; "
-        f"expected by the sigmas: {100 * found.expected_error_m:.2f} cm"
+    return "\n".join(
+        [
+            table(head, rows, left=(0, 1), styles=styles),
+            f"mean error of {counted(count, 'distance')}: {100 * found.mean_error_m:.2f} cm; "
+            f"expected by the sigmas: {100 * found.expected_error_m:.2f} cm",
+            f"chi² per distance, by the joint covariance: {found.chi2_per_distance:.2f}",
+        ]
     )
-    lines.append(f"chi² per distance, by the joint covariance: {found.chi2_per_distance:.2f}")
-    return "\n".join(lines)
-
-
-def _width(pairs: Iterable[tuple[str, str]]) -> int:
-    return max(len(name) for pair in pairs for name in pair)
 
 
 def _rows(found: Distances) -> dict[str, object]:

@@ -17,6 +17,7 @@ from trigpoint.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, exp, log
 from trigpoint.network import CameraRecord, Network
+from trigpoint.terminal import table
 
 _DIMENSIONS = 6
 _CHANCE = 1e-3
@@ -78,14 +79,20 @@ def changes(old: Network, new: Network) -> list[Change]:
 
 
 def changes_table(found: Sequence[Change]) -> str:
-    width = max(6, *(len(one.camera) for one in found))
-    lines = [f"{'camera':<{width}}  moved cm  turned deg     chi²  by chance"]
-    lines += [
-        f"{one.camera:<{width}}  {100 * one.moved_m:8.2f}  {np.degrees(one.turned_rad):10.3f}  "
-        f"{one.chi2:7.1f}  {one.probability:9.2g}  {'moved' if one.has_moved else 'stayed'}"
+    head = ("camera", "moved cm", "turned deg", "chi²", "by chance", "")
+    rows = [
+        (
+            one.camera,
+            f"{100 * one.moved_m:.2f}",
+            f"{np.degrees(one.turned_rad):.3f}",
+            f"{one.chi2:.1f}",
+            f"{one.probability:.2g}",
+            "moved" if one.has_moved else "stayed",
+        )
         for one in found
     ]
-    return "\n".join(lines)
+    styles = ["red" if one.has_moved else "" for one in found]
+    return table(head, rows, left=(0, 5), styles=styles)
 
 
 def changes_json(found: Sequence[Change]) -> str:

@@ -11,6 +11,7 @@ from trigpoint.clock import to_ns
 from trigpoint.errors import writing
 from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.recorder.mcap_writer import McapWriter
+from trigpoint.terminal import Progress
 from trigpoint.topics import Topic
 
 from .site_files import stamps_ns, write_site, write_truth
@@ -43,7 +44,7 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
             write_truth(world, directory, epoch_ns=EPOCH_NS)
         for path in [site, *sorted(directory.glob("*target.toml"))]:
             writer.attach(path.name, path.read_bytes(), "application/toml", time_ns=EPOCH_NS)
-        for item in sorted(_items(world), key=lambda item: item.received_ns):
+        for item in sorted(_told(world), key=lambda item: item.received_ns):
             payload, received_ns = cdr.encode(item.message), item.received_ns
             writer.add(item.topic, item.key, payload, log_ns=received_ns, published_ns=received_ns)
     except BaseException:
@@ -51,6 +52,15 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
         raise
     writer.finish()
     return writer.counts
+
+
+def _told(world: World) -> Iterator[_Item]:
+    """The items, with a word on how far their drawing is: sightings take nearly all of it."""
+    pictures = sum(_count(world, camera) for camera in world.cameras)
+    with Progress("simulate", pictures) as progress:
+        for item in _items(world):
+            progress.step(item.topic is topics.SIGHTINGS)
+            yield item
 
 
 def _items(world: World) -> Iterator[_Item]:
@@ -70,13 +80,18 @@ def _camera_info(world: World, camera: str) -> _Item:
 def _sightings(world: World, camera: str) -> Iterator[_Item]:
     eye, topic = world.cameras[camera], topics.SIGHTINGS
     size = (eye.model.width, eye.model.height)
-    count = int(np.floor((world.duration_s - eye.phase) * eye.rate)) + 1
-    times_s = eye.time_of(np.arange(count))
+    times_s = eye.time_of(np.arange(_count(world, camera)))
     for t_s, stamp_ns in zip(times_s, stamps_ns(times_s, EPOCH_NS), strict=True):
         faces = world.sightings(camera, float(t_s))
         message = Sightings(int(stamp_ns), f"{camera}/optical", *size, faces)
         key = topic.key(world.site_name, camera)
         yield _Item(int(stamp_ns) + _DETECTION_NS, topic, key, message)
+
+
+def _count(world: World, camera: str) -> int:
+    """How many pictures a camera takes."""
+    eye = world.cameras[camera]
+    return int(np.floor((world.duration_s - eye.phase) * eye.rate)) + 1
 
 
 def _odometry(world: World, robot: str) -> Iterator[_Item]:

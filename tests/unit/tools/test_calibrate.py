@@ -257,4 +257,4 @@ def test_what_was_left_out_is_said(
     captured = capsys.readouterr()
     assert "wrong size" in captured.err
     assert "note: camera c3 sends pictures of 1280 × 480" in captured.err
-    assert "c3          unseen" in captured.out
+    assert "c3      unseen" in captured.out
