@@ -266,7 +266,9 @@ class Pipeline:
         if self._follower is not None:
             self._attend(self._follower)
             self._settle(self._follower, now_ns, is_quiet=is_quiet)
-        stamp_ns = self._used_ns or self._data.last_ns
+        # Live, cameras are said too while none of them sees a robot: no transform grows old.
+        used_ns = 0 if self._is_live else self._used_ns
+        stamp_ns = used_ns or self._data.last_ns
         if self._announcements.is_due(stamp_ns, is_quiet=is_quiet):
             self._take_cameras(stamp_ns, is_urgent=False)
         self._outputs += self._announcements.next(is_quiet=is_quiet)

@@ -12,7 +12,14 @@ from trigpoint.clock import to_ns
 from trigpoint.correction import decode_mark
 from trigpoint.fusion.pipeline import Output, Pipeline
 from trigpoint.fusion.results import Results
-from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.messages import (
+    CameraInfo,
+    Message,
+    Odometry,
+    PoseEstimate,
+    Sightings,
+    Transforms,
+)
 from trigpoint.topics import Topic
 
 Arrivals = list[tuple[int, str, Message]]
@@ -151,6 +158,28 @@ def test_transforms_lead_from_the_map_to_every_frame(
                 edges[transform.child] = transform.parent
     cameras = {f"{name}/optical": "map" for name in session.plan.cameras}
     assert edges == cameras | {"r1/odom": "map", "r1/base": "r1/odom"}
+
+
+def test_no_transform_grows_older_than_a_second_while_nobody_is_seen(charuco: Session) -> None:
+    sightings = [m for _, m in charuco.messages if isinstance(m, Sightings) and m.faces]
+    until_ns = sightings[len(sightings) // 2].stamp_ns
+    # From the drive's middle on, no camera sees anything any more.
+    come = [
+        (message.stamp_ns, node, message)
+        for node, message in charuco.messages
+        if isinstance(message, Odometry)
+        or (isinstance(message, Sightings) and message.stamp_ns <= until_ns)
+    ]
+    _, sent = live(charuco.inputs, come)
+    stamps: dict[str, list[int]] = {}
+    for _, output in sent:
+        if output.topic is topics.TF_STATIC and isinstance(output.message, Transforms):
+            for one in output.message.transforms:
+                stamps.setdefault(one.child, []).append(one.stamp_ns)
+    assert stamps, "no camera was located in that time"
+    end_ns = max(message.stamp_ns for _, message in charuco.messages)
+    for camera, told in stamps.items():
+        assert np.max(np.diff([*told, end_ns])) < to_ns(1.0), camera
 
 
 def test_coverage_is_said_for_every_camera(session: Session, run: tuple[Pipeline, Sent]) -> None:
