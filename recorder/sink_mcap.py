@@ -10,6 +10,7 @@ import logging
 import threading
 import uuid
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -277,15 +278,22 @@ class McapSink:
     def _open_part(self, number: int) -> Part:
         path = part_path(self._first_path, number)
         latched = self._latched if number > 1 else {}
-        part = Part(
-            path,
-            session=self._session,
-            number=number,
-            files=self._files,
-            latched={key: m._replace(log_ns=self._last_ns) for key, m in latched.items()},
-            start_ns=self._last_ns,
-            compression=self._settings.compression,
-        )
+        is_ours = not path.exists()
+        try:
+            part = Part(
+                path,
+                session=self._session,
+                number=number,
+                files=self._files,
+                latched={key: m._replace(log_ns=self._last_ns) for key, m in latched.items()},
+                start_ns=self._last_ns,
+                compression=self._settings.compression,
+            )
+        except OperationError:
+            if is_ours:  # a file without so much as its beginning, which the next try would find
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
+            raise
         self._number = number
         self._part_ns = self._clock.elapsed_ns()
         self._write_metadata(PartFacts(path.name, (0, 0), {}))

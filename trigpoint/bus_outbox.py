@@ -34,7 +34,7 @@ class Outbox:
 
     def __init__(self, name: str, capacity: int = _CAPACITY, *, is_direct: bool = False) -> None:
         self._name, self._is_direct = name, is_direct
-        self._by_thread_until = -math.inf
+        self._by_thread_until = self._held_until = -math.inf
         self._items: deque[Send] = deque()
         self._capacity = capacity
         self._changed = threading.Condition(threading.Lock())
@@ -58,10 +58,15 @@ class Outbox:
         if (end_s := time.monotonic()) - begin_s > _WAITED_S:
             self._by_thread_until = end_s + _THREAD_S
 
+    def hold(self, seconds: float) -> None:
+        """Send nothing before this time is over; what is put meanwhile waits. `flush` ends it."""
+        with self._changed:
+            self._held_until = time.monotonic() + seconds
+
     def _sends_itself(self) -> bool:
         """Whether the caller sends: nothing is before it, and nobody had to be waited for."""
         is_free = self._is_direct and self._is_empty()
-        return is_free and time.monotonic() >= self._by_thread_until
+        return is_free and time.monotonic() >= max(self._by_thread_until, self._held_until)
 
     def _append(self, send: Send) -> None:
         if self._thread is None:
@@ -82,6 +87,8 @@ class Outbox:
         """Wait until all is sent; whether it is in time."""
         with self._changed:
             self._flushing += 1
+            self._held_until = -math.inf
+            self._changed.notify_all()
             is_sent = self._changed.wait_for(self._is_empty, timeout_s)
             self._flushing -= 1
             return is_sent
@@ -125,6 +132,8 @@ class Outbox:
             self._changed.wait_for(
                 lambda: not self._is_sending and (self._items or self._is_closed)
             )
+            while (left_s := self._held_until - time.monotonic()) > 0 and not self._is_closed:
+                self._changed.wait(left_s)
             if not self._items:
                 return None
             self._is_sending = True

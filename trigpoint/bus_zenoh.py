@@ -24,6 +24,7 @@ from .bus_gate import Gate
 from .bus_opening import means_of, open_patiently, settle
 from .bus_outbox import Outbox
 from .bus_queue import SampleQueue
+from .bus_reunion import Reunion
 from .bus_server import Server
 from .bus_settings import Settings, router_settings, session_settings
 from .config import Site
@@ -164,6 +165,11 @@ def _key_of(arrival: _Arrival) -> str:
     return str(arrival[1].key_expr)
 
 
+def _has_link(session: zenoh.Session) -> bool:
+    info = session.info
+    return bool(info.routers_zid() or info.peers_zid())
+
+
 class ZenohPublisher:
     """Sends on one key with the topic's delivery."""
 
@@ -172,6 +178,7 @@ class ZenohPublisher:
     ) -> None:
         self._session, self._key, self._outbox, self._closed = session, key, outbox, closed
         self._matching: zenoh.Publisher | None = None
+        self._reunion: Reunion | None = None
         self._is_closed = False
         congestion, priority, express = _QOS[topic.delivery]
         reliability = (
@@ -196,6 +203,7 @@ class ZenohPublisher:
             )
             if topic.delivery is Delivery.RECOVERED:
                 time.sleep(_ANNOUNCE_S)
+                self._reunion = Reunion(lambda: _has_link(session))
         else:
             self._publisher = self._matching = session.declare_publisher(
                 key,
@@ -209,6 +217,8 @@ class ZenohPublisher:
     def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
         if self._is_closed:
             raise BusError(f"nothing can be sent on {self._key}: its publisher is closed")
+        if self._reunion is not None and (wait_s := self._reunion.wait_s) > 0:
+            self._outbox.hold(wait_s)
         self._outbox.put(partial(self._send, payload, attachment))
 
     def _send(self, payload: bytes, attachment: bytes) -> None:

@@ -86,3 +86,22 @@ def test_order_is_kept_where_one_sends_by_itself_and_another_comes() -> None:
     assert link.got == [0, 1, 2, 3]
     first.join()
     assert outbox.close(10.0)
+
+
+def test_what_is_held_is_sent_in_order_when_somebody_flushes() -> None:
+    outbox, sent = Outbox("sends", is_direct=True), list[int]()
+    outbox.hold(60.0)
+    for number in range(3):
+        outbox.put(lambda number=number: sent.append(number))
+    assert sent == []
+    assert outbox.flush(10.0)
+    assert sent == [0, 1, 2]
+    assert outbox.close(10.0)
+
+
+def test_what_is_held_goes_out_when_the_time_is_over() -> None:
+    outbox, sent = Outbox("sends"), threading.Event()
+    outbox.hold(0.05)
+    outbox.put(sent.set)
+    assert sent.wait(10.0)
+    assert outbox.close(10.0)
