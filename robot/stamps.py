@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.health import Health
 
-from .firmware_clock import CONTRADICTION_NS, FirmwareClock
+from .firmware_clock import FirmwareClock
 from .protocol import Reading, StampClock
 
 # Two machines without NTP are seconds apart; more is a clock that was never set.
 _CLOCKS_APART_NS = to_ns(5.0)
 _STEP_NS = to_ns(0.01)
+# On a busy machine exchanges take tens of milliseconds, and half of that is how well the firmware's
+# clock is known: what seems to be of after its arrival was taken just before.
+_DOUBT_NS = to_ns(0.05)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +71,11 @@ class Stamps:
         if machine_ns is None:
             self._health.count("odometry_before_clock")
             return None
-        if machine_ns > reading.received_ns + CONTRADICTION_NS:
+        if machine_ns > reading.received_ns + _DOUBT_NS:
             # The firmware's clock was set: such a stamp would make all later readings out of order.
             self._health.lose("odometry_ahead_of_clock")
             return None
-        return self.unix_ns(machine_ns)
+        return self.unix_ns(min(machine_ns, reading.received_ns))
 
     def _own(self, reading: Reading) -> int | None:
         """A robot's own Unix time: it need not be ours, but far off nothing of it can be used."""

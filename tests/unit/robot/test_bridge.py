@@ -125,6 +125,15 @@ def test_clock_that_jumps_ahead_costs_the_readings_until_it_is_known(
     assert abs(message.stamp_ns - UNIX_NS - to_ns(2.5)) < 1000
 
 
+def test_reading_was_not_taken_after_it_came(robot: Robot) -> None:
+    """Where the clock is not known better, as on a busy machine, no reading is lost for it."""
+    robot.stand(1.0, 2.0)
+    message = robot.read_firmware(to_ns(2.0) + FIRMWARE_NS + to_ns(0.01), 2.0)
+    assert message is not None
+    assert message.stamp_ns == UNIX_NS + to_ns(2.0)
+    assert robot.health.lost("odometry_ahead_of_clock") == 0
+
+
 def test_correction_goes_on_with_the_firmwares_time_and_a_number(robot: Robot) -> None:
     robot.stand(1.0, 2.0)
     first = robot.place(2.0)
