@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Collection
+from contextlib import closing
 from pathlib import Path
 
 import rerun as rr
@@ -53,7 +54,7 @@ def write_rrd(
     for overlay in overlays:
         draw(overlay, columns)
     _place_cameras(recording, scene)
-    with Progress("review", sum(recording.counts.values())) as progress:
+    with closing(Progress("review", sum(recording.counts.values()))) as progress:
         shown, unsound = _show_all(recording, scene, columns, TOPICS, progress)
     _warn(recording, unsound, scene.strangers)
     scene.finish()
@@ -64,7 +65,7 @@ def write_rrd(
     pictures = Columns(stream, keeps=lambda archetype: archetype is rr.EncodedImage)
     scene = Scene(site, targets, pictures)
     _place_cameras(recording, scene)
-    with Progress("review: pictures") as progress:
+    with closing(Progress("review: pictures")) as progress:
         _show_all(recording, scene, pictures, (IMAGE, CAMERA_POSE), progress)
     pictures.flush()
     stream.flush()

@@ -1,6 +1,7 @@
 """The command `calibrate`: the estimator over a recorded session."""
 
 import math
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -114,7 +115,7 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
     pipeline = Pipeline(inputs, is_live=False)
     if not any(isinstance(message, Odometry) for _, message in messages):
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
-    with Progress("calibrate", len(messages)) as progress:
+    with closing(Progress("calibrate", len(messages))) as progress:
         for node, message in messages:
             pipeline.push(node, message)
             if isinstance(message, Odometry):

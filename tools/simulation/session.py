@@ -1,6 +1,7 @@
 """Writes a simulated drive as a recorded session, by the contract."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
 def _told(world: World) -> Iterator[_Item]:
     """The items, with a word on how far their drawing is: sightings take nearly all of it."""
     pictures = sum(_count(world, camera) for camera in world.cameras)
-    with Progress("simulate", pictures) as progress:
+    with closing(Progress("simulate", pictures)) as progress:
         for item in _items(world):
             progress.step(item.topic is topics.SIGHTINGS)
             yield item

@@ -1,6 +1,8 @@
 """Ring, remote commands, masked passwords, key filters, and the commands on files."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -38,17 +40,24 @@ def refusal(bus: Bus, command: str) -> str:
     return reply.error
 
 
-def test_a_recorder_is_stopped_started_and_split_from_elsewhere(site_folder: Path) -> None:
-    site = load_site(site_folder / "site.toml")
-    broker = MemoryBroker()
-    path = site_folder / "out" / "session.mcap"
+@contextmanager
+def recording(folder: Path, path: Path, *, ring_s: float = 0.0) -> Iterator[Bus]:
+    """A recorder at work, and the bus of somebody elsewhere on its site."""
+    site, broker = load_site(folder / "site.toml"), MemoryBroker()
     with (
         broker.session() as bus,
         broker.session() as remote,
-        Recorder(site, path, out=path.parent) as recorder,
+        Recorder(site, path, out=path.parent, ring_s=ring_s) as recorder,
         Node(bus, site="lab", kind="recorder", name="main") as node,
     ):
         recorder.start(bus, node)
+        yield remote
+        node.stop()
+
+
+def test_a_recorder_is_stopped_started_and_split_from_elsewhere(site_folder: Path) -> None:
+    path = site_folder / "out" / "session.mcap"
+    with recording(site_folder, path) as remote:
         publisher = remote.publisher(ODOMETRY, KEY)
         publisher.put(PAYLOAD)
         assert eventually(lambda: ask(remote, "status")["messages"] >= 1)
@@ -62,22 +71,13 @@ def test_a_recorder_is_stopped_started_and_split_from_elsewhere(site_folder: Pat
         status = ask(remote, "start")
         assert status["state"] == "recording"
         assert status["file"].endswith("session_2.mcap")
-        node.stop()
     assert KEY in open_recording(path).counts
     assert check(path.with_name("session_part2.mcap")).is_sound
 
 
 def test_a_ring_is_saved_from_elsewhere_and_when_a_camera_moved(site_folder: Path) -> None:
-    site = load_site(site_folder / "site.toml")
-    broker = MemoryBroker()
     path = site_folder / "out" / "session.mcap"
-    with (
-        broker.session() as bus,
-        broker.session() as remote,
-        Recorder(site, path, out=path.parent, ring_s=60) as recorder,
-        Node(bus, site="lab", kind="recorder", name="main") as node,
-    ):
-        recorder.start(bus, node)
+    with recording(site_folder, path, ring_s=60) as remote:
         publisher = remote.publisher(ODOMETRY, KEY)
         publisher.put(PAYLOAD)
         assert eventually(lambda: ask(remote, "status")["depth"] >= 1)
@@ -89,7 +89,6 @@ def test_a_ring_is_saved_from_elsewhere_and_when_a_camera_moved(site_folder: Pat
             cameras.put(cdr.encode(estimate(x)))
         moved = path.with_name("session_2.mcap")
         assert eventually(moved.exists)
-        node.stop()
     assert CAMERA_POSE.key("lab", "c1") in open_recording(moved).counts
 
 

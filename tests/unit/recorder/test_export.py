@@ -8,6 +8,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from builders import site_text
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
@@ -26,15 +27,7 @@ from trigpoint.network import (
 )
 from trigpoint.recorder.mcap_check import check
 
-SITE = """site = "lab"
-target = "target.toml"
-[cameras.c1]
-source = "dir://c1"
-[cameras.c2]
-source = "dir://c2"
-[robots.r1]
-port = "loop://"
-"""
+SITE = site_text(cameras=2, more="[map]\norigin = [20.0, 10.0, 0.5]")
 LENS = CameraModel.from_field_of_view(640, 480, 1.0)
 POSES = {"c1": Pose.planar(1.0, 2.0, 0.3), "c2": Pose.planar(-1.0, 0.5, -1.2)}
 
@@ -56,7 +49,7 @@ def network() -> Network:
 @pytest.fixture(scope="module")
 def exported(session_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("exported")
-    (folder / "site.toml").write_text(f"{SITE}\n[map]\norigin = [20.0, 10.0, 0.5]\n")
+    (folder / "site.toml").write_text(SITE)
     (folder / "network.json").write_bytes(encode_network(network()))
     words = ["export", str(session_file), "--out", str(folder), "--network", str(folder)]
     words += ["--site", str(folder / "site.toml")]

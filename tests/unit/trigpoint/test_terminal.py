@@ -3,6 +3,7 @@
 import io
 import sys
 import time
+from contextlib import closing
 
 import pytest
 
@@ -43,7 +44,7 @@ def test_progress_is_shown_late_and_taken_back(monkeypatch: pytest.MonkeyPatch) 
     now_s = [0.0]
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now_s[0])
-    with Progress("review", 10) as progress:
+    with closing(Progress("review", 10)) as progress:
         progress.step(4)
         assert not screen.getvalue()
         now_s[0] = 3.0
@@ -54,7 +55,7 @@ def test_progress_is_shown_late_and_taken_back(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_progress_says_nothing_into_a_file(capsys: pytest.CaptureFixture[str]) -> None:
-    with Progress("review", 2) as progress:
+    with closing(Progress("review", 2)) as progress:
         progress._due_s = time.monotonic() - 1
         progress.step()
     assert capsys.readouterr().err == ""
