@@ -86,7 +86,7 @@ def _match(
         if found.face not in (-1, true.face.id):
             continue
         orders = [found.corners.astype(int)]
-        if true.face.reads_from_both_ends:
+        if found.face == -1 or true.face.reads_from_both_ends:  # a finder may count from its end
             orders.append(true.face.corner_count - 1 - orders[0])
         for corners in orders:
             errors = np.linalg.norm(found.pixels - true.pixels[corners], axis=1)

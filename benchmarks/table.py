@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 BENCHMARKS: dict[str, str] = {
     "detection": "detection:run",
+    "world": "world_detection:run",
     "messages": "messages:run",
     "bus": "bus:run",
     "recorder": "recorder:run",
@@ -19,7 +20,7 @@ BENCHMARKS: dict[str, str] = {
 }
 
 # What is installed for a benchmark alone, with the extra `bench`.
-NEEDED: dict[str, str] = {"gtsam": "gtsam"}
+NEEDED: dict[str, str] = {"gtsam": "gtsam", "world": "skimage"}
 
 Benchmark = Callable[[float], "list[Row]"]
 """Takes the effort: 1.0 is the whole measurement, less is quicker and rougher."""
