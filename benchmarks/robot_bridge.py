@@ -55,6 +55,8 @@ baud = 921600
 [robots.r1.safety]
 establish_motion = 0.0
 """
+Told = tuple[list[int], list[int], dict[str, int], dict[str, int]]
+"""What the robot wrote on both lines, when; which corrections it got on both, when."""
 _START_S = 30.0
 _CORRECT_EVERY_S = 0.1
 
@@ -73,8 +75,8 @@ class Ear:
         return self.heard.get(key, [])
 
 
-def measured(rate: float, seconds: float) -> None:
-    """Print how late odometry and corrections are, what it costs, and what is lost."""
+def measured(rate: float, seconds: float) -> "tuple[Run, Told]":
+    """Drive both lines; what came of it, and what the robot wrote and got."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         endpoint = free_endpoint()
@@ -113,7 +115,7 @@ def measured(rate: float, seconds: float) -> None:
         run.run(seconds)
         assert sender.stdin is not None
         out, _ = sender.communicate("\n", timeout=10)
-    run.report(rate, json.loads(out))
+    return run, json.loads(out)
 
 
 def started(stack: ExitStack, words: list[str]) -> subprocess.Popen[bytes]:
@@ -178,9 +180,13 @@ class Run:
         self._put[number] = time.monotonic_ns()
         self._ours.put(payload, attachment=mark)
 
-    def report(self, rate: float, told: list) -> None:  # type: ignore[type-arg]
-        """`told`: what the robot wrote and got, and when."""
-        sent, bare_sent, got, bare_got = told
+    def correction_ms(self, told: Told) -> np.ndarray:
+        """From put on the bus to bytes at the robot, of each correction that got there."""
+        return _ways(self._put, told[2])
+
+    def report(self, rate: float, told: Told) -> None:
+        """Print how late odometry and corrections are, what it costs, and what is lost."""
+        sent, bare_sent, _, bare_got = told
         came = {_reading(payload): at for at, payload in self._ear.of(self._key)}
         bare_came = {int(payload): at for at, payload in self._ear.of(BARE_ODOMETRY)}
         elapsed_s = (self._window_ns[1] - self._window_ns[0]) / 1e9
@@ -189,7 +195,7 @@ class Run:
         print(f"{rate:g} readings a second for {elapsed_s:.0f} s, beside a bare loop:")
         print(f"  lost: {lost} of {len(ours) + lost} (bare: {bare_lost})")
         print(f"  bytes at the port to a subscriber's callback, ms: {beside(ours, bare)}")
-        way = _ways(self._put, got)
+        way = self.correction_ms(told)
         bare_way = _ways(self._bare_put, bare_got)
         print(f"  correction put to bytes at the robot, ms: {beside(way, bare_way)}")
         print(
@@ -338,7 +344,8 @@ def main() -> None:
     if arguments.unplugs:
         unplugged(arguments.unplugs)
     else:
-        measured(arguments.rate, arguments.seconds)
+        run, told = measured(arguments.rate, arguments.seconds)
+        run.report(arguments.rate, told)
 
 
 if __name__ == "__main__":

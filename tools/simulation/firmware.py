@@ -87,7 +87,7 @@ class PseudoTerminal:
 
 class Journal:
     """What the robot believes, one JSON object a line: every correction that it took over, and its
-    own pose once a second and at the end. Stamps are Unix time."""
+    own pose once a second and at the end. Stamps are Unix time; `at_ns`: when it took one over."""
 
     def __init__(self, path: Path | None, files: ExitStack) -> None:
         self._file: TextIO | None = None
@@ -100,6 +100,7 @@ class Journal:
             number=applied.number,
             bridge=applied.bridge,
             stamp_ns=stamp_ns,
+            at_ns=time.time_ns(),
             map=str(applied.map_id),
             sequence=applied.sequence,
             establishes=applied.establishes,
