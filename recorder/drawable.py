@@ -134,10 +134,10 @@ def _stamp_of(payload: bytes) -> int:
     return seconds * 10**9 + int.from_bytes(payload[8:12], "little")
 
 
-def foxglove_layout(site: str, cameras: list[str]) -> str:
-    """A Foxglove layout: the map large, every camera's picture with its sightings, a plot, the
-    diagnostics."""
-    panels: dict[str, object] = {"3D!map": _map_panel(site)}
+def foxglove_layout(site: str, cameras: list[str], robots: list[str]) -> str:
+    """A Foxglove layout: the map large with frames, frusta, floors and robots, every camera's
+    picture with its sightings, the diagnostics."""
+    panels: dict[str, object] = {"3D!map": _map_panel(site, cameras, robots)}
     for camera in cameras:
         topic = f"/{site}/camera/{camera}"
         panels[f"Image!{camera}"] = {
@@ -170,14 +170,15 @@ def foxglove_layout(site: str, cameras: list[str]) -> str:
     return json.dumps(layout, indent=1)
 
 
-def _map_panel(site: str) -> dict[str, object]:
+def _map_panel(site: str, cameras: list[str], robots: list[str]) -> dict[str, object]:
+    shown = ["tf", "tf_static"]
+    shown += [f"camera/{camera}/camera_info" for camera in cameras]  # drawn as a frustum
+    shown += [f"coverage/{camera}" for camera in cameras]
+    shown += [f"robot/{robot}/{what}" for robot in robots for what in ("pose", "odom")]
     return {
         "followTf": "map",
         "scene": {"transforms": {"labelSize": 0.1, "axisScale": 0.4}},
-        "topics": {
-            f"/{site}/tf": {"visible": True},
-            f"/{site}/tf_static": {"visible": True},
-        },
+        "topics": {f"/{site}/{path}": {"visible": True} for path in shown},
         "layers": {"grid": {"layerId": "foxglove.Grid", "frameId": "map", "size": 20}},
         "cameraState": {"distance": 20, "phi": 45, "thetaOffset": 45},
     }

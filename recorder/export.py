@@ -184,7 +184,9 @@ def _mcap(source: Source, out: Path) -> list[Path]:
     write_drawable(recording, source.network, file, source.building)
     site = parse_site(recording.site_text, directory=Path(), file="attached site.toml")
     layout, rviz = out / "foxglove_layout.json", out / "trigpoint.rviz"
-    layout.write_text(foxglove_layout(site.name, list(site.cameras)), encoding="utf-8")
+    layout.write_text(
+        foxglove_layout(site.name, list(site.cameras), list(site.robots)), encoding="utf-8"
+    )
     rviz.write_text(
         rviz_configuration(site.name, list(site.cameras), list(site.robots)), encoding="utf-8"
     )

@@ -128,6 +128,11 @@ def test_layouts_name_topics_that_are_there(exported: Path) -> None:
     image = SimpleNamespace(**layout["configById"]["Image!c1"]["imageMode"])
     assert image.imageTopic == "/lab/camera/c1/image/compressed"
     assert list(image.annotations) == ["/lab/camera/c1/annotations"]
+    with AnyReader([exported / "drawable.mcap"]) as reader:
+        there = {connection.topic for connection in reader.connections}
+    in_map = set(layout["configById"]["3D!map"]["topics"])
+    drawn = ("tf", "tf_static", "camera/c1/camera_info", "coverage/c1", "robot/r1/pose")
+    assert {f"/lab/{path}" for path in drawn} <= in_map & there
     rviz = YAML(typ="safe").load((exported / "trigpoint.rviz").read_text())
     topics = {
         display["Topic"]["Value"]
