@@ -254,3 +254,30 @@ def test_fisheye_costs_no_corner(distance: float, x: float, yaw_deg: float) -> N
     assert len(face.corners) == EVEN.corner_count
     truth = fisheye_pixels(view)
     assert min(np.abs(face.pixels - order).max() for order in (truth, truth[::-1])) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("distance", "x", "yaw_deg", "cut"), [(0.12, 0.1, 20, 200), (0.15, 0.15, 25, 120)]
+)
+def test_lens_need_not_be_centred(distance: float, x: float, yaw_deg: float, cut: int) -> None:
+    """As where a part of a sensor is read, or a picture was cut."""
+    view = placed(EVEN, distance=distance, x=x, yaw_deg=yaw_deg, tilt_deg=8)
+    picture = np.ascontiguousarray(through_a_fisheye(view)[:, cut:])
+    (face,) = detector_for([target_of(EVEN)]).detect(picture)
+    assert len(face.corners) == EVEN.corner_count
+    truth = fisheye_pixels(view) - (cut, 0)
+    assert min(np.abs(face.pixels - order).max() for order in (truth, truth[::-1])) < 0.15
+
+
+def test_edge_of_strong_light_costs_no_corner() -> None:
+    """Beyond a line through a corner, twice the light falls, and white is cut off."""
+    view = placed(EVEN, distance=0.5, tilt_deg=20, yaw_deg=15)
+    truth = true_pixels(view)
+    y, x = np.mgrid[:480, :640]
+    is_lit = (x - truth[30, 0]) * 0.8 + (y - truth[30, 1]) * 0.6 > 0
+    light = picture_of([view]) * np.where(is_lit, 2.2, 1.0)
+    picture = np.clip(light, 0, 255).astype(np.uint8)
+    (face,) = detector_for([target_of(EVEN)]).detect(picture)
+    assert len(face.corners) == EVEN.corner_count
+    off = min(np.sqrt(np.mean((face.pixels - order) ** 2)) for order in (truth, truth[::-1]))
+    assert off < 0.08
