@@ -31,14 +31,14 @@ from trigpoint.config import load_site
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.solver_process import SolverProcess
-from trigpoint.messages import Message, Odometry, Sightings
+from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import load_world
 
 from .robot_bridge import measured
 
 CAMERAS = ("c1", "c2", "c3")
-_HEARD = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
+_HEARD = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.CORRECTION)
 _START_S = 15.0
 _AGENT_S, _BRIDGE_S = 30.0, 20.0
 # So far the session runs ahead of its solver at most.
@@ -47,17 +47,21 @@ _LEAD_NS = to_ns(20.0)
 
 @dataclass(slots=True)
 class Heard:
-    """Messages in the order in which they came, with the node that sent each; of each picture in
-    which a face was found, how late its sighting came, milliseconds."""
+    """Messages in the order in which they came, with the node that sent each; how late each
+    correction came after the exposure, and each sighting of a picture with a face, milliseconds."""
 
     messages: list[tuple[int, str, Message]] = field(default_factory=list)
     sightings_ms: list[float] = field(default_factory=list)
+    corrections_ms: list[float] = field(default_factory=list)
 
     def take(self, subscriptions: Mapping[topics.Topic, Subscription]) -> None:
         for topic, subscription in subscriptions.items():
             while (sample := subscription.take(0.0)) is not None:
                 message = decode(topic.type_name, sample.payload)
                 node = topics.node_of(sample.key)
+                if isinstance(message, PoseEstimate):
+                    self.corrections_ms.append((sample.received_ns - message.stamp_ns) / 1e6)
+                    continue
                 self.messages.append((sample.received_ns, node, message))
                 if isinstance(message, Sightings) and message.faces:
                     self.sightings_ms.append((sample.received_ns - message.stamp_ns) / 1e6)
@@ -161,6 +165,9 @@ def main() -> None:
     marks = {name: np.percentile(values, [50, 95]) for name, values in parts.items()}
     for name, (half, most) in marks.items():
         print(f"{name} alone: p50 {half:.1f}, p95 {most:.1f} ms ({len(parts[name])})")
+    for what, values in (("sightings", heard.sightings_ms), ("corrections", heard.corrections_ms)):
+        half, most = np.percentile(values, [50, 95])
+        print(f"in the whole, exposure to {what} on the bus: p50 {half:.1f}, p95 {most:.1f} ms")
     half, most = np.percentile(whole, [50, 95])
     ratio = most / sum(mark[1] for mark in marks.values())
     print(f"exposure to correction at the robot: p50 {half:.1f}, p95 {most:.1f} ms ({len(whole)})")
