@@ -28,17 +28,22 @@ FLAGS = (
 ERROR_MARK = (236, 0, 79)
 """Of the disc that rerun shows on a panel that cannot draw something."""
 NEAR = 40
-PATIENCE_S = 100.0
+PATIENCE_S = 240.0  # it takes ten seconds, but a busy machine ten times as long
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="there is no Chromium here; install Debian's package «chromium»"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="there is no Chromium here; install Debian's package «chromium»"
+    ),
+    pytest.mark.timeout(2 * PATIENCE_S),
+]
 
 
 @pytest.fixture
 def page() -> Iterator[Page]:
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=list(FLAGS), timeout=1000 * PATIENCE_S
+        )
         yield browser.new_page(viewport={"width": 900, "height": 600})
         browser.close()
 
@@ -69,7 +74,7 @@ def test_a_reviewed_session_is_drawn_without_an_error(
 ) -> None:
     write_rrd(open_recording(session_file), tmp_path / "session.rrd")
     with Viewer(tmp_path / "session.rrd", is_web=True) as viewer:
-        page.goto(f"{viewer.web_url}&renderer=webgl")
+        page.goto(f"{viewer.web_url}&renderer=webgl", timeout=1000 * PATIENCE_S)
         until = time.monotonic() + PATIENCE_S
         while not whole(picture := picture_of(page)) and time.monotonic() < until:
             time.sleep(1.0)  # to draw costs the page more than to wait
