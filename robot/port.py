@@ -69,19 +69,20 @@ class Port:
         self.close()
 
     def read(self) -> tuple[bytes, int]:
-        """What has come, and the monotonic clock (ns) when its first byte was there; returns
-        nothing after `READ_TIMEOUT_S`."""
+        """What has come, and the monotonic clock (ns) when all of it was there; returns nothing
+        after `READ_TIMEOUT_S`. On a busy machine the time is much later than that of the first
+        byte; told that, what came meanwhile would seem to be of after its arrival."""
         if self._trouble is not None:
             raise self._trouble
-        first, received_ns = b"", 0
+        first = b""
         try:
             if is_device(self.url):
                 return self._read_device()
             first = self._serial.read(1)
+            waiting = min(self._serial.in_waiting, _CHUNK)
             received_ns = time.monotonic_ns()
             if not first:
                 return b"", received_ns
-            waiting = min(self._serial.in_waiting, _CHUNK)
             return first + (self._serial.read(waiting) if waiting else b""), received_ns
         except (serial.SerialException, OSError, TypeError) as reason:
             # TypeError: pyserial's read on a port that another thread has just closed.
@@ -90,14 +91,14 @@ class Port:
             if not first:
                 raise trouble from reason
             self._trouble = trouble  # what came before the loss is not lost with it
-            return first, received_ns
+            return first, time.monotonic_ns()
 
     def _read_device(self) -> tuple[bytes, int]:
         """The same where there is a descriptor to wait for: a third of the calls of pyserial's."""
         descriptor = self._serial.fileno()
         ready, _, _ = select.select([descriptor], [], [], READ_TIMEOUT_S)
-        received_ns = time.monotonic_ns()
         data = os.read(descriptor, _CHUNK) if ready else b""
+        received_ns = time.monotonic_ns()
         if ready and not data:
             raise OSError(errno.EIO, "the device is gone")
         return data, received_ns

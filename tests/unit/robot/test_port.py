@@ -1,6 +1,7 @@
 """Serial ports, with pyserial's loop and pseudo-terminals."""
 
 import os
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,6 +47,20 @@ def test_bytes_go_both_ways(pty: Pty) -> None:
         assert (data, received_ns > 0) == (b"\0\1\xff", True)
         port.write(b"\r\n\0")
         assert os.read(pty.ours, 10) == b"\r\n\0"
+
+
+def test_bytes_came_before_the_time_that_is_told(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, read_ns = os.read, list[int]()
+
+    def reading(descriptor: int, count: int) -> bytes:
+        data = read(descriptor, count)
+        read_ns.append(time.monotonic_ns())
+        return data
+
+    monkeypatch.setattr(port_module.os, "read", reading)
+    with Port(pty.path, 115200) as port:
+        os.write(pty.ours, b"x")
+        assert port.read()[1] >= read_ns[0]
 
 
 def test_nothing_to_read_is_nothing(pty: Pty) -> None:
