@@ -125,30 +125,55 @@ class _Survey:
         ).reshape(-1)
         variances = np.repeat([point.sigma_m**2 for point in points], 3)
         self._survey = np.diag(variances)
+        count = len(points)
+        blocks = np.arange(count)
+        self._own = covariance.reshape(count, 3, count, 3)[blocks, :, blocks]
+        self._own_survey = variances.reshape(count, 3, 1) * np.eye(3)
         has_height = any(len(point.in_frame) == 3 for point in points)
         unknowns = [0, 1, 2, 5] if has_height else [0, 1, 5]
         self._unknowns = unknowns if is_level else list(range(6))
 
     def agreeing(self, fewest: int) -> list[int]:
-        """The numbers of the points that agree: all, or the largest set that one start finds."""
+        """The numbers of the points that agree: all, or the most that do around the best start."""
         everyone = list(range(len(self._points)))
         if self._agrees(everyone):
             return everyone
-        best: tuple[int, float, list[int]] = (0, 0.0, [])
-        for start in _starts(len(everyone), fewest):
-            fit = self.fit(list(start))
+        chosen = self._around_best_start(fewest)
+        for _ in range(_ROUNDS):
+            fit = self.fit(chosen) if len(chosen) >= fewest else None
             if fit is None:
-                continue
-            tested = [self._residual(fit, number) for number in everyone]
-            agreeing = [i for i in everyone if not tested[i].is_outlier]
-            score = (len(agreeing), -sum(tested[i].chi2 for i in agreeing))
-            if score > best[:2]:
-                best = (*score, agreeing)
-        chosen = best[2]
+                break
+            agreeing = [i for i in everyone if not self._residual(fit, i).is_outlier]
+            if agreeing == chosen:
+                break
+            chosen = agreeing
         is_majority = len(chosen) > fewest and 2 * len(chosen) > len(everyone)
         if not is_majority or not self._agrees(chosen):
             raise InputError(self._contradiction(everyone))
         return chosen
+
+    def _around_best_start(self, fewest: int) -> list[int]:
+        """The points near to where the best of some smallest sets puts them, which is the one with
+        the least sum of χ², each no larger than the limit. χ² is by the point's own covariance: by
+        that of a bad start, which leaves the rest open, everything would agree."""
+        count = len(self._points)
+        limit = _limit(_CHANCE / count)
+        best: tuple[float, list[int]] = (math.inf, [])
+        for start in _starts(count, fewest):
+            pose = self._start(list(start))
+            if pose is not None:
+                chi2 = self._own_chi2(pose)
+                score = float(np.minimum(chi2, limit).sum())
+                if score < best[0]:
+                    best = score, np.flatnonzero(chi2 <= limit).tolist()
+        return best[1]
+
+    def _own_chi2(self, pose: Pose) -> Array:
+        """(n,) of the points' offsets by their own covariances alone."""
+        known = self._known.reshape(-1, 3)
+        offsets = np.where(known, self._offsets(pose), 0.0)
+        own = pose.rotation @ self._own @ pose.rotation.T + self._own_survey
+        return np.einsum("ni,ni->n", offsets, np.linalg.solve(own, offsets[..., None])[..., 0])
 
     def fit(self, numbers: list[int]) -> _Fit | None:
         """By these points; None where they do not tell the transform."""
@@ -263,6 +288,15 @@ def _starts(count: int, fewest: int) -> Iterator[tuple[int, ...]]:
     """Sets of so few points, evenly out of all there are."""
     every = math.ceil(math.comb(count, fewest) / _MOST_STARTS)
     return itertools.islice(itertools.combinations(range(count), fewest), 0, None, every)
+
+
+def _limit(probability: float) -> float:
+    """χ² of three dimensions that is exceeded with this probability, by halving."""
+    low, high = 0.0, 1000.0
+    while high - low > _ROUNDING:
+        middle = (low + high) / 2
+        low, high = (middle, high) if chance(middle, 3) > probability else (low, middle)
+    return high
 
 
 def chance(chi2: float, dimensions: int) -> float:

@@ -67,7 +67,7 @@ def joint_covariance(rng: np.random.Generator, size_m: float = 0.003) -> np.ndar
 def test_a_network_is_carried_over_with_the_covariance_that_its_errors_have() -> None:
     rng = np.random.default_rng(1)
     joint, ratios = joint_covariance(rng), []
-    for _ in range(120):
+    for _ in range(40):
         errors = rng.multivariate_normal(np.zeros(24), joint).reshape(4, 6)
         in_map = PLACES + errors[:, :3]
         measured = TRUE @ PLACES + rng.normal(scale=0.01, size=PLACES.shape)

@@ -56,7 +56,7 @@ def error_of(laying: Laying, true: Pose, unknowns: list[int]) -> float:
 )
 def test_covariance_is_that_of_the_errors(true: Pose, is_level: bool, unknowns: list[int]) -> None:
     rng = np.random.default_rng(3)
-    found = [lay(*drawn(rng, true), is_level=is_level) for _ in range(150)]
+    found = [lay(*drawn(rng, true), is_level=is_level) for _ in range(50)]
     mean = np.mean([error_of(laying, true, unknowns) for laying in found])
     # χ² by its degrees of freedom has the variance 2 / dof.
     assert abs(mean - 1) < 4 * np.sqrt(2 / len(unknowns) / len(found))
@@ -64,7 +64,7 @@ def test_covariance_is_that_of_the_errors(true: Pose, is_level: bool, unknowns: 
 
 def test_residuals_are_those_that_chance_gives() -> None:
     rng = np.random.default_rng(4)
-    found = [lay(*drawn(rng, TRUE), is_level=True) for _ in range(150)]
+    found = [lay(*drawn(rng, TRUE), is_level=True) for _ in range(50)]
     below = np.mean([one.probability < 0.1 for laying in found for one in laying.residuals])
     assert 0.05 < below < 0.16
     assert sum(bool(laying.outliers) for laying in found) <= 2
@@ -81,6 +81,18 @@ def test_a_point_that_was_surveyed_wrongly_is_named_and_left_out() -> None:
     rows = [3 * i + axis for i in (0, 1, 3, 4) for axis in range(3)]
     again = lay(without, covariance[np.ix_(rows, rows)], is_level=True)
     assert np.allclose(again.frame_from_map.translation, laying.frame_from_map.translation)
+
+
+@pytest.mark.parametrize("is_level", [True, False])
+def test_wrong_points_are_found_among_many(is_level: bool) -> None:
+    rng = np.random.default_rng(6)
+    places = rng.uniform([0, 0, 2], [60, 40, 4], (30, 3))
+    in_frame = TRUE @ places + rng.normal(scale=SURVEY_M, size=places.shape)
+    wrong = list(range(0, 30, 3))  # every third one
+    in_frame[wrong] += rng.uniform(-2, 2, (10, 3))
+    laying = lay(points(places, in_frame), 1e-5 * np.eye(90), is_level=is_level)
+    assert laying.outliers == [f"c{i + 1}" for i in wrong]
+    assert np.allclose(laying.frame_from_map.translation, TRUE.translation, atol=0.03)
 
 
 def test_heights_that_nobody_surveyed_are_taken_from_the_map() -> None:
