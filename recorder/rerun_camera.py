@@ -238,5 +238,5 @@ def draw_ellipsoid(
 
 
 def _label(face: FaceSighting) -> str:
-    name = f"face {face.face}" if face.face >= 0 else "a face"
-    return f"{name} ({len(face.corners)})"
+    """The number alone: faces are beside each other, and longer words would cover one another's."""
+    return str(face.face) if face.face >= 0 else "?"
