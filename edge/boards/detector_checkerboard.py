@@ -28,25 +28,11 @@ from trigpoint.target import Face
 
 from .evidence import weighed
 from .grid import Grid, find_grids
-from .grid_growth import LEAST_SEED, cleaned, grown
+from .grid_growth import cleaned, grown
 from .misdescribed import other_colours, remedy, turned
-from .placement import LEAST_SHARE, Placement, keeps_its_place, placed
+from .placement import Placement, keeps_its_place, placed
 from .saddles import Curvature, find_saddles
-
-# Of the corners that were seen last and are in view, how many must be seen again.
-LEAST_AGAIN = 0.85
-# Of the places of its extent, how many a joined grid must fill; chance grids wander.
-LEAST_FILLED = 0.4
-# Where a grid shows less of a board, what it predicts is looked for; what is left then is found by
-# its fit.
-LEAST_GROWN = 0.8
-MOST_GRIDS = 16
-# How many of a picture's grids are made whole where they are not; the largest come first.
-MOST_GROWN = 3
-# A grid of more corners than so many boards have is a floor or a wall.
-MOST_BOARDS_JOINED = 4
-# Corners of a grid that all lie so near its fit need no lens.
-ENOUGH_PX = 0.7
+from .tuning import TUNING
 
 
 class CheckerboardDetector(FaceFinder):
@@ -57,8 +43,8 @@ class CheckerboardDetector(FaceFinder):
         self._unexpected = _unexpected(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
-        self._least = min(LEAST_SHARE * width * height for width, height in extents)
-        self._most = MOST_BOARDS_JOINED * max(width * height for width, height in extents)
+        self._least = min(TUNING.least_share * width * height for width, height in extents)
+        self._most = TUNING.most_boards_joined * max(width * height for width, height in extents)
         self._spaces = {1: Workspace(), 2: Workspace()}
 
     def locate(
@@ -106,7 +92,7 @@ class CheckerboardDetector(FaceFinder):
             return None
         size = (grey.shape[1], grey.shape[0])
         still = in_view(found.fit, pattern.points[last.found.corners], size)
-        if len(found.corners) < LEAST_AGAIN * len(still):
+        if len(found.corners) < TUNING.least_again * len(still):
             return None
         is_there = weighed(grey, face, found.fit, found.corners, found.pixels).is_board
         return Located(last.look, found) if is_there else None
@@ -121,9 +107,9 @@ class CheckerboardDetector(FaceFinder):
         if len(saddles) < self._least or is_over():
             return []
         found: list[Located] = []
-        joined = find_grids(saddles)[:MOST_GRIDS]
+        joined = find_grids(saddles)[: TUNING.most_grids]
         waiting = deque(grid for grid in joined if len(grid) <= self._most)
-        for _ in range(MOST_GRIDS):
+        for _ in range(TUNING.most_grids):
             if not waiting or is_over():
                 break
             grid = waiting.popleft()
@@ -143,11 +129,13 @@ class CheckerboardDetector(FaceFinder):
         self, grid: Grid, curvature: Curvature, allowance: "_Allowance"
     ) -> Placement | None:
         """The board that a grid is, grown where it is not whole; None where it is none."""
-        if len(grid) < max(LEAST_SEED, LEAST_FILLED * grid.extent[0] * grid.extent[1]):
+        if len(grid) < max(
+            TUNING.least_seed, TUNING.least_filled * grid.extent[0] * grid.extent[1]
+        ):
             return None
         grid = cleaned(grid)
         board = self._placed(grid, curvature)
-        if board is None or len(board.ids) < LEAST_GROWN * board.look.face.corner_count:
+        if board is None or len(board.ids) < TUNING.least_grown * board.look.face.corner_count:
             if not allowance.may("grow"):
                 return board
             board = self._placed(grown(grid, curvature, self._largest), curvature) or board
@@ -165,7 +153,7 @@ class CheckerboardDetector(FaceFinder):
         @cache
         def fit_of() -> PlanarFit | None:
             places = grid.places.astype(float)
-            return settled_fit(places, grid.pixels, (width, height), ENOUGH_PX)
+            return settled_fit(places, grid.pixels, (width, height), TUNING.enough_px)
 
         boards = (placed(grid, look, (width, height), fit_of) for look in looks or self._looks)
         return max((board for board in boards if board), key=lambda b: b.score, default=None)
@@ -176,7 +164,7 @@ class CheckerboardDetector(FaceFinder):
         """Note where a grid is a board whose black and white squares are exchanged; each look is
         noted once, and then not asked for any more."""
         looks = [look for look in self._unexpected.values() if look]
-        if len(grid) < LEAST_SEED or not looks or is_over():
+        if len(grid) < TUNING.least_seed or not looks or is_over():
             return
         board = self._placed(cleaned(grid), curvature, looks)
         if board is None or _measured(board, source, is_over) is None:
@@ -206,7 +194,7 @@ class _Allowance:
 
     def __init__(self, is_over: IsOver, share: int = 1) -> None:
         self.is_over = is_over
-        self._left = {"grow": share * MOST_GROWN}
+        self._left = {"grow": share * TUNING.most_grown}
 
     def may(self, what: str) -> bool:
         """Whether to do that with one more grid; asked once for each."""
@@ -224,11 +212,11 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     points, size = face.corners[board.ids, :2], (grey.shape[1], grey.shape[0])
     starts = np.full((face.corner_count, 2), np.nan)
     starts[board.ids] = pixels = source.pixels(board.pixels)
-    fit = settled_fit(points, pixels, size, ENOUGH_PX)
+    fit = settled_fit(points, pixels, size, TUNING.enough_px)
     if fit is None:
         return None
     found = measured(grey, CornerPattern.of(face), fit, starts=starts, is_over=is_over)
-    if found is None or len(found.corners) < LEAST_SHARE * face.corner_count:
+    if found is None or len(found.corners) < TUNING.least_share * face.corner_count:
         return None
     if not keeps_its_place(board.look, found.corners, found.pixels, found.fit, size):
         return None
@@ -257,7 +245,7 @@ def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     """Whether enough corners are in the picture at all: cheaper than to measure a board that is
     leaving it."""
     seen = in_view(fit, face.corners[:, :2], (grey.shape[1], grey.shape[0]))
-    return len(seen) >= LEAST_SHARE * face.corner_count
+    return len(seen) >= TUNING.least_share * face.corner_count
 
 
 def _same_place(first: Located, second: Located) -> bool:

@@ -18,26 +18,7 @@ from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
-# How often a step from square to square is there: on a board, some of which gleam or are hidden;
-# and elsewhere, where it must be one way round and a quarter of the contrast.
-_ON_BOARD, _BY_CHANCE = 0.88, 0.3
-LEAST_STEP = 0.25
-_RIGHT_NATS = log(_ON_BOARD / _BY_CHANCE)
-_WRONG_NATS = log((1 - _ON_BOARD) / (1 - _BY_CHANCE))
-# Odds against clutter that a sighting needs: a picture offers some ten grids, of ten thousand
-# pictures none may show a board that is not there.
-LEAST_NATS = log(10 * 10_000)
-# Of a square, how far a corner is off against those beside it: on a board, whose paper is not flat
-# (of 500 real ones most are off by 0.002, one by 0.02), with what a pixel's grain adds, pixels;
-# and in clutter, where it is not even.
-_EVEN_SHARE, _GRAIN_PX = 0.01, 0.05
-_UNEVEN_SHARE = 0.1
-_LEAST_EVEN = log(0.5)  # clutter is even, or not, as often
-# How far beyond the outermost corners the outermost squares are looked at, squares: some are narrow
-# or cut. How far beyond those a board that goes on is: less than the white around most boards, and
-# little where the picture ends there.
-OUTER_SQUARES = 0.4
-END_SQUARES = (1.25, 1.1)
+from .tuning import TUNING
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +32,7 @@ class Evidence:
     @property
     def is_board(self) -> bool:
         """Whether no doubt is left that it is there and is no part of a larger one."""
-        return self.board >= LEAST_NATS and min(self.ends) >= 0
+        return self.board >= TUNING.least_nats and min(self.ends) >= 0
 
 
 def weighed(
@@ -63,20 +44,20 @@ def weighed(
     contrast = _contrast(rising)
     right, total = _steps(rising, _beside(ids, face), contrast)
     ends = tuple(min(_end(line, contrast) for line in lines) for lines in sides)
-    squares = right * _RIGHT_NATS + (total - right) * _WRONG_NATS
+    squares = right * TUNING.right_nats + (total - right) * TUNING.wrong_nats
     return Evidence(squares + _evenness(face, fit, ids, pixels), ends)
 
 
 def _rising(grey: np.ndarray, face: Face, fit: PlanarFit) -> tuple[Array, list[Array]]:
     """Grey values of all squares (rows, columns), and of those that a larger board would have on
-    each side, at each of END_SQUARES, (2, n) a side: top, bottom, left, right. Light ones count as
-    negative, and what is not in the picture is not a number."""
+    each side, at each of its `end_squares`, (2, n) a side: top, bottom, left, right. Light
+    ones count as negative, and what is not in the picture is not a number."""
     x, y = np.arange(face.columns), np.arange(face.rows)
     across, down = x - 0.5, y - 0.5
-    across[[0, -1]] = -OUTER_SQUARES, face.columns - 2 + OUTER_SQUARES
-    down[[0, -1]] = -OUTER_SQUARES, face.rows - 2 + OUTER_SQUARES
+    across[[0, -1]] = -TUNING.outer_squares, face.columns - 2 + TUNING.outer_squares
+    down[[0, -1]] = -TUNING.outer_squares, face.rows - 2 + TUNING.outer_squares
     parts = [_lattice(across, down, x, y)]
-    ends = np.array(END_SQUARES)
+    ends = np.array(TUNING.end_squares)
     for far, place in ((-ends, -1), (face.rows - 2 + ends, face.rows)):
         parts.append(_lattice(across, far, x, np.full(len(ends), place)))
     for far, place in ((-ends, -1), (face.columns - 2 + ends, face.columns)):
@@ -127,9 +108,10 @@ def _evenness(face: Face, fit: PlanarFit, ids: np.ndarray, pixels: Array) -> flo
     spacing = median(np.linalg.norm(steps[known], axis=1))
     # Of a coordinate of one corner: each difference has two.
     variance = float(np.mean(uneven[known] ** 2)) / 2 / spacing**2
-    even, chance = _EVEN_SHARE**2 + (_GRAIN_PX / spacing) ** 2, _UNEVEN_SHARE**2
+    even, chance = TUNING.even_share**2 + (TUNING.grain_px / spacing) ** 2, TUNING.uneven_share**2
     told = len(ids) * (log(chance / even) - variance * (1 / even - 1 / chance))
-    return -float(np.logaddexp(_LEAST_EVEN, _LEAST_EVEN - told))
+    by_chance = TUNING.even_by_chance
+    return -float(np.logaddexp(log(by_chance), log(1 - by_chance) - told))
 
 
 def _beside(ids: np.ndarray, face: Face) -> np.ndarray:
@@ -156,12 +138,12 @@ def _steps(rising: Array, known: np.ndarray, contrast: float) -> tuple[int, int]
         count[to] += known[beside]
     told = known & (count > 0)
     away = -(values[told] + total[told] / count[told])
-    return int(np.count_nonzero(away > LEAST_STEP * contrast)), int(told.sum())
+    return int(np.count_nonzero(away > TUNING.least_step * contrast)), int(told.sum())
 
 
 def _end(side: Array, contrast: float) -> float:
     """Log odds that a line of squares beyond a board is none of a larger one, by its steps."""
     steps = -(side[1:] + side[:-1])
     steps = steps[~np.isnan(steps)]
-    goes_on = np.count_nonzero(steps > LEAST_STEP * contrast)
-    return -(goes_on * _RIGHT_NATS + (len(steps) - goes_on) * _WRONG_NATS)
+    goes_on = np.count_nonzero(steps > TUNING.least_step * contrast)
+    return -(goes_on * TUNING.right_nats + (len(steps) - goes_on) * TUNING.wrong_nats)

@@ -15,14 +15,8 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .saddles import Saddles
+from .tuning import TUNING
 
-NEAREST = 14
-ANGLE_TOLERANCE_RAD = np.radians(40.0)
-LEAST_CORNERS = 4
-LONGEST_RATIO = 2.2
-# Of a step, how much the next one and those beside it may differ.
-MOST_CHANGED = 0.5
-_LEAST_COSINE = float(np.cos(ANGLE_TOLERANCE_RAD))
 # Steps of the four directions of a corner: x, y, -x, -y.
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
@@ -56,8 +50,8 @@ class Grid:
 
 
 def find_grids(saddles: Saddles) -> list[Grid]:
-    """All grids of at least LEAST_CORNERS corners, largest first."""
-    if len(saddles) < LEAST_CORNERS:
+    """All grids of enough corners, largest first."""
+    if len(saddles) < TUNING.least_corners:
         return []
     links = _mutual_links(saddles)
     return sorted(_walk(saddles, links), key=len, reverse=True)
@@ -96,9 +90,9 @@ def _chosen(saddles: Saddles) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nearest(pixels: Array) -> tuple[np.ndarray, np.ndarray]:
-    """The NEAREST corners of each (n, k), rising by distance, and unit vectors (n, k, 2) there."""
+    """The nearest corners of each (n, k), rising by distance, and unit vectors (n, k, 2) there."""
     spots = pixels.astype(np.float32)
-    count = min(NEAREST, len(pixels) - 1)
+    count = min(TUNING.nearest, len(pixels) - 1)
     # The nearest of all is the corner itself.
     distance, near = cv2.batchDistance(spots, spots, cv2.CV_32F, K=count + 1)
     distance, near = np.asarray(distance)[:, 1:], np.asarray(near, dtype=np.intp)[:, 1:]
@@ -117,7 +111,7 @@ def _closest_direction(axes: np.ndarray, towards: np.ndarray) -> tuple[np.ndarra
     )
     is_second = np.abs(second) > np.abs(first)
     best = np.where(is_second, second, first)
-    return is_second + 2 * (best < 0), np.abs(best) > _LEAST_COSINE
+    return is_second + 2 * (best < 0), np.abs(best) > TUNING.least_cosine
 
 
 def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
@@ -126,7 +120,9 @@ def _without_long(pixels: Array, links: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(pixels[other] - pixels[:, None], axis=-1)
     length = np.where(other >= 0, length, np.inf)
     opposite = np.roll(length, 2, axis=1)
-    too_long = np.isfinite(length) & np.isfinite(opposite) & (length > LONGEST_RATIO * opposite)
+    too_long = (
+        np.isfinite(length) & np.isfinite(opposite) & (length > TUNING.longest_ratio * opposite)
+    )
     kept = links.copy()
     for corner, direction in zip(*np.nonzero(too_long), strict=True):
         neighbour, back = links[corner, direction]
@@ -145,7 +141,7 @@ def _walk(saddles: Saddles, links: np.ndarray) -> list[Grid]:
     for seed in order.tolist():
         if not seen[seed]:
             placed = _walk_from(seed, table, seen, spots)
-            if len(placed) >= LEAST_CORNERS:
+            if len(placed) >= TUNING.least_corners:
                 grids.append(_grid(saddles, placed))
     return grids
 
@@ -195,7 +191,7 @@ def _goes_on(
     ):
         if behind in taken and ahead in taken:
             other = taken[ahead] - taken[behind]
-            if abs(to - here - other) > MOST_CHANGED * abs(other):
+            if abs(to - here - other) > TUNING.most_changed * abs(other):
                 return False
     return True
 

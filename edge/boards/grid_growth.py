@@ -10,23 +10,13 @@ from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
 from .saddles import Curvature, Saddles, examine
-
-LEAST_SEED = 9
-MOST_ROUNDS = 8
-# How often a grid's wild corners are dropped, the wildest first.
-MOST_DROPS = 4
-# A corner may lie this far from where those about it have it, of the distance to the next: a
-# slanted board's squares shrink by a quarter from one to the next, and each prediction is off by
-# half of that.
-MOST_OFF = 0.3
-# A predicted corner may be this much weaker than one that nothing predicted.
-TOLERANCE = 1.7
+from .tuning import TUNING
 
 
 def cleaned(grid: Grid) -> Grid:
     """The grid without corners that do not lie where their neighbours have them; those that nothing
     can be said about stay."""
-    for _ in range(MOST_DROPS):
+    for _ in range(TUNING.most_drops):
         if len(grid) == 0:
             break
         lattice, low = _lattice(grid)
@@ -35,9 +25,9 @@ def cleaned(grid: Grid) -> Grid:
         # Two corners in one place are a thousandth of a pixel apart.
         off = np.nan_to_num(off / np.maximum(_steps(lattice)[y, x], 1e-3), nan=0.0)
         worst = float(off.max())
-        if worst <= MOST_OFF:
+        if worst <= TUNING.most_off:
             break
-        grid = grid.only(off < max(MOST_OFF, 0.7 * worst))
+        grid = grid.only(off < max(TUNING.most_off, 0.7 * worst))
     return grid
 
 
@@ -47,8 +37,8 @@ def grown(grid: Grid, curvature: Curvature, largest: tuple[int, int]) -> Grid:
     Stops at the pattern's edge, where no X corner is; `largest`: the longer and the shorter extent
     of any pattern that is looked for.
     """
-    for _ in range(MOST_ROUNDS):
-        if len(grid) < LEAST_SEED or max(grid.extent) > max(largest) + 1:
+    for _ in range(TUNING.most_rounds):
+        if len(grid) < TUNING.least_seed or max(grid.extent) > max(largest) + 1:
             break
         added = _found_beside(grid, curvature)
         if added is None:
@@ -127,8 +117,8 @@ def _found_beside(grid: Grid, curvature: Curvature) -> Grid | None:
     places = np.stack([columns, rows], axis=-1) + low
     predicted, spacing = there[rows, columns], step[rows, columns]
     diagonal = (_slope(filled, 1, 0) + _slope(filled, 0, 1))[rows, columns]
-    found, which = _nearest_to(examine(curvature, predicted, tolerance=TOLERANCE), predicted)
-    ok = np.linalg.norm(found.pixels - predicted[which], axis=-1) < MOST_OFF * spacing[which]
+    found, which = _nearest_to(examine(curvature, predicted, tolerance=TUNING.tolerance), predicted)
+    ok = np.linalg.norm(found.pixels - predicted[which], axis=-1) < TUNING.most_off * spacing[which]
     dark = _is_dark_towards(found.directions, -diagonal[which])
     ok &= dark == _expected_dark(grid, places[which])
     if not ok.any():

@@ -17,16 +17,7 @@ from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
 
 from .grid import Grid
-
-# Of a board's corners, how many must be seen.
-LEAST_SHARE = 0.55
-# By how many corners a place must be better than the next best one. A corner is seen on a board, or
-# not seen elsewhere, nine times of ten: two of them are odds of 80.
-LEAST_LEAD = 2
-# Of the line after the last that is seen of a board, how much may be missing though it is in view.
-MOST_MISSING = 0.5
-# Corners nearer to the picture's edge than this are not found.
-_MARGIN_PX = 4.0
+from .tuning import TUNING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +53,7 @@ def placed(
     missing that may lie outside of the picture.
     """
     columns, rows = look.face.columns - 1, look.face.rows - 1
-    enough, whole = LEAST_SHARE * look.face.corner_count, look.face.corner_count
+    enough, whole = TUNING.least_share * look.face.corner_count, look.face.corner_count
     extents = {(columns, rows), (rows, columns)}
     field = _Field.of(grid, max(columns, rows))
     best = field.windows(extents)
@@ -74,7 +65,7 @@ def placed(
             return None
         field = field.within(fit, size)
         best = field.windows(extents)
-    if best[0].count < enough or best[1].score > best[0].score - LEAST_LEAD:
+    if best[0].count < enough or best[1].score > best[0].score - TUNING.least_lead:
         return None
     first, extent = best[0].first, best[0].extent
     inside = np.all((grid.places >= first) & (grid.places < np.add(first, extent)), axis=1)
@@ -111,8 +102,8 @@ class _Field:
         down, across = self.seen.shape
         every = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1) + self.low
         pixels = fit.project(every.reshape(-1, 2).astype(float)).reshape(down, across, 2)
-        limit = np.array(size) - 1 - _MARGIN_PX
-        inside = np.all((pixels > _MARGIN_PX) & (pixels < limit), axis=-1)
+        limit = np.array(size) - 1 - TUNING.margin_px
+        inside = np.all((pixels > TUNING.margin_px) & (pixels < limit), axis=-1)
         return _Field(self.low, self.seen, self.missing * inside)
 
     def windows(self, extents: set[tuple[int, int]]) -> list[_Window]:
@@ -132,7 +123,7 @@ class _Field:
             lines = missing.mean(axis=axis)  # of the lines across that axis
             low, high = int(places[:, axis].min()), int(places[:, axis].max())
             beyond = [*lines[max(low - 1, 0) : low], *lines[high + 1 : high + 2]]
-            if any(share > MOST_MISSING for share in beyond):
+            if any(share > TUNING.most_missing for share in beyond):
                 return True
         return False
 

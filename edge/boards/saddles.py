@@ -15,31 +15,19 @@ from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.image.workspace import Workspace
 from trigpoint.geometry.rotation import Array
 
-SMOOTHING_PX = 1.0
-RING_RADIUS_PX = 2.5
-RING_SAMPLES = 16
-MOST_CANDIDATES = 2500
-MOST_SADDLES = 800
-# A corner of contrast C smoothed by s has sqrt(-det H) = C / (π s²); 2 is a contrast of about 15
-# grey levels in a sharp picture, five times the noise of a bad camera.
-LEAST_STRENGTH = 2.0
-LEAST_RING_AMPLITUDE = 5.0
-MOST_ODD_POWER = 0.25
-LEAST_SECOND_HARMONIC = 0.35
-# Curvature across a thin line against that along it; a square seen at 80 degrees has 0.03.
-LEAST_CURVATURE_RATIO = 0.02
+from .tuning import TUNING
 
 _BEND = np.array([[1, -2, 1]], np.float32)
 _SLOPE = np.array([-0.5, 0, 0.5], np.float32)
 _AROUND = np.ones((5, 5), np.uint8)
-_RING_ANGLES = np.arange(RING_SAMPLES) * (2 * np.pi / RING_SAMPLES)
-_RING = RING_RADIUS_PX * np.stack([np.cos(_RING_ANGLES), np.sin(_RING_ANGLES)], axis=-1)
+_RING_ANGLES = np.arange(TUNING.ring_samples) * (2 * np.pi / TUNING.ring_samples)
+_RING = TUNING.ring_radius_px * np.stack([np.cos(_RING_ANGLES), np.sin(_RING_ANGLES)], axis=-1)
 # Of a ring, cosine and sine amplitudes of harmonics 1 to 8, columns; and which of their squares
 # make up the power of all, of the odd ones, and of the second.
-_WAVES = np.arange(1, RING_SAMPLES // 2 + 1)
+_WAVES = np.arange(1, TUNING.ring_samples // 2 + 1)
 _HARMONICS = np.hstack(
     [np.cos(np.outer(_RING_ANGLES, _WAVES)), np.sin(np.outer(_RING_ANGLES, _WAVES))]
-).astype(np.float32) / np.float32(RING_SAMPLES)
+).astype(np.float32) / np.float32(TUNING.ring_samples)
 _POWERS = np.tile(
     np.stack([np.ones(len(_WAVES)), _WAVES % 2 == 1, _WAVES == 2], axis=-1), (2, 1)
 ).astype(np.float32)
@@ -81,7 +69,7 @@ class Curvature:
             space.array(name, grey.shape) for name in ("smooth", "xx", "yy", "xy")
         )
         blurred = space.array("blurred", grey.shape, np.uint8)
-        np.copyto(smooth, cv2.GaussianBlur(grey, (0, 0), SMOOTHING_PX, dst=blurred))
+        np.copyto(smooth, cv2.GaussianBlur(grey, (0, 0), TUNING.smoothing_px, dst=blurred))
         cv2.filter2D(smooth, cv2.CV_32F, _BEND, dst=xx)
         cv2.filter2D(smooth, cv2.CV_32F, _BEND.T, dst=yy)
         cv2.sepFilter2D(smooth, cv2.CV_32F, _SLOPE, _SLOPE, dst=xy)
@@ -89,7 +77,7 @@ class Curvature:
 
 
 def find_saddles(curvature: Curvature) -> Saddles:
-    """All X corners of a picture, at most MOST_SADDLES."""
+    """All X corners of a picture, the strongest where there are too many."""
     return examine(curvature, _candidates(curvature))
 
 
@@ -106,12 +94,12 @@ def examine(curvature: Curvature, pixels: Array, *, tolerance: float = 1.0) -> S
     pixels, rings, amplitude = pixels[passes], rings[passes], amplitude[passes]
     directions, has_four_edges = _edge_directions(rings, sampled(curvature.smooth, pixels))
     kept = np.flatnonzero(has_four_edges)
-    kept = kept[np.argsort(-amplitude[kept], kind="stable")[:MOST_SADDLES]]
+    kept = kept[np.argsort(-amplitude[kept], kind="stable")[: TUNING.most_saddles]]
     return Saddles(pixels[kept], directions[kept], amplitude[kept])
 
 
 def ring_brightness(smooth: np.ndarray, pixels: Array) -> Array:
-    """Brightness on the ring around each pixel, (n, RING_SAMPLES)."""
+    """Brightness on the ring around each pixel, (n, samples)."""
     return sampled(smooth, pixels[:, None, :] + _RING)
 
 
@@ -124,18 +112,20 @@ def _candidates(curvature: Curvature) -> Array:
     cv2.multiply(xy, xy, dst=strength)
     cv2.subtract(strength, cv2.multiply(xx, yy, dst=peaks), dst=strength)
     cv2.dilate(strength, _AROUND, dst=peaks)
-    np.greater(strength, LEAST_STRENGTH**2, out=strong)
+    np.greater(strength, TUNING.least_strength**2, out=strong)
     cv2.bitwise_and(strong, cv2.compare(strength, peaks, cv2.CMP_GE, dst=is_peak), dst=strong)
-    margin = int(np.ceil(RING_RADIUS_PX))
+    margin = int(np.ceil(TUNING.ring_radius_px))
     strong[:margin] = strong[-margin:] = 0
     strong[:, :margin] = strong[:, -margin:] = 0
     places = cv2.findNonZero(strong)
     if places is None:
         return np.zeros((0, 2))
     places = np.asarray(places, dtype=np.intp).reshape(-1, 2)
-    if len(places) > MOST_CANDIDATES:
+    if len(places) > TUNING.most_candidates:
         strengths = strength[places[:, 1], places[:, 0]]
-        places = places[np.argpartition(-strengths, MOST_CANDIDATES)[:MOST_CANDIDATES]]
+        places = places[
+            np.argpartition(-strengths, TUNING.most_candidates)[: TUNING.most_candidates]
+        ]
     return places.astype(float)
 
 
@@ -168,9 +158,9 @@ def _judge(rings: Array, tolerance: float) -> tuple[Array, np.ndarray]:
     total = total + 1e-9
     amplitude = 2 * np.sqrt(second)
     passes = (
-        (amplitude * tolerance > LEAST_RING_AMPLITUDE)
-        & (odd < tolerance * MOST_ODD_POWER * total)
-        & (second * tolerance > LEAST_SECOND_HARMONIC * total)
+        (amplitude * tolerance > TUNING.least_ring_amplitude)
+        & (odd < tolerance * TUNING.most_odd_power * total)
+        & (second * tolerance > TUNING.least_second_harmonic * total)
     )
     return amplitude, passes
 
@@ -183,7 +173,7 @@ def _bends_both_ways(curvature: Curvature, pixels: Array) -> np.ndarray:
     mean = 0.5 * (curvature.xx[at] + curvature.yy[at])
     radius = np.hypot(0.5 * (curvature.xx[at] - curvature.yy[at]), curvature.xy[at])
     up, down = mean + radius, radius - mean
-    return (up > LEAST_CURVATURE_RATIO * down) & (down > LEAST_CURVATURE_RATIO * up)
+    return (up > TUNING.least_curvature_ratio * down) & (down > TUNING.least_curvature_ratio * up)
 
 
 def _edge_directions(rings: Array, levels: Array) -> tuple[Array, np.ndarray]:
@@ -193,7 +183,7 @@ def _edge_directions(rings: Array, levels: Array) -> tuple[Array, np.ndarray]:
     (n,). The Hessian would tell the angles too, but where squares are small the next ones bend it
     by up to 30 degrees.
     """
-    half = RING_SAMPLES // 2
+    half = TUNING.ring_samples // 2
     above = 0.5 * (rings[:, :half] + rings[:, half:]) - levels[:, None]
     following = np.roll(above, -1, axis=1)
     rising = (above <= 0) & (following > 0)
@@ -211,4 +201,4 @@ def _crossing(crosses: np.ndarray, above: Array, following: Array) -> Array:
     before, after = above[rows, index], following[rows, index]
     difference = before - after
     part = np.where(np.abs(difference) > 1e-9, before / np.where(difference, difference, 1.0), 0)
-    return (index + np.clip(part, 0, 1)) * (2 * np.pi / RING_SAMPLES)
+    return (index + np.clip(part, 0, 1)) * (2 * np.pi / TUNING.ring_samples)

@@ -11,6 +11,7 @@ from benchmarks.empty_pictures import empty_picture
 from benchmarks.nasty_pictures import nasty_pictures
 from trigpoint.clock import ManualClock
 from trigpoint.edge.boards import detector_checkerboard, grid, saddles
+from trigpoint.edge.boards.tuning import TUNING
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.markers import marked_board, marked_search, marker_groups, quads
 from trigpoint.edge.markers.detector_charuco import CharucoDetector
@@ -48,8 +49,8 @@ def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -
         done.clear()
         detector.detect(picture)
         looks = 2  # at the whole size, and at half
-        assert done["grown"] <= looks * detector_checkerboard.MOST_GROWN, name
-        assert done["_measured"] <= looks * detector_checkerboard.MOST_GRIDS, name
+        assert done["grown"] <= looks * TUNING.most_grown, name
+        assert done["_measured"] <= looks * TUNING.most_grids, name
         # Two marked faces are looked for.
         assert done["locate"] <= 2 * marked_search.MOST_REFUSED + 2, name
         assert done["_quad_of"] <= 4 * quads.MOST_PIECES, name
@@ -73,8 +74,8 @@ def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) 
 def test_saddles_are_no_more_than_the_bound() -> None:
     for picture in NASTY.values():
         found = saddles.find_saddles(saddles.Curvature.of(picture))
-        assert len(found) <= saddles.MOST_SADDLES
-        assert len(grid.find_grids(found)) <= saddles.MOST_SADDLES // grid.LEAST_CORNERS
+        assert len(found) <= TUNING.most_saddles
+        assert len(grid.find_grids(found)) <= TUNING.most_saddles // TUNING.least_corners
 
 
 @pytest.mark.parametrize(
