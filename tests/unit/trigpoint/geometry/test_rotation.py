@@ -100,3 +100,13 @@ def test_wrapped_angle_is_the_same_direction(angle: float) -> None:
 
 def test_turning_about_z_takes_x_to_y() -> None:
     np.testing.assert_allclose(so3.about_z(np.pi / 2) @ [1.0, 0, 0], [0, 1.0, 0], atol=1e-15)
+
+
+def test_one_quaternion_by_plain_numbers_is_the_same_to_the_last_bit() -> None:
+    """So that a session gives the same network, whichever way its odometry was read."""
+    for q in np.random.default_rng(0).normal(size=(300, 4)):
+        q = q / np.linalg.norm(q)
+        assert np.allclose(so3.of_quaternion(*q), so3.from_quaternion(q), atol=1e-15)
+    for heading in np.linspace(-3, 3, 300):
+        q = np.array([0.0, 0.0, np.sin(heading / 2), np.cos(heading / 2)])
+        assert np.array_equal(so3.of_quaternion(*q), so3.from_quaternion(q))
