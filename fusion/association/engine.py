@@ -14,12 +14,12 @@ from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.observations import Observation
 from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 
+from .agreement import seen_by
 from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
-from .graph import Graph, Placed
+from .graph import Graph, Variant
 from .local import LocalProblem, Mode
 from .modes import Memory, ModeFinder
 from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
@@ -172,19 +172,15 @@ class _World:
         self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
+        """An explanation of everything but these visits."""
         ties = {n: tie for n, tie in hypothesis.ties.items() if n not in numbers}
-        placed = self.graph.placed(ties, hypothesis.breaks)
-        if placed is None:
-            return None
-        return self.search.scored(
-            Hypothesis(
-                ties,
-                {n: place for n, place in hypothesis.open.items() if n not in numbers},
-                hypothesis.nothing - numbers,
-                hypothesis.breaks,
-                placed,
-            )
+        rest = replace(
+            hypothesis,
+            open={n: place for n, place in hypothesis.open.items() if n not in numbers},
+            nothing=hypothesis.nothing - numbers,
         )
+        found = self.search.placed([(rest, Variant(ties, hypothesis.breaks))])
+        return found[0] if found else None
 
     @property
     def prior_score(self) -> float:
@@ -214,32 +210,19 @@ class _World:
         there = [n for n, place in mine.items() if place == wanted]
         if not there:
             return []
+        placed = hypothesis.placed
         if there[0] in hypothesis.ties:
             key = camera, wanted
-            placed = hypothesis.placed
-            return [Place(placed.places[key], placed.place_covariance(key), score)]
-        modes = self.visits[there[0]].modes
-        least = min(mode.evidence for mode in modes)
+            covariance = placed.covariance(placed.layout.places[key])
+            return [Place(placed.places[key], covariance, score)]
+        seen = seen_by(self.graph, placed, there[0])
+        shared = placed.covariance(seen.rows)
+        covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own
+        least = float(seen.evidence.min())
         return [
-            self._by_mode(hypothesis.placed, there[0], m, score + mode.evidence - least)
-            for m, mode in enumerate(modes)
+            Place(seen.pose[mode], covariance[mode], score + float(evidence) - least)
+            for mode, evidence in enumerate(seen.evidence)
         ]
-
-    def _by_mode(self, placed: Placed, number: int, mode: int, score: float) -> Place:
-        """Where one mode of a camera's only visit puts it."""
-        robot = self.visits[number].visit.robot
-        relative, information = self.graph.relative(number, mode)
-        node = self.graph.node_of[number]
-        base = placed.nodes[robot][node]
-        pose = base @ relative
-        rows = placed.node_rows[robot][node]
-        by = np.eye(6)
-        by[:3, 3:] = -so3.hat(pose.translation - base.translation)
-        by = by[:, self.graph.paths[robot].tangent]
-        turn = np.kron(np.eye(2), base.rotation)
-        own = turn @ np.linalg.inv(information)[:6, :6] @ turn.T
-        covariance = by @ placed.covariance[np.ix_(rows, rows)] @ by.T + own
-        return Place(pose, covariance, score)
 
 
 def _signature(hypothesis: Hypothesis) -> tuple[object, ...]:

@@ -18,15 +18,17 @@ class Events:
 
     `wrong_sighting`: a sighting that shows something else than its robot as it stands;
     `wild_corner`: a good corner that is so far from where the others put it that it is left out;
-    `lift`: the robot is put down elsewhere between two visits; `move`: a camera is moved between
-    two visits to it; `noise`: the noise is far otherwise than stated, in a session that does not
-    tell; `room`: lengths (m) of the box in which cameras hang and robots drive.
+    `disturbed`: somebody carried a robot or moved a camera in the session at all; `event`: in such
+    a session, the robot is put down elsewhere between two visits, or a camera is moved between two
+    visits to it (whoever meddles once is likely to do it again); `noise`: the noise is far
+    otherwise than stated, in a session that does not tell; `room`: lengths (m) of the box in which
+    cameras hang and robots drive.
     """
 
     wrong_sighting: float = 0.02
     wild_corner: float = 1e-4
-    lift: float = 1e-4
-    move: float = 1e-4
+    disturbed: float = 1e-6
+    event: float = 1e-2
     noise: float = 5e-4
     room: tuple[float, float, float] = (30.0, 30.0, 5.0)
 
@@ -41,15 +43,14 @@ class Events:
         """Of a sighting that is wrong, beside the pose that its board has then."""
         return 2 * math.log((1 - self.wrong_sighting) / self.wrong_sighting)
 
-    @property
-    def lift_score(self) -> float:
-        """Of a lift, beside where the robot is put down."""
-        return -2 * math.log(self.lift)
+    def happened(self, count: int) -> float:
+        """Of so many lifts and moves, beside where robot and cameras are put."""
+        return -2 * math.log(self.disturbed) + count * self.event_score if count else 0.0
 
     @property
-    def move_score(self) -> float:
-        """Of a move, beside where the camera is then."""
-        return -2 * math.log(self.move)
+    def event_score(self) -> float:
+        """Of one more lift or move where there were some."""
+        return -2 * math.log(self.event)
 
     @property
     def noise_score(self) -> float:

@@ -6,17 +6,15 @@ Where none agrees well, what else may have happened is tried: the visit's sighti
 camera was moved, the robot was lifted in one of the gaps.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
-from trigpoint.geometry.rotation import Array
-
+from .agreement import agreement
 from .events import Events, window
-from .graph import Graph, Placed, Tie
+from .graph import Break, Graph, Placed, Tie, Variant
+from .minimum import placed
 
 # A partial explanation may win back what it lost so far; beyond this none was seen to.
 _WINDOW = 2 * window()
@@ -37,7 +35,7 @@ class Hypothesis:
     ties: dict[int, Tie] = field(default_factory=dict)
     open: dict[int, int] = field(default_factory=dict)
     nothing: frozenset[int] = frozenset()
-    breaks: frozenset[tuple[str, int]] = frozenset()
+    breaks: frozenset[Break] = frozenset()
     placed: Placed | None = None
     score: float = 0.0
 
@@ -46,6 +44,21 @@ class Hypothesis:
         if number in self.ties:
             return self.ties[number].place
         return self.open.get(number)
+
+
+@dataclass(frozen=True, slots=True)
+class _Join:
+    """A hypothesis to which a visit may be added at a place that its camera had: `there`: the
+    visits that saw it there so far."""
+
+    before: Hypothesis
+    number: int
+    place: int
+    there: tuple[int, ...]
+
+
+# Modes of the only visit that saw a place (None: others hold it) and of the new one.
+_Pair = tuple[int | None, int]
 
 
 class Search:
@@ -63,16 +76,26 @@ class Search:
         """The hypotheses within the window that add these visits, best first."""
         hypotheses = [start]
         for number in numbers:
-            grown = [after for before in hypotheses for after in self._with(before, number)]
-            hypotheses = self._pruned(grown)
+            hypotheses = self._pruned(self._with(hypotheses, number))
             if not hypotheses:
                 return []
         return hypotheses
 
     def beginning(self) -> Hypothesis:
         """Nothing explained yet."""
-        placed = self.graph.placed({}, frozenset())
-        return self.scored(Hypothesis(placed=placed))
+        (start,) = self.placed([(Hypothesis(), Variant({}, frozenset()))])
+        return start
+
+    def placed(self, wanted: Sequence[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
+        """Hypotheses with ties and breaks of their own, placed and scored; without those that are
+        not determined."""
+        found = []
+        variants = [variant for _, variant in wanted]
+        for (like, variant), there in zip(wanted, placed(self.graph, variants), strict=True):
+            if there is not None:
+                ties, breaks = dict(variant.ties), variant.breaks
+                found.append(self.scored(replace(like, ties=ties, breaks=breaks, placed=there)))
+        return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:
         """With its score, of what it holds."""
@@ -80,10 +103,11 @@ class Search:
         score = hypothesis.placed.score
         score += sum(self._open_score[number] for number in hypothesis.open)
         score += sum(self.visits[number].nothing for number in hypothesis.nothing)
-        score += self.events.move_score * self._moves(hypothesis)
+        score += self.events.happened(self.happened(hypothesis))
         return replace(hypothesis, score=score)
 
-    def _moves(self, hypothesis: Hypothesis) -> int:
+    def happened(self, hypothesis: Hypothesis) -> int:
+        """How many lifts and moves there were."""
         last: dict[str, int] = {}
         for number, place in [
             *((n, tie.place) for n, tie in hypothesis.ties.items()),
@@ -91,7 +115,7 @@ class Search:
         ]:
             camera = self.visits[number].visit.camera
             last[camera] = max(last.get(camera, 0), place)
-        return sum(last.values())
+        return len(hypothesis.breaks) + sum(last.values())
 
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)
@@ -102,167 +126,150 @@ class Search:
 
     # -- one more visit ---------------------------------------------------------------------------
 
-    def _with(self, before: Hypothesis, number: int) -> list[Hypothesis]:
+    def _with(self, hypotheses: list[Hypothesis], number: int) -> list[Hypothesis]:
         """Everything that one more visit may be."""
+        found: list[Hypothesis] = []
+        joins: list[_Join] = []
+        for before in hypotheses:
+            plain, join = self._beside(before, number)
+            found += plain
+            if join is not None:
+                joins.append(join)
+        tied = self._tied([(join, join.before.breaks) for join in joins])
+        unhappy = []
+        for join, mine in zip(joins, tied, strict=True):
+            found += mine
+            if self._may_be_lifted(join, mine):
+                unhappy.append(join)
+        return found + self._lifted(unhappy)
+
+    def _beside(self, before: Hypothesis, number: int) -> tuple[list[Hypothesis], _Join | None]:
+        """What a visit may be that binds nothing: all of it wrong, its camera's first or anew, or
+        the one before it wrong; and where it may join what its camera saw before."""
         visit = self.visits[number]
         wrong = self.scored(replace(before, nothing=before.nothing | {number}))
         if not visit.modes:
-            return [wrong]
+            return [wrong], None
         mine = self._of_camera(before, visit.visit.camera)
         if not mine and visit.visit.camera in self.graph.data.known.poses:
-            joined = self._joined(before, number, 0, [])
             moved = self.scored(replace(before, open=before.open | {number: 1}))
-            return [wrong, moved, *joined]
+            return [wrong, moved], _Join(before, number, 0, ())
         if not mine:  # whether it is wrong matters once the camera is met again
-            return [self.scored(replace(before, open=before.open | {number: 0}))]
-        found = [wrong]
+            return [self.scored(replace(before, open=before.open | {number: 0}))], None
         place = max(p for p in (before.place_of(n) for n in mine) if p is not None)
-        there = [n for n in mine if before.place_of(n) == place]
-        found.append(self.scored(replace(before, open=before.open | {number: place + 1})))
+        there = tuple(n for n in mine if before.place_of(n) == place)
+        found = [wrong, self.scored(replace(before, open=before.open | {number: place + 1}))]
         if len(there) == 1 and there[0] in before.open:
             left = {n: p for n, p in before.open.items() if n != there[0]}
-            wrong = before.nothing | {there[0]}
-            found.append(self.scored(replace(before, open=left | {number: place}, nothing=wrong)))
-        found += self._joined(before, number, place, there)
-        return found
+            nothing = before.nothing | {there[0]}
+            opened = left | {number: place}
+            found.append(self.scored(replace(before, open=opened, nothing=nothing)))
+        return found, _Join(before, number, place, there)
 
     def _of_camera(self, hypothesis: Hypothesis, camera: str) -> list[int]:
         used = [*hypothesis.ties, *hypothesis.open]
         return sorted(n for n in used if self.visits[n].visit.camera == camera)
 
+    def _tied(self, joins: Sequence[tuple[_Join, frozenset[Break]]]) -> list[list[Hypothesis]]:
+        """For each join, with breaks: its hypotheses by each pair of modes that agrees."""
+        wanted: list[tuple[Hypothesis, Variant]] = []
+        source: list[int] = []
+        for order, (join, breaks) in enumerate(joins):
+            for pair in self._pairs(join):
+                wanted.append(self._joined(join, pair, breaks))
+                source.append(order)
+        found: list[list[Hypothesis]] = [[] for _ in joins]
+        variants = [variant for _, variant in wanted]
+        for order, (like, variant), there in zip(
+            source, wanted, placed(self.graph, variants), strict=True
+        ):
+            if there is not None:
+                ties, breaks = dict(variant.ties), variant.breaks
+                after = replace(like, ties=ties, breaks=breaks, placed=there)
+                found[order].append(self.scored(after))
+        return found
+
     def _joined(
-        self, before: Hypothesis, number: int, place: int, there: list[int]
-    ) -> list[Hypothesis]:
-        """The visit at the place that its camera had, by each pair of modes that agrees; with a
-        lift before it where none agrees well."""
-        pairs = self._pairs(before, number, place, there)
-        found = self._tied(before, number, place, there, [p for _, p in pairs], before.breaks)
-        alternative = min(
-            self.visits[number].nothing, self._open_score[number] + self.events.move_score
-        )
-        best = min((h.score - before.score for h in found), default=np.inf)
+        self, join: _Join, pair: _Pair, breaks: frozenset[Break]
+    ) -> tuple[Hypothesis, Variant]:
+        """What a pair of modes makes of a hypothesis, to be placed."""
+        before, (first, second) = join.before, pair
+        ties = before.ties | {join.number: Tie(second, join.place)}
+        if first is None:
+            return before, Variant(ties, breaks, before.placed)
+        ties = ties | {join.there[0]: Tie(first, join.place)}
+        opened = {n: p for n, p in before.open.items() if n != join.there[0]}
+        return replace(before, open=opened), Variant(ties, breaks, before.placed)
+
+    # -- lifts ------------------------------------------------------------------------------------
+
+    def _may_be_lifted(self, join: _Join, tied: list[Hypothesis]) -> bool:
+        """Whether nothing explains a visit so well that a lift before it need not be tried."""
+        if len(join.before.breaks) >= _MOST_BREAKS:
+            return False
+        before, number = join.before, join.number
+        count = self.happened(before)
+        another = self.events.happened(count + 1) - self.events.happened(count)
+        alternative = min(self.visits[number].nothing, self._open_score[number] + another)
+        best = min((h.score - before.score for h in tied), default=np.inf)
         expected = self._open_score[number] - self.events.pose_score
-        if best < expected + self.events.lift_score or best < alternative - _WINDOW:
-            return found
-        if len(before.breaks) < _MOST_BREAKS:
-            found += self._broken(before, number, place, there)
-        return found
+        return not (best < expected + another or best < alternative - _WINDOW)
 
-    def _tied(
-        self,
-        before: Hypothesis,
-        number: int,
-        place: int,
-        there: list[int],
-        pairs: list[tuple[int | None, int]],
-        breaks: frozenset[tuple[str, int]],
-    ) -> list[Hypothesis]:
-        found = []
-        for first, second in pairs:
-            ties = before.ties | {number: Tie(second, place)}
-            opened = before.open
-            if first is not None:
-                ties = ties | {there[0]: Tie(first, place)}
-                opened = {n: p for n, p in opened.items() if n != there[0]}
-            placed = self.graph.placed(ties, breaks, before.placed)
-            if placed is not None:
-                after = replace(before, ties=ties, open=opened, breaks=breaks, placed=placed)
-                found.append(self.scored(after))
-        return found
+    def _lifted(self, joins: list[_Join]) -> list[Hypothesis]:
+        """The same after a lift of the robot in each of the gaps since the place was first seen."""
+        gaps = [self._gaps(join) for join in joins]
+        some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
+        broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
+        loose = placed(
+            self.graph,
+            [Variant(join.before.ties, b) for (join, _), b in zip(some, broken, strict=True)],
+        )
+        relaxed, left = [], []
+        for (join, mine), breaks, there in zip(some, broken, loose, strict=True):
+            if there is not None:
+                before = replace(join.before, placed=there, breaks=breaks)
+                relaxed.append((replace(join, before=before), breaks))
+                left.append((join, mine))
+        found: list[Hypothesis] = []
+        elsewhere: list[tuple[Hypothesis, Variant]] = []
+        for (join, mine), near in zip(left, self._tied(relaxed), strict=True):
+            best = min((h.score for h in near), default=np.inf)
+            for hypothesis in near:
+                if hypothesis.score < best + _WINDOW:
+                    found.append(hypothesis)
+                    for gap in mine[:-1]:
+                        breaks = join.before.breaks | {(self._robot(join), gap)}
+                        elsewhere.append((hypothesis, Variant(hypothesis.ties, breaks)))
+        return found + self.placed(elsewhere)
 
-    def _broken(
-        self, before: Hypothesis, number: int, place: int, there: list[int]
-    ) -> list[Hypothesis]:
-        """The same after a lift of the robot in each of its gaps since the place was first seen."""
-        robot = self.visits[number].visit.robot
-        last = self.graph.node_of[number]
-        same = [n for n in there if self.visits[n].visit.robot == robot]
+    def _robot(self, join: _Join) -> str:
+        return self.visits[join.number].visit.robot
+
+    def _gaps(self, join: _Join) -> list[int]:
+        """The nodes after which a robot may have been lifted since the place was first seen."""
+        robot = self._robot(join)
+        same = [n for n in join.there if self.visits[n].visit.robot == robot]
         first = self.graph.node_of[min(same)] if same else 0
-        gaps = [g for g in range(first, last) if (robot, g) not in before.breaks]
-        if not gaps:
-            return []
-        breaks = before.breaks | {(robot, gaps[-1])}
-        loose = self.graph.placed(before.ties, breaks)
-        if loose is None:
-            return []
-        relaxed = replace(before, placed=loose, breaks=breaks)
-        pairs = self._pairs(relaxed, number, place, there)
-        near = self._tied(relaxed, number, place, there, [p for _, p in pairs], breaks)
-        if not near:
-            return []
-        best = min(h.score for h in near)
-        kept = [h for h in near if h.score < best + _WINDOW]
-        found = list(kept)
-        for gap in gaps[:-1]:
-            others = before.breaks | {(robot, gap)}
-            for hypothesis in kept:
-                placed = self.graph.placed(hypothesis.ties, others)
-                if placed is not None:
-                    found.append(self.scored(replace(hypothesis, breaks=others, placed=placed)))
-        return found
+        last = self.graph.node_of[join.number]
+        return [g for g in range(first, last) if (robot, g) not in join.before.breaks]
 
     # -- which modes agree ------------------------------------------------------------------------
 
-    def _pairs(
-        self, before: Hypothesis, number: int, place: int, there: list[int]
-    ) -> list[tuple[float, tuple[int | None, int]]]:
-        """Pairs of modes of the place's only visit (None: the place is held by others) and of the
-        new one, with roughly what they cost; the best."""
+    def _pairs(self, join: _Join) -> list[_Pair]:
+        """The pairs of modes that agree best."""
+        before = join.before
         assert before.placed is not None
-        costs: list[tuple[float, tuple[int | None, int]]] = []
-        camera = self.visits[number].visit.camera
-        key = camera, place
-        news = [self._seen(before.placed, number, m) for m in range(len(self.visits[number].modes))]
-        if there and there[0] in before.open:
-            olds = [
-                (m, self._seen(before.placed, there[0], m))
-                for m in range(len(self.visits[there[0]].modes))
-            ]
-        else:
-            rows = before.placed.place_rows[key]
-            by = np.zeros((6, len(before.placed.covariance)))
-            by[:, rows] = np.eye(6)
-            olds = [(None, _Seen(before.placed.places[key], by, np.zeros((6, 6)), 0.0))]
-        for first, old in olds:
-            for second, new in enumerate(news):
-                costs.append((_agreement(old, new, before.placed.covariance), (first, second)))
-        costs.sort(key=lambda item: item[0])
-        return [item for item in costs[:_MOST_PAIRS] if item[0] < costs[0][0] + _WINDOW]
-
-    def _seen(self, placed: Placed, number: int, mode: int) -> "_Seen":
-        """Where a visit's mode puts the camera in the map."""
-        visit = self.visits[number]
-        relative, information = self.graph.relative(number, mode)
-        node = self.graph.node_of[number]
-        base = placed.nodes[visit.visit.robot][node]
-        pose = base @ relative
-        tangent = self.graph.paths[visit.visit.robot].tangent
-        by_base = np.eye(6)
-        by_base[:3, 3:] = -so3.hat(pose.translation - base.translation)
-        by = np.zeros((6, len(placed.covariance)))
-        by[:, placed.node_rows[visit.visit.robot][node]] = by_base[:, tangent]
-        turn = np.kron(np.eye(2), base.rotation)
-        own = turn @ np.linalg.inv(information)[:6, :6] @ turn.T
-        return _Seen(pose, by, own, visit.modes[mode].evidence)
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """A camera's place: pose, derivative by the graph's unknowns, own covariance, evidence."""
-
-    pose: Pose
-    by_unknowns: Array
-    own: Array
-    evidence: float
-
-
-def _agreement(first: _Seen, second: _Seen, covariance: Array) -> float:
-    """-2 ln of how probable it is that both are one place."""
-    error = second.pose.difference(first.pose)
-    by = second.by_unknowns - first.by_unknowns
-    spread = by @ covariance @ by.T + first.own + second.own
-    cost = float(error @ np.linalg.solve(spread, error)) + float(np.linalg.slogdet(spread)[1])
-    return cost + first.evidence + second.evidence
+        is_open = bool(join.there) and join.there[0] in before.open
+        first = join.there[0] if is_open else (self.visits[join.number].visit.camera, join.place)
+        cost = agreement(self.graph, before.placed, first, join.number)
+        best = float(cost.min())
+        order = np.argsort(cost, axis=None, kind="stable")[:_MOST_PAIRS]
+        rows, columns = np.unravel_index(order, cost.shape)
+        return [
+            (int(row) if is_open else None, int(column))
+            for row, column in zip(rows, columns, strict=True)
+            if cost[row, column] < best + _WINDOW
+        ]
 
 
 def _log_sum(scores: list[float]) -> float:

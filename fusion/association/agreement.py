@@ -1,0 +1,74 @@
+"""Which modes of two visits put a camera at one place, before a graph is made of each pair."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+from .graph import Graph, Place, Placed
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Where visits' modes (k) put a camera in the map: its pose, that by the graph's unknowns in
+    `rows` (r,), (k, 6, r), its own covariance (k, 6, 6) beside theirs, and its evidence (k,)."""
+
+    pose: Pose
+    by_unknowns: Array
+    rows: np.ndarray
+    own: Array
+    evidence: Array
+
+
+def agreement(graph: Graph, placed: Placed, first: int | Place, second: int) -> Array:
+    """-2 ln of how probable it is that both show one place, for each pair of modes, (k, m).
+
+    `first`: a visit, or a place that the graph knows (k = 1); `second`: a visit.
+    """
+    old = seen_by(graph, placed, first) if isinstance(first, int) else _known(placed, first)
+    new = seen_by(graph, placed, second)
+    rows = np.concatenate([old.rows, new.rows])
+    shared = placed.covariance(rows)
+    count, other = len(old.evidence), len(new.evidence)
+    by = np.concatenate(
+        [
+            np.tile(-old.by_unknowns[:, None], (1, other, 1, 1)),
+            np.tile(new.by_unknowns[None], (count, 1, 1, 1)),
+        ],
+        axis=-1,
+    )
+    spread = by @ shared @ np.swapaxes(by, -1, -2) + old.own[:, None] + new.own[None]
+    error = Pose(new.pose.rotation[None], new.pose.translation[None]).difference(
+        Pose(old.pose.rotation[:, None], old.pose.translation[:, None])
+    )
+    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
+    cost = np.sum(error * pulled, axis=-1) + np.linalg.slogdet(spread)[1]
+    return cost + old.evidence[:, None] + new.evidence[None]
+
+
+def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
+    """Where a visit's modes put its camera."""
+    visit = graph.visits[number]
+    robot, node = visit.visit.robot, graph.node_of[number]
+    base, tangent = placed.nodes[robot][node], graph.paths[robot].tangent
+    pose = base @ graph.relative(number)[0]
+    by_base = np.tile(np.eye(6), (len(visit.modes), 1, 1))
+    by_base[:, :3, 3:] = -so3.hat(pose.translation - base.translation)
+    turn = np.kron(np.eye(2), base.rotation)
+    evidence = np.array([mode.evidence for mode in visit.modes])
+    own = turn @ graph.spread(number) @ turn.T
+    return Seen(pose, by_base[..., tangent], placed.layout.nodes[robot][node], own, evidence)
+
+
+def _known(placed: Placed, place: Place) -> Seen:
+    pose = placed.places[place]
+    return Seen(
+        Pose.stack([pose]),
+        np.eye(6)[None],
+        placed.layout.places[place],
+        np.zeros((1, 6, 6)),
+        np.zeros(1),
+    )
