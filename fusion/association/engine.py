@@ -20,9 +20,10 @@ from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Variant
+from .linear import Linear
 from .local import LocalProblem, Mode
 from .modes import Memory, ModeFinder
-from .noise import PESSIMISTIC, STATED, Noise, VisitResiduals, corner_scale, learn
+from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
 from .search import Hypothesis, Search
 from .session_noise import with_corner_scale, with_noise
 from .visits import Visit, visits_of
@@ -86,7 +87,7 @@ def _learnt(
         with_corner_scale(came, others[came.camera]) if came.camera in others else scaled
         for came, scaled in zip(observations, seen, strict=True)
     ]
-    by_robot: dict[str, list[VisitResiduals]] = {}
+    by_robot: dict[str, list[Linear]] = {}
     for modes in found:
         if not modes.modes:
             continue

@@ -3,23 +3,22 @@ pictures and the odometry between them allow."""
 
 from dataclasses import dataclass, replace
 
-import msgspec
 import numpy as np
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.assembly import Assembled, assemble
 from trigpoint.fusion.dataset import DataSet, Entry
 from trigpoint.fusion.faces import best_reading
-from trigpoint.fusion.models import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.models import base_jacobian, batch_jacobian
 from trigpoint.fusion.observations import Observation, Reading, Verdict
-from trigpoint.fusion.odometry_track import SLIP
-from trigpoint.fusion.problem import Batch, CameraState, Chain, Problem, State
+from trigpoint.fusion.problem import Batch, CameraState, State
 from trigpoint.fusion.solver import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
-from .noise import VisitResiduals
+from .linear import Linear, linearised, unknowns_of
+from .masks import likeliest_wrong
 from .sightings import without_wild
 from .system import System
 
@@ -280,98 +279,69 @@ class LocalProblem:
             spread += float(np.sum(np.log(left)))
         return float(np.sum(pulled**2 / left)) + min(spread, self.events.pose_score)
 
-    def residuals(self, mode: Mode) -> VisitResiduals | None:
-        """The visit to first order about a mode, as far as its noise shows."""
-        trial = _Trial(
-            {
-                index: [
-                    r if r is not None else v.readings[0] for r, v in zip(row, o.views, strict=True)
-                ]
-                for (index, row), o in zip(
-                    mode.readings.items(), self.observations.values(), strict=True
-                )
-            },
-            {index: [r is None for r in row] for index, row in mode.readings.items()},
-            {index: list(row) for index, row in mode.wild.items()},
-            dict(mode.poses),
-        )
-        assembled = self._assembled(trial, mode.camera)
-        problem, state = assembled.problem, assembled.start
-        chain = problem.chains[self.robot]
-        if chain.motion is None:
-            return None
-        (batch,) = problem.batches
-        jacobian, residual, columns = batch_jacobian(problem, batch, state)
-        by_base = base_jacobian(problem, batch, state)
-        d, nodes = len(chain.tangent), len(chain) - 1
-        dense = _unknowns_of(problem, self.camera)
-        scales = problem.layout.scales.get(self.robot)
-        others = [] if scales is None else list(range(scales.start, scales.stop))
-        count = d * nodes + len(dense) + len(others)
-        place = {column: d * nodes + i for i, column in enumerate([*dense, *others])}
-        shifts, own, by_unknowns = [], [], []
-        for row in range(len(batch.nodes)):
-            flat = by_base[row].reshape(-1, 6)
-            normal = flat.T @ flat
-            if np.linalg.matrix_rank(normal, hermitian=True) < 6:
-                continue
-            covariance = np.linalg.inv(normal)
-            by = covariance @ (flat.T @ jacobian[row].reshape(len(flat), -1))
-            whole = np.zeros((6, count))
-            node = int(batch.nodes[row])
-            if node > 0:
-                whole[:, d * (node - 1) : d * node] = by[:, :d]
-            for source, column in enumerate(columns):
-                if column in place:
-                    whole[:, place[column]] = by[:, d + source]
-            shifts.append(-covariance @ (flat.T @ residual[row].reshape(-1)))
-            own.append(covariance)
-            by_unknowns.append(whole)
-        if len(shifts) < 2:
-            return None
-        whole_steps = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
-        poses = state.robots[self.robot].map_from_base
-        terms = odometry_terms(poses[:-1], poses[1:], whole_steps, chain.tangent)
-        steps = np.zeros((nodes, d, count))
-        for step in range(nodes):
-            steps[step, :, d * step : d * (step + 1)] = terms.by_later[step]
-            if step:
-                steps[step, :, d * (step - 1) : d * step] = terms.by_earlier[step]
-            for order, column in enumerate(others):
-                steps[step, :, place[column]] = terms.by_scale[step][:, order]
-        by_odometry, by_slip = self._step_covariances(chain)
-        prior = np.zeros((count, count))
-        at = [place[column] for column in dense]
-        information = _prior_information(problem, self.camera)
-        prior[at, at] = information
-        if others:
-            at = [place[column] for column in others]
-            sigma = problem.priors.scales[self.robot]
-            prior[at, at] = np.where(sigma > 0, sigma, 1e-9) ** -2.0
-        return VisitResiduals(
-            np.array(shifts),
-            np.array(own),
-            np.array(by_unknowns),
-            -terms.residual,
-            steps,
-            by_odometry,
-            by_slip,
-            prior,
+    # -- to first order ---------------------------------------------------------------------------
+
+    def residuals(self, mode: Mode) -> Linear | None:
+        """The visit to first order about a mode, each picture as one, without what is wrong by it;
+        None where that tells nothing of noise."""
+        readings = {
+            index: [
+                reading if reading is not None else view.readings[0]
+                for reading, view in zip(mode.readings[index], observation.views, strict=True)
+            ]
+            for index, observation in self.observations.items()
+        }
+        wrong = {index: [r is None for r in row] for index, row in mode.readings.items()}
+        wild = {index: list(row) for index, row in mode.wild.items()}
+        assembled = self._assembled(_Trial(readings, wrong, wild, dict(mode.poses)), mode.camera)
+        (batch,) = assembled.problem.batches
+        return linearised(
+            self.data, assembled, batch, [(row, None) for row in range(len(batch.nodes))]
         )
 
-    def _step_covariances(self, chain: Chain) -> tuple[Array, Array]:
-        """The covariances (m, d, d) of a chain's steps by the stated noise, and by slip."""
-        free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
-        noise = self.data.site.robots[self.robot].odometry
-        silent = msgspec.structs.replace(
-            noise, distance=0.0, lateral=0.0, heading_drive=0.0, heading_turn=0.0
-        )
+    def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
+        """Which sightings are wrong, likeliest first, by everything about a mode to first order:
+        those that one after the other would never be found, since several agree by chance."""
+        trial = _Trial({}, {}, {}, dict(mode.poses))
+        self._read(trial, mode.camera)
+        assembled = self._assembled(trial, mode.camera)
+        (batch,) = assembled.problem.batches
+        parts, of_part = [], []
+        for row, index in enumerate(self.observations):
+            start = 0
+            for order, view in enumerate(self.observations[index].views):
+                part = slice(start, start + len(view.corners))
+                start = part.stop
+                if not trial.wrong[index][order]:
+                    parts.append((row, part))
+                    of_part.append((index, order))
+        linear = linearised(self.data, assembled, self._tame(assembled, batch), parts)
+        if linear is None:
+            return []
         found = []
-        for part, slip in ((noise, 0.0), (silent, SLIP)):
-            track = chain.track.noisy(part, slip=slip, skid=0.0)
-            motion = track.motion(chain.stamps_ns, chain.scales)
-            found.append(motion.covariance[free])
-        return found[0], found[1]
+        for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
+            wrong = {index: [True] * len(o.views) for index, o in self.observations.items()}
+            for number, is_wrong in zip(linear.parts, flags, strict=True):
+                index, order = of_part[number]
+                wrong[index][order] = is_wrong
+            found.append({index: tuple(row) for index, row in wrong.items()})
+        return found
+
+    def _tame(self, assembled: Assembled, batch: Batch) -> Batch:
+        """A batch without the corners that each sighting by itself shows to be wild."""
+        whole = replace(batch, weights=self._weights(batch))
+        state = assembled.start
+        _, residual, _ = batch_jacobian(assembled.problem, whole, state)
+        by_base = base_jacobian(assembled.problem, whole, state)
+        weights = whole.weights.copy()
+        for row, observation in enumerate(self.observations.values()):
+            start = 0
+            for view in observation.views:
+                part = slice(start, start + len(view.corners))
+                start = part.stop
+                wild = without_wild(by_base[row, part], residual[row, part], self.events.wild_score)
+                weights[row, part] *= ~wild[1]
+        return replace(batch, weights=weights)
 
     # -- the result -------------------------------------------------------------------------------
 
@@ -386,7 +356,7 @@ class LocalProblem:
             system = System.of(problem, state)
         except LinAlgError:
             return None
-        rows = system.dense_row + np.array(_unknowns_of(problem, self.camera))
+        rows = system.dense_row + np.array(unknowns_of(problem, self.camera))
         covariance = system.covariance[np.ix_(rows, rows)]
         information = np.linalg.inv(covariance)
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
@@ -422,25 +392,6 @@ class LocalProblem:
                 else:
                     score += self.events.wild_score * int(trial.wild[index][order].sum())
         return score
-
-
-def _unknowns_of(problem: Problem, camera: str) -> list[int]:
-    """The dense columns of a camera."""
-    layout = problem.layout
-    parts = [layout.pose[camera]]
-    parts += [part[camera] for part in (layout.lens, layout.time_offset) if camera in part]
-    return np.concatenate([np.arange(layout.size)[part] for part in parts]).tolist()
-
-
-def _prior_information(problem: Problem, camera: str) -> Array:
-    """What is known of a camera's unknowns from before, in their order."""
-    parts: list[Array] = [np.zeros(6)]
-    if camera in problem.priors.lens:
-        parts.append(problem.priors.lens[camera][1] ** -2.0)
-    if camera in problem.priors.time_offset:
-        sigma = problem.priors.time_offset[camera]
-        parts.append(np.where(sigma > 0, sigma, 1e-9) ** -2.0)
-    return np.concatenate(parts)
 
 
 def _signature(trial: _Trial) -> tuple[object, ...]:

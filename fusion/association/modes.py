@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.fusion.dataset import DataSet, Entry
+from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.faces import candidates, is_same_pose
 from trigpoint.fusion.observations import Observation
 from trigpoint.fusion.problem import CameraState
-from trigpoint.fusion.starts import starts_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .consensus import Start, drift_between, starts_of
 from .events import Events, window
 from .local import LocalProblem, Mode
 from .pictures import PictureReader
@@ -140,27 +140,34 @@ class ModeFinder:
         if len(chosen) == 1:
             found = self._of_one(visit, problem, poses)
         else:
-            found = self._found(visit, problem, self._starts(visit, poses))
+            found = self._found(visit, problem, self._starts(visit, chosen, poses))
         best = min((mode.evidence for mode in found), default=np.inf)
         near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
         return VisitModes(visit, near, sum(sum(row) for row in scores.values()))
 
-    def _found(
-        self,
-        visit: Visit,
-        problem: LocalProblem,
-        starts: list[Pose],
-        wrong: dict[int, tuple[bool, ...]] | None = None,
-    ) -> list[Mode]:
+    def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
         lens, found = self.data.lenses[visit.camera], list[Mode]()
         for start in starts:
             # A mode with some more wrong sightings is far outside the window.
             fewest = min((mode.wrong for mode in found), default=None)
-            most = None if fewest is None or wrong is not None else fewest + _MORE_WRONG
-            mode = problem.mode_near(CameraState(start, lens), wrong, most)
+            most = None if fewest is None else fewest + _MORE_WRONG
+            mode = problem.mode_near(CameraState(start.map_from_camera, lens), start.wrong, most)
             if mode is not None and not self._is_below_floor(visit, mode):
                 found.append(mode)
-        return distinct(found)
+        return distinct(found + self._unmasked(visit, problem, distinct(found)))
+
+    def _unmasked(self, visit: Visit, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
+        """Modes beside the best ones, in which other sightings are wrong."""
+        others = []
+        for mode in found:
+            if mode.evidence > found[0].evidence + _WINDOW:
+                break
+            now = {i: tuple(r is None for r in row) for i, row in mode.readings.items()}
+            for wrong in problem.likeliest_wrong(mode):
+                other = problem.mode_near(mode.camera, wrong) if wrong != now else None
+                if other is not None and not self._is_below_floor(visit, other):
+                    others.append(other)
+        return others
 
     def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
         """The modes of a single picture: by all of its views, and, where those do not agree as well
@@ -168,17 +175,19 @@ class ModeFinder:
         (index,) = visit.chosen
         observation = self.observations[index]
         target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
-        together = [c.camera_from_base for c in candidates(observation, target, lens)]
-        found = self._found(visit, problem, [poses[index] @ c.inverse() for c in together])
+        together = candidates(observation, target, lens)
+        starts = [Start(poses[index] @ c.camera_from_base.inverse(), {}) for c in together]
+        found = self._found(visit, problem, starts)
         best = min((mode.evidence for mode in found), default=np.inf)
         views = self.alone(index)
         for order, view in enumerate(views):
             others = sum(other.wrong_score for other in views) - view.wrong_score
             if len(views) == 1 or view.evidence + others > best + _WINDOW:
                 continue
-            one = [c.camera_from_base for c in candidates(alone(observation, order), target, lens)]
             wrong = {index: tuple(other != order for other in range(len(views)))}
-            found += self._found(visit, problem, [poses[index] @ c.inverse() for c in one], wrong)
+            one = candidates(alone(observation, order), target, lens)
+            starts = [Start(poses[index] @ c.camera_from_base.inverse(), wrong) for c in one]
+            found += self._found(visit, problem, starts)
         return distinct(found)
 
     def completed(self, visit: Visit, mode: Mode) -> Mode:
@@ -226,13 +235,15 @@ class ModeFinder:
         poses = odometry_poses(self.data, visit.robot, moments)
         return {index: poses[i] for i, index in enumerate(visit.chosen)}
 
-    def _starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Pose]:
-        entries = [
-            Entry(replace(self.observations[index], chosen=None), poses[index])
-            for index in visit.chosen
-        ]
-        small = replace(self.data, entries=entries)
-        return starts_of(small, visit.camera, list(range(len(entries))), most=_MOST_STARTS)
+    def _starts(
+        self, visit: Visit, chosen: dict[int, Observation], poses: dict[int, Pose]
+    ) -> list[Start]:
+        stamps = np.array([observation.stamp_ns for observation in chosen.values()])
+        there = Pose.stack(list(poses.values()))
+        drift = drift_between(self.data, visit.robot, stamps, there)
+        return starts_of(
+            self.data, chosen, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
+        )
 
     def _is_below_floor(self, visit: Visit, mode: Mode) -> bool:
         """Whether the camera would look up through the floor that the robot drives on."""

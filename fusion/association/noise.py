@@ -20,6 +20,8 @@ from scipy.special import chdtri
 
 from trigpoint.geometry.rotation import Array
 
+from .linear import Linear
+
 # One session in a thousand, of noise as stated, thinks otherwise.
 _SIGNIFICANCE = 1e-3
 # What a floor or a mast does where nothing is known of it: 0.3° and a millimetre (medians of an
@@ -60,48 +62,31 @@ STATED = Noise()
 PESSIMISTIC = Noise(tilt=_TILT, sway=_SWAY, odometry=2.0, slip=2.0)
 
 
-@dataclass(frozen=True, slots=True)
-class VisitResiduals:
-    """A visit to first order about its mode: `shifts` (n, 6): by how much each picture by itself
-    puts the robot otherwise, with `own` (n, 6, 6) its covariance by the corners and `by_unknowns`
-    (n, 6, u); `steps` (m, d): odometry's residuals, with `steps_by_unknowns` (m, d, u), and their
-    covariances by the stated noise and by slip, `by_odometry` and `by_slip` (m, d, d); `prior`
-    (u, u): information on the unknowns from before."""
-
-    shifts: Array
-    own: Array
-    by_unknowns: Array
-    steps: Array
-    steps_by_unknowns: Array
-    by_odometry: Array
-    by_slip: Array
-    prior: Array
-
-    def misfit(self, noise: Noise) -> float:
-        """-2 ln of the restricted likelihood, up to a constant."""
-        jitter = noise.jitter
-        covariance = self.own if jitter is None else self.own + np.diag(jitter)
-        root = np.linalg.cholesky(covariance)
-        shifts = np.linalg.solve(root, self.shifts[..., None])[..., 0].reshape(-1)
-        by = np.linalg.solve(root, self.by_unknowns).reshape(len(shifts), -1)
-        spread = noise.odometry**2 * self.by_odometry + noise.slip**2 * self.by_slip
-        step_root = np.linalg.cholesky(spread)
-        steps = np.linalg.solve(step_root, self.steps[..., None])[..., 0].reshape(-1)
-        by_steps = np.linalg.solve(step_root, self.steps_by_unknowns)
-        rows = np.vstack([by, by_steps.reshape(len(steps), -1)])
-        right = np.concatenate([shifts, steps])
-        normal = rows.T @ rows + self.prior
-        scale = 1 / np.sqrt(np.diagonal(normal))
-        factor = np.linalg.cholesky(normal * scale[:, None] * scale)
-        pull = np.linalg.solve(factor, scale * (rows.T @ right))
-        value = right @ right - pull @ pull
-        value += 2 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
-        value += 2 * np.sum(np.log(np.diagonal(step_root, axis1=1, axis2=2)))
-        value += 2 * np.sum(np.log(np.diagonal(factor)) - np.log(scale))
-        return float(value)
+def misfit(visit: Linear, noise: Noise) -> float:
+    """-2 ln of the restricted likelihood of a visit, up to a constant."""
+    jitter = noise.jitter
+    covariance = visit.own if jitter is None else visit.own + np.diag(jitter)
+    root = np.linalg.cholesky(covariance)
+    shifts = np.linalg.solve(root, visit.shifts[..., None])[..., 0].reshape(-1)
+    by = np.linalg.solve(root, visit.by_unknowns).reshape(len(shifts), -1)
+    spread = noise.odometry**2 * visit.by_odometry + noise.slip**2 * visit.by_slip
+    step_root = np.linalg.cholesky(spread)
+    steps = np.linalg.solve(step_root, visit.steps[..., None])[..., 0].reshape(-1)
+    by_steps = np.linalg.solve(step_root, visit.steps_by_unknowns)
+    rows = np.vstack([by, by_steps.reshape(len(steps), -1)])
+    right = np.concatenate([shifts, steps])
+    normal = rows.T @ rows + visit.prior
+    scale = 1 / np.sqrt(np.diagonal(normal))
+    factor = np.linalg.cholesky(normal * scale[:, None] * scale)
+    pull = np.linalg.solve(factor, scale * (rows.T @ right))
+    value = right @ right - pull @ pull
+    value += 2 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
+    value += 2 * np.sum(np.log(np.diagonal(step_root, axis1=1, axis2=2)))
+    value += 2 * np.sum(np.log(np.diagonal(factor)) - np.log(scale))
+    return float(value)
 
 
-def learn(visits: list[VisitResiduals]) -> Noise | None:
+def learn(visits: list[Linear]) -> Noise | None:
     """The noise that these visits show; None where they are too few to show any."""
     freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
     if freedom < _LEAST_FREEDOM:
@@ -125,7 +110,7 @@ _LEAST_FREEDOM = 24
 
 
 def _likeliest(
-    visits: list[VisitResiduals], base: Noise, *, is_jittery: bool, is_other: bool
+    visits: list[Linear], base: Noise, *, is_jittery: bool, is_other: bool
 ) -> tuple[Noise, float]:
     """The noise of greatest posterior with these parts of `base` free, and -2 ln of it."""
 
@@ -143,7 +128,7 @@ def _likeliest(
         prior = 2 * math.log(2) * (noise.tilt / _TILT + noise.sway / _SWAY)
         prior += (math.log(noise.odometry) / _LOG_ODOMETRY) ** 2
         prior += (math.log(noise.slip) / _LOG_SLIP) ** 2
-        return sum(visit.misfit(noise) for visit in visits) + prior
+        return sum(misfit(visit, noise) for visit in visits) + prior
 
     start = [-1.0, -1.0] * is_jittery + [0.3, 0.0] * is_other
     if not start:

@@ -1,0 +1,287 @@
+"""Where the search for a visit's modes starts: poses that one sighting shows by itself, by how many
+others of the visit agree with it.
+
+Every way to read one sighting puts the camera somewhere, and with it the robot at every other
+picture of the visit, each way to read each other sighting. Odometry says how these lie to one
+another. A start takes the sightings that contradict it to be wrong from the beginning: the modes
+that it leads to are drawn off by none of them. (RANSAC, but that every sample is tried and each is
+judged by its own covariance; Fischler and Bolles, 1981.)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.fusion.assembly import lens_sigmas
+from trigpoint.fusion.body import body_of, by_reading
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.faces import Candidate, are_same_pose, candidates
+from trigpoint.fusion.observations import Observation
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+from .events import Events
+from .sightings import alone
+
+# Two ways whose differences are not within so many sigmas in each direction by itself are further
+# apart than any limit by their whole covariance.
+_FAR_SIGMAS = 7.0
+_LEAST_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A camera's pose to start from; by index, which views of a picture are taken to be wrong."""
+
+    map_from_camera: Pose
+    wrong: dict[int, tuple[bool, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """Every way (n) to read each single sighting: `sighting` (n,) and `picture` (n,) it is of, the
+    camera_from_base that it shows, that pose's covariance (n, 6, 6) in the camera's axes, and by
+    how much its fit is worse than that sighting's best, (n,)."""
+
+    sighting: np.ndarray
+    picture: np.ndarray
+    camera_from_base: Pose
+    covariance: Array
+    excess: Array
+
+
+def starts_of(
+    data: DataSet,
+    observations: dict[int, Observation],
+    poses: dict[int, Pose],
+    drift: Array,
+    events: Events,
+    *,
+    most: int,
+    window: float,
+) -> list[Start]:
+    """The distinct starts that most agrees with, best first: `most` of them, no worse than the best
+    by `window`.
+
+    `poses`: by index where odometry puts the robot; `drift` (p, p, 6, 6): the covariance of that
+    between two pictures, in the map's axes.
+    """
+    sightings = [
+        (index, order) for index, o in observations.items() for order in range(len(o.views))
+    ]
+    ways = _ways(data, observations, sightings)
+    if ways is None:
+        return []
+    there = Pose.stack(list(poses.values()))
+    cameras = there[ways.picture] @ ways.camera_from_base.inverse()
+    misfit = _misfit(data, observations, ways, there, cameras, drift, events)
+    limit = events.pose_score + events.wrong_score
+    cost = np.full((len(cameras), len(sightings)), limit)
+    for sighting in range(len(sightings)):
+        mine = ways.sighting == sighting
+        if np.any(mine):
+            cost[:, sighting] = np.minimum(misfit[:, mine].min(axis=1), limit)
+    total = cost.sum(axis=1) + ways.excess
+    found: list[Start] = []
+    is_open = np.ones(len(cameras), dtype=bool)
+    for row in np.argsort(total, kind="stable"):
+        if len(found) == most or total[row] > total.min() + window:
+            break
+        if is_open[row]:
+            is_open &= ~are_same_pose(cameras, cameras[row])
+            found.append(Start(cameras[row], _wrong(observations, sightings, cost[row] >= limit)))
+    return found
+
+
+def _wrong(
+    observations: dict[int, Observation],
+    sightings: list[tuple[int, int]],
+    is_wrong: np.ndarray,
+) -> dict[int, tuple[bool, ...]]:
+    flags = dict(zip(sightings, is_wrong.tolist(), strict=True))
+    return {
+        index: tuple(flags[index, order] for order in range(len(o.views)))
+        for index, o in observations.items()
+    }
+
+
+# -- what single sightings show -------------------------------------------------------------------
+
+
+def _ways(
+    data: DataSet, observations: dict[int, Observation], sightings: list[tuple[int, int]]
+) -> _Ways | None:
+    row_of = {index: row for row, index in enumerate(observations)}
+    numbers, pictures, shown, covariances, excess = [], [], [], [], []
+    for number, (index, order) in enumerate(sightings):
+        single = alone(observations[index], order)
+        lens = data.lenses[single.camera]
+        found = candidates(single, data.targets[single.robot], lens)
+        if not found:
+            continue
+        (view,) = single.views
+        least = found[0].rms_px
+        # Odd corners, or a lens that is not this one, make a fit worse than its corners say.
+        scale = max(1.0, least / view.sigma)
+        covariances += list(_covariances(data, single, found, scale))
+        for candidate in found:
+            numbers.append(number)
+            pictures.append(row_of[index])
+            shown.append(candidate.camera_from_base)
+            chi2 = 2 * len(view.corners) * (candidate.rms_px**2 - least**2) / view.sigma**2
+            excess.append(chi2 / scale**2)
+    if not shown:
+        return None
+    return _Ways(
+        np.array(numbers),
+        np.array(pictures),
+        Pose.stack(shown),
+        np.array(covariances),
+        np.array(excess),
+    )
+
+
+def _covariances(
+    data: DataSet, single: Observation, found: tuple[Candidate, ...], scale: float
+) -> Array:
+    """How well a sighting's corners, which scatter by `scale` more than said, its lens and its
+    face's place determine each pose (k, 6, 6)."""
+    (view,) = single.views
+    target, config = data.targets[single.robot], data.site.cameras[single.camera]
+    lens = data.lenses[single.camera]
+    chosen = [view.readings.index(candidate.readings[0]) for candidate in found]
+    pose = Pose.stack([candidate.camera_from_base for candidate in found])
+    arm = by_reading(view, body_of(target))[chosen] @ np.swapaxes(pose.rotation, 1, 2)
+    _, by_point, by_lens = lens.project_jacobians(arm + pose.translation[:, None])
+    jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1) / view.sigma
+    flat = jacobian.reshape(len(found), -1, 6)
+    transposed = np.swapaxes(flat, 1, 2)
+    own = np.linalg.pinv(transposed @ flat, rcond=1e-14, hermitian=True)
+    covariance = own * scale**2
+    if config.estimates_intrinsics:
+        spread = (by_lens * lens_sigmas(config, lens)).reshape(*flat.shape[:2], -1) / view.sigma
+        by = own @ (transposed @ spread)
+        covariance = covariance + by @ np.swapaxes(by, 1, 2)
+    shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
+    for row, candidate in enumerate(found):
+        arm_m = np.linalg.norm(target.faces[candidate.readings[0].face].base_from_face.translation)
+        variances = np.repeat([shift**2 + (turn * arm_m) ** 2, turn**2], 3)
+        covariance[row] += np.diag(variances + _LEAST_VARIANCE)
+    return covariance
+
+
+# -- how they agree -------------------------------------------------------------------------------
+
+
+def _misfit(
+    data: DataSet,
+    observations: dict[int, Observation],
+    ways: _Ways,
+    there: Pose,
+    cameras: Pose,
+    drift: Array,
+    events: Events,
+) -> Array:
+    """What it costs that a way (n, by row) is right and another one too (n, by column): infinite
+    where they are far apart; those of one sighting exclude each other."""
+    first = next(iter(observations.values()))
+    turn = cameras.rotation
+    odometry = there[ways.picture]
+    predicted = np.einsum("aij,bj->abi", turn, ways.camera_from_base.translation)
+    shift = predicted + cameras.translation[:, None] - odometry.translation
+    seen = ways.camera_from_base.translation
+    lever = np.sum((seen[None] - seen[:, None]) ** 2, axis=-1)
+    extra = _of_pictures(data, first, observations, there)
+    shifts = np.trace(ways.covariance[:, :3, :3], axis1=1, axis2=2)
+    turns = np.trace(ways.covariance[:, 3:, 3:], axis1=1, axis2=2)
+    loose = np.trace(extra, axis1=1, axis2=2)[ways.picture]
+    between = np.trace(drift[..., :3, :3], axis1=2, axis2=3)[ways.picture][:, ways.picture]
+    variance = 2 * (shifts[:, None] + lever * turns[:, None]) + shifts + between
+    variance += loose + (1 + lever) * loose[:, None]
+    is_near = np.sum(shift**2, axis=-1) < _FAR_SIGMAS**2 * variance
+    is_near &= ways.sighting[:, None] != ways.sighting
+    misfit = np.full(is_near.shape, np.inf)
+    misfit[np.arange(len(seen)), np.arange(len(seen))] = 0.0
+    rows, columns = np.nonzero(is_near)
+    if not len(rows):
+        return misfit
+    error = np.concatenate(
+        [
+            shift[rows, columns],
+            so3.log(
+                turn[rows]
+                @ ways.camera_from_base.rotation[columns]
+                @ np.swapaxes(odometry.rotation[columns], 1, 2)
+            ),
+        ],
+        axis=-1,
+    )
+    axes = np.zeros((len(turn), 6, 6))
+    axes[:, :3, :3] = axes[:, 3:, 3:] = turn
+    own = axes @ ways.covariance @ np.swapaxes(axes, 1, 2) + extra[ways.picture]
+    # Where the other picture's robot is, by how this one's is off: it turns about where this is.
+    by_first = np.tile(-np.eye(6), (len(rows), 1, 1))
+    by_first[:, :3, 3:] = so3.hat((turn[rows] @ (seen[columns] - seen[rows])[..., None])[..., 0])
+    # The second one's own covariance is in the same axes, those of the first's camera.
+    second = axes[rows] @ ways.covariance[columns] @ np.swapaxes(axes[rows], 1, 2)
+    spread = by_first @ own[rows] @ np.swapaxes(by_first, 1, 2)
+    spread += second + extra[ways.picture[columns]]
+    spread += drift[ways.picture[rows], ways.picture[columns]]
+    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
+    room = np.minimum(np.linalg.slogdet(spread)[1], events.pose_score)
+    misfit[rows, columns] = np.sum(error * pulled, axis=-1) + room + ways.excess[columns]
+    return misfit
+
+
+def _of_pictures(
+    data: DataSet, first: Observation, observations: dict[int, Observation], there: Pose
+) -> Array:
+    """How a robot may stand otherwise in each picture than odometry says, (p, 6, 6), in the map's
+    axes: tilt and sway, and its motion while the camera's clock is off."""
+    extra = np.tile(_LEAST_VARIANCE * np.eye(6), (len(observations), 1, 1))
+    jitter = data.jitter.get(first.robot)
+    if jitter is not None:
+        extra += np.diag(jitter)
+    offset_s = data.site.cameras[first.camera].time_offset_sigma
+    if offset_s > 0:
+        track = data.tracks[first.robot]
+        stamps = np.array([o.stamp_ns for o in observations.values()])
+        inside = np.clip(stamps, track.first_ns, track.last_ns)
+        _, twist = track.carried(inside, np.zeros(len(inside)), np.zeros(2))
+        moving = (there.rotation[:, None] @ twist.reshape(-1, 2, 3, 1)).reshape(-1, 6)
+        extra += offset_s**2 * moving[:, :, None] * moving[:, None]
+    return extra
+
+
+def drift_between(data: DataSet, robot: str, stamps_ns: np.ndarray, there: Pose) -> Array:
+    """The covariance (p, p, 6, 6) of where odometry puts the later of two pictures, given the
+    earlier, in the map's axes; `there`: where it puts them."""
+    track, noise = data.tracks[robot], data.site.robots[robot].odometry
+    moments, rows = np.unique(
+        np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True
+    )
+    found = np.zeros((len(rows), len(rows), 6, 6))
+    if len(moments) < 2:
+        return found
+    motion = track.motion(moments, np.zeros(2))
+    sigma = np.array([noise.distance_scale, noise.heading_scale])
+    at = [int(np.argmax(rows == step)) for step in range(len(moments))]
+    turn = np.zeros((len(moments) - 1, 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = there.rotation[at[:-1]]
+    steps = turn @ motion.covariance @ np.swapaxes(turn, 1, 2)
+    scaled = turn @ motion.by_scale
+    ends = there.translation[at]
+    for later in range(1, len(moments)):
+        lever = np.tile(np.eye(6), (later, 1, 1))
+        lever[:, :3, 3:] = -so3.hat(ends[later] - ends[1 : later + 1])
+        noisy = lever @ steps[:later] @ np.swapaxes(lever, 1, 2)
+        # From each earlier moment on: what all steps since then add.
+        noisy = np.cumsum(noisy[::-1], axis=0)[::-1]
+        by_scale = np.cumsum((lever @ scaled[:later])[::-1], axis=0)[::-1] * sigma
+        total = noisy + by_scale @ np.swapaxes(by_scale, 1, 2)
+        for earlier in range(later):
+            pair = np.ix_(rows == earlier, rows == later)
+            found[pair] = total[earlier]
+            found[pair[1].T, pair[0].T] = total[earlier]
+    return found

@@ -1,0 +1,168 @@
+"""A visit to first order: what every part of its pictures says of where the robot stood."""
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from trigpoint.fusion.assembly import Assembled
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.models import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.odometry_track import SLIP
+from trigpoint.fusion.problem import Batch, Chain, Problem
+from trigpoint.geometry.rotation import Array
+
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Unknowns are the robot's poses at the visit's pictures but the first, then `camera`'s columns
+    (6,) and others.
+
+    `shifts` (n, 6): by how much each part by itself puts the robot otherwise, with `own` (n, 6, 6)
+    its covariance by the corners and `by_unknowns` (n, 6, u); `parts` (n,): which of those asked
+    for it is; `steps` (m, d): what odometry asks for, with `steps_by_unknowns` (m, d, u), its
+    covariance `spread` (m, d, d), and that by the stated noise and by slip alone, `by_odometry` and
+    `by_slip`; `prior` (u, u): information on the unknowns from before.
+    """
+
+    shifts: Array
+    own: Array
+    by_unknowns: Array
+    parts: list[int]
+    steps: Array
+    steps_by_unknowns: Array
+    spread: Array
+    by_odometry: Array
+    by_slip: Array
+    prior: Array
+    camera: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Of one camera and robot in the dense part: `dense` the camera's own, `scales`, `faces`;
+    `place`: column -> where it stands among the visit's unknowns, of which there are `count`."""
+
+    dense: list[int]
+    scales: list[int]
+    faces: list[int]
+    place: dict[int, int]
+    count: int
+
+
+def linearised(
+    data: DataSet, assembled: Assembled, batch: Batch, parts: list[tuple[int, slice | None]]
+) -> Linear | None:
+    """A problem of one batch about its start. `parts`: each a row of the batch and which of its
+    corners, None: all; those that determine no pose are left out. None where fewer than two are
+    left or the robot stood still."""
+    problem, state = assembled.problem, assembled.start
+    chain = problem.chains[batch.robot]
+    if chain.motion is None:
+        return None
+    columns = _columns(problem, batch, len(chain.tangent) * (len(chain) - 1))
+    jacobian, residual, names = batch_jacobian(problem, batch, state)
+    by_base = base_jacobian(problem, batch, state)
+    d, shifts, own, by_unknowns, kept = len(chain.tangent), [], [], [], []
+    for number, (row, part) in enumerate(parts):
+        corners = slice(None) if part is None else part
+        flat = by_base[row, corners].reshape(-1, 6)
+        normal = flat.T @ flat
+        if np.linalg.matrix_rank(normal, hermitian=True) < 6:
+            continue
+        covariance = np.linalg.inv(normal)
+        by = covariance @ (flat.T @ jacobian[row, corners].reshape(len(flat), -1))
+        whole, node = np.zeros((6, columns.count)), int(batch.nodes[row])
+        if node > 0:
+            whole[:, d * (node - 1) : d * node] = by[:, :d]
+        for source, column in enumerate(names):
+            if column in columns.place:
+                whole[:, columns.place[column]] = by[:, d + source]
+        shifts.append(-covariance @ (flat.T @ residual[row, corners].reshape(-1)))
+        own.append(covariance)
+        by_unknowns.append(whole)
+        kept.append(number)
+    if len(shifts) < 2:
+        return None
+    nodes = len(chain) - 1
+    whole_steps = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
+    poses = state.robots[batch.robot].map_from_base
+    terms = odometry_terms(poses[:-1], poses[1:], whole_steps, chain.tangent)
+    steps = np.zeros((nodes, d, columns.count))
+    for step in range(nodes):
+        steps[step, :, d * step : d * (step + 1)] = terms.by_later[step]
+        if step:
+            steps[step, :, d * (step - 1) : d * step] = terms.by_earlier[step]
+        for order, column in enumerate(columns.scales):
+            steps[step, :, columns.place[column]] = terms.by_scale[step][:, order]
+    free = np.ix_(range(nodes), chain.tangent, chain.tangent)
+    return Linear(
+        np.array(shifts),
+        np.array(own),
+        np.array(by_unknowns),
+        kept,
+        -terms.residual,
+        steps,
+        chain.motion.covariance[free],
+        *_step_covariances(data, chain),
+        _prior(problem, batch, columns),
+        d * nodes + np.arange(6),
+    )
+
+
+def unknowns_of(problem: Problem, camera: str) -> list[int]:
+    """The dense columns of a camera: pose, lens, clock."""
+    layout = problem.layout
+    parts = [layout.pose[camera]]
+    parts += [part[camera] for part in (layout.lens, layout.time_offset) if camera in part]
+    return [column for part in parts for column in _of(part)]
+
+
+def _columns(problem: Problem, batch: Batch, before: int) -> _Columns:
+    dense = unknowns_of(problem, batch.camera)
+    scales = _of(problem.layout.scales.get(batch.robot))
+    faces = _of(problem.layout.faces.get(batch.robot))
+    every = [*dense, *scales, *faces]
+    place = {column: before + order for order, column in enumerate(every)}
+    return _Columns(dense, scales, faces, place, before + len(every))
+
+
+def _of(part: slice | None) -> list[int]:
+    return [] if part is None else list(range(part.start, part.stop))
+
+
+def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
+    """The covariances (m, d, d) of a chain's steps by the stated noise, and by slip."""
+    free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
+    noise = data.site.robots[chain.robot].odometry
+    silent = msgspec.structs.replace(
+        noise, distance=0.0, lateral=0.0, heading_drive=0.0, heading_turn=0.0
+    )
+    found = []
+    for part, slip in ((noise, 0.0), (silent, SLIP)):
+        track = chain.track.noisy(part, slip=slip, skid=0.0)
+        found.append(track.motion(chain.stamps_ns, chain.scales).covariance[free])
+    return found[0], found[1]
+
+
+def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
+    """What is known of the unknowns from before (u, u)."""
+    priors, information = problem.priors, np.zeros(columns.count)
+
+    def put(names: list[int], sigma: Array) -> None:
+        at = [columns.place[name] for name in names]
+        information[at] = np.where(sigma > 0, sigma, _EXACT) ** -2.0
+
+    layout = problem.layout
+    if batch.camera in priors.lens:
+        put(_of(layout.lens[batch.camera]), priors.lens[batch.camera][1])
+    if batch.camera in priors.time_offset:
+        put(_of(layout.time_offset[batch.camera]), priors.time_offset[batch.camera])
+    if columns.scales:
+        put(columns.scales, priors.scales[batch.robot])
+    if columns.faces:
+        expected, shift, turn = priors.faces[batch.robot]
+        put(columns.faces, np.tile(np.repeat([shift, turn], 3), len(expected)))
+    return np.diag(information)

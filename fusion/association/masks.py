@@ -1,0 +1,64 @@
+"""Which sightings of a visit are wrong: all subsets that matter, judged together.
+
+Single sightings that are judged one after the other can hide each other: two that are displaced
+alike make the right one between them look wrong. To first order all of a visit is one linear
+Gaussian model, in which a hypothesis (which of the sightings so far are wrong) is a Kalman filter;
+of these the likeliest are carried on, picture by picture.
+"""
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+
+from .events import Events, window
+from .linear import Linear
+
+# A right sighting at the beginning is worth seventy or so, and pays only as the others come: so no
+# score of a part tells, and as many are carried on as six sightings have subsets.
+_MOST = 64
+_MOST_TOLD = 3
+
+
+def likeliest_wrong(linear: Linear, jitter: Array | None, events: Events) -> list[tuple[bool, ...]]:
+    """The likeliest ways (n flags each) in which the parts of a visit are wrong, best first.
+
+    `jitter`: variances (6,) of how the robot stands otherwise in a picture.
+    """
+    mean, covariance = _before(linear, events)
+    means, covariances = mean[None], covariance[None]
+    scores, flags = np.zeros(1), np.zeros((1, 0), dtype=bool)
+    limit = events.pose_score + events.wrong_score
+    for shift, own, by in zip(linear.shifts, linear.own, linear.by_unknowns, strict=True):
+        own = own if jitter is None else own + np.diag(jitter)
+        gain = covariances @ by.T
+        spread = by @ gain + own
+        error = shift - means @ by.T
+        inverse = np.linalg.inv(spread)
+        surprise = np.einsum("bi,bij,bj->b", error, inverse, error)
+        room = np.minimum(np.linalg.slogdet(spread)[1], events.pose_score)
+        weighted = gain @ inverse
+        right_means = means + (weighted @ error[..., None])[..., 0]
+        right = covariances - weighted @ np.swapaxes(gain, 1, 2)
+        both = np.concatenate([scores + surprise + room, scores + limit])
+        kept = np.argsort(both, kind="stable")[:_MOST]
+        means = np.concatenate([right_means, means])[kept]
+        covariances = np.concatenate([right, covariances])[kept]
+        is_wrong = kept >= len(scores)
+        flags = np.column_stack([flags[kept % len(scores)], is_wrong])
+        scores = both[kept]
+    near = scores < scores[0] + window()
+    return [tuple(row) for row in flags[near][:_MOST_TOLD].tolist()]
+
+
+def _before(linear: Linear, events: Events) -> tuple[Array, Array]:
+    """Mean (u,) and covariance (u, u) of the unknowns by odometry and priors, the camera anywhere
+    in the room."""
+    information = linear.prior.copy()
+    x, y, z = events.room
+    room = np.array([x**2, y**2, z**2, *[(2 * np.pi) ** 2] * 3]) / 12
+    information[linear.camera, linear.camera] += 1 / room
+    weighted = np.swapaxes(linear.steps_by_unknowns, 1, 2) @ np.linalg.inv(linear.spread)
+    information += (weighted @ linear.steps_by_unknowns).sum(axis=0)
+    pull = (weighted @ linear.steps[..., None])[..., 0].sum(axis=0)
+    covariance = np.linalg.inv(information)
+    return covariance @ pull, covariance
