@@ -22,9 +22,11 @@ from . import judge, odometry_noise, repeated
 from .aftermath import why_untied
 from .assembly import Assembled
 from .association.engine import explain
+from .association.events import Events
 from .association.explanation import CameraFinding, Explanation
 from .association.modes import Memory
 from .consistent import solve_consistently
+from .contradicting import leave_out_contradicting
 from .dataset import DataSet, Entry
 from .explained import take
 from .filter import Filter
@@ -182,13 +184,15 @@ class BatchSolution:
         if not used:
             self.assembled = self.solution = None
             return Filter.at_origin(self.data)
-        for _ in range(_MOST_SETTLING):
+        for _ in range(_MOST_ROUNDS):
             solved = solve_consistently(
                 self.data, self.state, used, huber=np.inf, tolerance=FINAL_TOLERANCE
             )
             self.state, self.iterations = solved.state, self.iterations + solved.iterations
             self.assembled, self.solution = solved.assembled, solved.solution
-            changed = repeated.share_out(self.data, self.assembled, self.state)
+            changed = leave_out_contradicting(self.data, self.assembled, self.state, Events())
+            used = self.data.usable(self.state.cameras)
+            changed |= repeated.share_out(self.data, self.assembled, self.state)
             changed |= odometry_noise.learn(self.data, self.assembled, self.state)
             if not changed:
                 break

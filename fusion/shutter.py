@@ -41,6 +41,11 @@ class Sweep:
         """The same after a moment so much later."""
         return replace(self, after_s=self.after_s - seconds)
 
+    def where(self, chosen: np.ndarray) -> "Sweep":
+        """Of the chosen (n,) bool corners."""
+        twist = self.twist[chosen] if self.twist.ndim > 1 else self.twist
+        return Sweep(self.after_s[chosen], twist)
+
     def shift(self, points: Array) -> Array:
         """How far corners (…, n, 3) of the base frame go until they are exposed, metres."""
         speed = self.twist[..., :3] + np.cross(self.twist[..., 3:], points)

@@ -120,6 +120,17 @@ def unknowns_of(problem: Problem, camera: str) -> list[int]:
     return [column for part in parts for column in _of(part)]
 
 
+def log_priors(problem: Problem, camera: str, robot: str) -> tuple[float, float]:
+    """ln |information| from before: on a camera's own unknowns, and on the robot's scales and the
+    places of its faces."""
+    batch = next(b for b in problem.batches if (b.camera, b.robot) == (camera, robot))
+    columns = _columns(problem, batch, 0)
+    information = np.diagonal(_prior(problem, batch, columns))
+    logs = np.log(np.where(information > 0, information, 1.0))
+    own = [columns.place[name] for name in columns.dense]
+    return float(logs[own].sum()), float(np.delete(logs, own).sum())
+
+
 def _columns(problem: Problem, batch: Batch, before: int) -> _Columns:
     dense = unknowns_of(problem, batch.camera)
     scales = _of(problem.layout.scales.get(batch.robot))

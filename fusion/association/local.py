@@ -17,7 +17,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
-from .linear import Linear, linearised, unknowns_of
+from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .sightings import without_wild
 from .system import System
@@ -36,13 +36,14 @@ class Mode:
 
     `map_from_camera`: in the frame in which odometry puts the robot (the first picture's pose is
     exactly odometry's); `camera`: with lens and clock; `information`: of `columns` unknowns, pose
-    (6), then lens and clock where they are estimated, their priors included; `score`: of what is
-    not in them; `readings`: by index, None for a wrong sighting; `wild`: by index, each view's wild
-    corners; `poses`: where the robot stood.
+    (6), then lens and clock where they are estimated, their priors included, of which `prior` is
+    ln |information|; `score`: of what is not in them; `readings`: by index, None for a wrong
+    sighting; `wild`: by index, each view's wild corners; `poses`: where the robot stood.
     """
 
     camera: CameraState
     information: Array
+    prior: float
     score: float
     readings: dict[int, tuple[Reading | None, ...]]
     wild: dict[int, tuple[np.ndarray, ...]]
@@ -55,7 +56,7 @@ class Mode:
     @property
     def evidence(self) -> float:
         """The score with the camera's own unknowns integrated out."""
-        return self.score + float(np.linalg.slogdet(self.information)[1])
+        return self.score + float(np.linalg.slogdet(self.information)[1]) - self.prior
 
     @property
     def wrong(self) -> int:
@@ -360,10 +361,12 @@ class LocalProblem:
         covariance = system.covariance[np.ix_(rows, rows)]
         information = np.linalg.inv(covariance)
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
-        score += self._odometry_score(assembled) + self._left_out_score(trial)
+        own, others = log_priors(problem, self.camera, self.robot)
+        score += self._odometry_score(assembled) + self._left_out_score(trial) - others
         return Mode(
             state.cameras[self.camera],
             0.5 * (information + information.T),
+            own,
             score,
             {
                 index: tuple(

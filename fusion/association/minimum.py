@@ -155,6 +155,8 @@ class _Minimum:
         known = graph.data.known.poses
         unknown = sum(place > 0 or camera not in known for camera, place in self.places)
         score += unknown * graph.events.pose_score
+        for camera in self.layout.own:
+            score += 2 * float(np.sum(np.log(graph.own_prior[camera][1])))
         return score + sum(graph.visits[n].modes[tie.mode].score for n, tie in variant.ties.items())
 
     def _move(self, step: Array) -> None:

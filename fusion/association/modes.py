@@ -16,7 +16,7 @@ from .consensus import Start, drift_between, starts_of
 from .events import Events, window
 from .local import LocalProblem, Mode
 from .pictures import PictureReader
-from .sightings import Alone, alone, by_itself
+from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
 
 # A mode that is worse than the best of its visit by this can only be made up for by other visits
@@ -73,6 +73,7 @@ class ModeFinder:
         self.data, self.observations, self.events = data, observations, events
         self.memory = memory if memory is not None else Memory()
         self._alone: dict[int, tuple[Alone, ...]] = {}
+        self._tame: dict[int, Observation] = {}
 
     def alone(self, index: int) -> tuple[Alone, ...]:
         """What each view of an observation says by itself."""
@@ -80,6 +81,12 @@ class ModeFinder:
             views = range(len(self.observations[index].views))
             self._alone[index] = tuple(self._by_itself(index, order) for order in views)
         return self._alone[index]
+
+    def tame(self, index: int) -> Observation:
+        """An observation without its wild corners, by which single sightings are read."""
+        if index not in self._tame:
+            self._tame[index] = tamed(self.observations[index], self.alone(index))
+        return self._tame[index]
 
     def _by_itself(self, index: int, order: int) -> Alone:
         observation = self.observations[index]
@@ -140,7 +147,7 @@ class ModeFinder:
         if len(chosen) == 1:
             found = self._of_one(visit, problem, poses)
         else:
-            found = self._found(visit, problem, self._starts(visit, chosen, poses))
+            found = self._found(visit, problem, self._starts(visit, poses))
         best = min((mode.evidence for mode in found), default=np.inf)
         near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
         return VisitModes(visit, near, sum(sum(row) for row in scores.values()))
@@ -173,7 +180,7 @@ class ModeFinder:
         """The modes of a single picture: by all of its views, and, where those do not agree as well
         as that would, by one of them with the others wrong."""
         (index,) = visit.chosen
-        observation = self.observations[index]
+        observation = self.tame(index)
         target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
         together = candidates(observation, target, lens)
         starts = [Start(poses[index] @ c.camera_from_base.inverse(), {}) for c in together]
@@ -235,14 +242,13 @@ class ModeFinder:
         poses = odometry_poses(self.data, visit.robot, moments)
         return {index: poses[i] for i, index in enumerate(visit.chosen)}
 
-    def _starts(
-        self, visit: Visit, chosen: dict[int, Observation], poses: dict[int, Pose]
-    ) -> list[Start]:
-        stamps = np.array([observation.stamp_ns for observation in chosen.values()])
+    def _starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
+        tame = {index: self.tame(index) for index in visit.chosen}
+        stamps = np.array([observation.stamp_ns for observation in tame.values()])
         there = Pose.stack(list(poses.values()))
         drift = drift_between(self.data, visit.robot, stamps, there)
         return starts_of(
-            self.data, chosen, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
+            self.data, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
         )
 
     def _is_below_floor(self, visit: Visit, mode: Mode) -> bool:

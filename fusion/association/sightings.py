@@ -26,18 +26,34 @@ class Alone:
 
     `wrong_score`: of a board that is somewhere else in its place; `evidence`: of its best fit, the
     pose integrated out; `scatter`: the corners' variance about that, over the stated one, without
-    those that are wild by the median of their distances; NaN where they are too few.
+    those that are wild by the median of their distances; NaN where they are too few; `wild`: which
+    corners are, (n,).
     """
 
     wrong_score: float
     evidence: float
     scatter: float
+    wild: np.ndarray
 
 
 def alone(observation: Observation, order: int) -> Observation:
     """An observation of one of its views."""
     chosen = (observation.chosen[order],) if observation.chosen is not None else None
     return replace(observation, views=(observation.views[order],), chosen=chosen, outliers=())
+
+
+def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
+    """An observation without the corners that each of its views by itself shows to be wild."""
+    if not any(np.any(view.wild) for view in views):
+        return observation
+    kept = []
+    for view, by_itself in zip(observation.views, views, strict=True):
+        good = ~by_itself.wild
+        sweep = None if view.sweep is None else view.sweep.where(good)
+        kept.append(
+            replace(view, corners=view.corners[good], pixels=view.pixels[good], sweep=sweep)
+        )
+    return replace(observation, views=tuple(kept), outliers=())
 
 
 def by_itself(
@@ -54,7 +70,8 @@ def by_itself(
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     fits = planar_poses(lens, flat, view.pixels, view.sigma)
     if not fits:
-        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan)
+        none = np.zeros(len(view.corners), dtype=bool)
+        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan, none)
     left, normal, wild = _fit(fits[0].pose, points, view, lens, events)
     evidence = float(np.sum(left[~wild])) + int(wild.sum()) * events.wild_score
     evidence += float(np.linalg.slogdet(normal)[1])
@@ -66,7 +83,7 @@ def by_itself(
         middle = float(np.median(left)) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
-    return Alone(wrong, evidence, scatter)
+    return Alone(wrong, evidence, scatter, wild)
 
 
 def _fit(
