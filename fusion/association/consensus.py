@@ -130,7 +130,7 @@ def _ways(
             pictures.append(row_of[index])
             shown.append(candidate.camera_from_base)
             chi2 = 2 * len(view.corners) * (candidate.rms_px**2 - least**2) / view.sigma**2
-            excess.append(chi2 / scale**2)
+            excess.append(float(chi2) / scale**2)
     if not shown:
         return None
     return _Ways(

@@ -16,6 +16,7 @@ from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 
 from .agreement import seen_by
+from .bridges import tied_twice
 from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
@@ -43,6 +44,11 @@ _FEW = "no picture of it shows enough of a face to place it"
 _LOST = (
     "position and orientation in the map: the robot was put down elsewhere, or its odometry "
     "jumped, on its way here from the other cameras; drive there without a break"
+)
+_LOOSE = (
+    "position and orientation in the map: a robot was carried or a camera moved in this session, "
+    "and nothing shows that the robot was not on its way here; drive from here past a camera that "
+    "it met before"
 )
 
 
@@ -183,6 +189,26 @@ class _World:
         found = self.search.placed([(rest, Variant(ties, hypothesis.breaks))])
         return found[0] if found else None
 
+    def loose(self) -> list[tuple[float, set[str]]]:
+        """For each explanation in which something happened: its score, and the cameras whose last
+        places would be elsewhere if the robot had been carried once more, unseen."""
+        found = []
+        for hypothesis in self.hypotheses:
+            if hypothesis.score > self.hypotheses[0].score + window():
+                break
+            if not self.search.happened(hypothesis):
+                continue
+            ties, opened = hypothesis.ties, hypothesis.open
+            tied = tied_twice(self.graph, ties, opened, hypothesis.breaks)
+            last: dict[str, int] = {}
+            for number in [*ties, *opened]:
+                camera, place = self.visits[number].visit.camera, hypothesis.place_of(number)
+                assert place is not None
+                last[camera] = max(last.get(camera, 0), place)
+            loose = {camera for camera, place in last.items() if (camera, place) not in tied}
+            found.append((hypothesis.score + self.prior_score, loose))
+        return found
+
     @property
     def prior_score(self) -> float:
         """Of the session's noise."""
@@ -246,6 +272,14 @@ class _Outcome:
         self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.prior_score)
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
+        self.loose = self._loose()
+
+    def _loose(self) -> set[str]:
+        """Cameras that hang on a gap in which the robot may have been carried once more."""
+        least = self.chosen.score + self.best.prior_score
+        limit = least + window() - self.best.events.event_score
+        found = [each for world in self.worlds for each in world.loose() if each[0] < limit]
+        return {camera for _, cameras in found for camera in cameras}
 
     def explanation(self) -> Explanation:
         seen = dict.fromkeys(v.visit.camera for v in self.best.visits)
@@ -275,6 +309,8 @@ class _Outcome:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
         if np.sqrt(np.trace(next(iter(alternatives)).covariance[:3, :3])) > _LOOSE_M:
             return CameraFinding(camera, (), rests_on, _LOST)
+        if camera in self.loose:
+            return CameraFinding(camera, alternatives, rests_on, _LOOSE)
         return CameraFinding(camera, alternatives, rests_on)
 
     def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:

@@ -13,6 +13,8 @@ from trigpoint.fusion.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
 
 _EXACT = 1e-9
+# Of the eigenvalues of a scaled information: a pose is not determined.
+_FLAT = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +72,12 @@ def linearised(
         corners = slice(None) if part is None else part
         flat = by_base[row, corners].reshape(-1, 6)
         normal = flat.T @ flat
-        if np.linalg.matrix_rank(normal, hermitian=True) < 6:
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), _EXACT))
+        values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
+        if values[0] < _FLAT:
             continue
-        covariance = np.linalg.inv(normal)
+        root = scale[:, None] * vectors / np.sqrt(values)
+        covariance = root @ root.T
         by = covariance @ (flat.T @ jacobian[row, corners].reshape(len(flat), -1))
         whole, node = np.zeros((6, columns.count)), int(batch.nodes[row])
         if node > 0:

@@ -34,6 +34,7 @@ _FREE = 1e3
 _LEAST = 1e-3  # of these medians: nothing
 # Where the likelihood changes by less than this share, it tells nothing more.
 _FLAT = 1e-6
+_ROUNDING = 1e-12
 _MOST_STEPS = 20
 
 
@@ -77,7 +78,8 @@ def misfit(visit: Linear, noise: Noise) -> float:
     right = np.concatenate([shifts, steps])
     normal = rows.T @ rows + visit.prior
     scale = 1 / np.sqrt(np.diagonal(normal))
-    factor = np.linalg.cholesky(normal * scale[:, None] * scale)
+    # What nothing determines but odometry that may be anyhow is at the edge of what a number holds.
+    factor = np.linalg.cholesky(normal * scale[:, None] * scale + _ROUNDING * np.eye(len(scale)))
     pull = np.linalg.solve(factor, scale * (rows.T @ right))
     value = right @ right - pull @ pull
     value += 2 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))

@@ -1,0 +1,80 @@
+"""What hangs on odometry across one gap alone.
+
+A lift in such a gap shows in nothing: no tie leads round it. In a session in which nothing happened
+that is too improbable to matter; where a robot was carried or a camera moved once, it is not
+(`Events.event`), and what lies beyond may be anywhere.
+"""
+
+from collections.abc import Iterator, Mapping
+
+from .graph import Break, Graph, Tie
+
+_Spot = tuple[str, int]
+"""A robot's node, or a camera's place."""
+
+
+def tied_twice(
+    graph: Graph, ties: Mapping[int, Tie], opened: Mapping[int, int], breaks: frozenset[Break]
+) -> set[_Spot]:
+    """The places (camera, number) that stay tied to the map's origin whichever single gap between
+    visits the robot was carried in. `opened`: visits that alone see their place -> place."""
+    edges = [
+        (robot, step)
+        for robot, path in graph.paths.items()
+        for step in range(len(path.stamps_ns) - 1)
+        if (robot, step) not in breaks
+    ]
+    used = {**{n: tie.place for n, tie in ties.items()}, **opened}
+    seen = {
+        (graph.visits[n].visit.camera, place): (graph.visits[n].visit.robot, graph.node_of[n])
+        for n, place in opened.items()
+    }
+    first = _first_seen(graph, used)
+    found: set[_Spot] | None = None
+    for cut in [None, *edges]:
+        if cut is not None and cut[1] < first.get(cut[0], 0):
+            continue  # nothing was seen before: the map begins there
+        reached = _reached(graph, ties, breaks | ({cut} if cut else set()), first)
+        reached |= {place for place, node in seen.items() if node in reached}
+        found = reached if found is None else found & reached
+    return found or set()
+
+
+def _first_seen(graph: Graph, used: Mapping[int, int]) -> dict[str, int]:
+    """By robot the node of its first visit that is used."""
+    found: dict[str, int] = {}
+    for number in used:
+        robot, node = graph.visits[number].visit.robot, graph.node_of[number]
+        found[robot] = min(found.get(robot, node), node)
+    return found
+
+
+def _reached(
+    graph: Graph, ties: Mapping[int, Tie], breaks: frozenset[Break], first: Mapping[str, int]
+) -> set[_Spot]:
+    """Everything that leads to the map's origin, or to a known camera."""
+    beside: dict[_Spot, list[_Spot]] = {}
+    for one, other in _edges(graph, ties, breaks):
+        beside.setdefault(one, []).append(other)
+        beside.setdefault(other, []).append(one)
+    waiting: list[_Spot] = [(camera, 0) for camera in graph.data.known.poses]
+    waiting += [(r, first.get(r, 0)) for r, path in graph.paths.items() if path.is_anchored]
+    reached = set(waiting)
+    while waiting:
+        for other in beside.get(waiting.pop(), []):
+            if other not in reached:
+                reached.add(other)
+                waiting.append(other)
+    return reached
+
+
+def _edges(
+    graph: Graph, ties: Mapping[int, Tie], breaks: frozenset[Break]
+) -> Iterator[tuple[_Spot, _Spot]]:
+    for robot, path in graph.paths.items():
+        for step in range(len(path.stamps_ns) - 1):
+            if (robot, step) not in breaks:
+                yield (robot, step), (robot, step + 1)
+    for number, tie in ties.items():
+        visit = graph.visits[number].visit
+        yield (visit.robot, graph.node_of[number]), (visit.camera, tie.place)
