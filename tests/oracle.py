@@ -128,12 +128,14 @@ class Oracle:
         found = []
         is_met_again = bool(self._earlier[view])
         for is_moved in (False, True) if is_met_again else (False,):
-            moved = self._event(self.priors.move, is_moved) if is_met_again else 0.0
             moves = node.moves | {view} if is_moved else node.moves
             bounds, is_exact = self._bounds(node, view, is_moved=is_moved)
-            for is_lifted in (False, True):
-                least = bounds + (cost + moved + self._event(self.priors.lift, is_lifted))
+            # The map begins where the robot is seen first.
+            for is_lifted in (False, True) if view else (False,):
                 lifts = node.lifts | {view} if is_lifted else node.lifts
+                before = self.priors.happened(len(node.lifts) + len(node.moves))
+                after = self.priors.happened(len(lifts) + len(moves))
+                least = bounds + (cost + after - before)
                 for index in np.flatnonzero(least <= limit).tolist():
                     longer = Explanation((*node.readings, index), lifts, moves)
                     found.append(_Longer(longer, float(least[index]), bool(is_exact[index])))
@@ -150,10 +152,6 @@ class Oracle:
             return first, np.ones(len(first), dtype=bool)
         agreed = np.max([self._pairs[k, view][node.readings[k]] for k in right], axis=0)
         return np.where(is_wrong, first, own + _TRUST * agreed), is_wrong
-
-    @staticmethod
-    def _event(prior: float, is_so: bool) -> float:
-        return -2 * math.log(prior if is_so else 1 - prior)
 
     def _same_place(self, node: Explanation, view: int) -> list[int]:
         """Earlier pictures of the camera since it was last moved."""

@@ -188,13 +188,9 @@ class Structure:
     def _constant(self, cameras: list[str], events: _Events, priors: Priors) -> float:
         """The part of the cost that is the same for all: priors of events, rooms, odometry's
         normalisation."""
-        cost = 0.0
+        cost = priors.happened(len(events.lifts) + len(events.moves))
         for view in self.views:
             is_lifted = view in events.lifts
-            cost -= 2 * math.log(priors.lift if is_lifted else 1 - priors.lift)
-            if cameras[view] in cameras[:view]:
-                is_moved = view in events.moves
-                cost -= 2 * math.log(priors.move if is_moved else 1 - priors.move)
             if not is_lifted:
                 cost += float(np.linalg.slogdet(2 * math.pi * self.gaps[view].covariance)[1])
             elif view not in self.held:

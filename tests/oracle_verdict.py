@@ -67,8 +67,9 @@ class Verdict:
 
     @property
     def is_located(self) -> bool:
-        """One place holds all but EVIDENCE of what places it at all, which is more than half."""
-        return self.elsewhere <= EVIDENCE and self.by_wrong + self.by_lift < 0.5
+        """One place holds all but EVIDENCE of what does not take all its sightings to be wrong, and
+        that is more than half."""
+        return self.elsewhere + self.by_lift <= EVIDENCE and self.by_wrong < 0.5
 
     @property
     def is_confirmed(self) -> bool:
@@ -77,7 +78,7 @@ class Verdict:
 
     def is_clear(self, factor: float = 30.0) -> bool:
         """Whether the verdict does not hang on a factor of this size in the odds."""
-        return not EVIDENCE / factor < self.elsewhere < EVIDENCE * factor
+        return not EVIDENCE / factor < self.elsewhere + self.by_lift < EVIDENCE * factor
 
 
 def verdict_of(camera: str, scored: list[Scored], masses: Array) -> Verdict:

@@ -27,17 +27,21 @@ _APART = 400.0
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Prior probabilities: of a wrong sighting, each; of a lift, each gap between views (and before
-    the first); of a moved camera, each interval between its views. `room`: m, of the box in which
-    cameras hang and robots drive. `is_above_floor`: no camera hangs below it; `is_opaque`: no face
-    is seen through another one, nor from behind."""
+    """Prior probabilities: of a wrong sighting, each; that anybody meddled in the session, and in
+    one that was meddled in of an event, each: a lift between two views, a camera moved between two
+    of its views. `room`: m, of the box in which cameras hang and robots drive. `is_above_floor`: no
+    camera hangs below it; `is_opaque`: no face is seen through another one, nor from behind."""
 
     wrong: float = 0.02
-    lift: float = 1e-4
-    move: float = 1e-4
+    disturbed: float = 1e-6
+    event: float = 1e-2
     room: tuple[float, float, float] = (30.0, 30.0, 5.0)
     is_above_floor: bool = True
     is_opaque: bool = True
+
+    def happened(self, count: int) -> float:
+        """-2 ln of so many events."""
+        return -2 * math.log(self.disturbed) - 2 * count * math.log(self.event) if count else 0.0
 
     @property
     def camera_room(self) -> float:

@@ -28,6 +28,8 @@ from .sightings import alone
 # apart than any limit by their whole covariance.
 _FAR_SIGMAS = 7.0
 _LEAST_VARIANCE = 1e-12
+# One of so many sightings, spread over a visit, is right.
+_MOST_SEEDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +76,16 @@ def starts_of(
     if ways is None:
         return []
     there = Pose.stack(list(poses.values()))
-    cameras = there[ways.picture] @ ways.camera_from_base.inverse()
-    misfit = _misfit(data, observations, ways, there, cameras, drift, events)
+    seeds = _seeds(ways)
+    cameras = there[ways.picture[seeds]] @ ways.camera_from_base[seeds].inverse()
+    misfit = _misfit(data, observations, ways, seeds, there, drift, events)
     limit = events.pose_score + events.wrong_score
     cost = np.full((len(cameras), len(sightings)), limit)
     for sighting in range(len(sightings)):
         mine = ways.sighting == sighting
         if np.any(mine):
             cost[:, sighting] = np.minimum(misfit[:, mine].min(axis=1), limit)
-    total = cost.sum(axis=1) + ways.excess
+    total = cost.sum(axis=1) + ways.excess[seeds]
     found: list[Start] = []
     is_open = np.ones(len(cameras), dtype=bool)
     for row in np.argsort(total, kind="stable"):
@@ -92,6 +95,14 @@ def starts_of(
             is_open &= ~are_same_pose(cameras, cameras[row])
             found.append(Start(cameras[row], _wrong(observations, sightings, cost[row] >= limit)))
     return found
+
+
+def _seeds(ways: _Ways) -> np.ndarray:
+    """The ways (s,) to read some sightings, spread over the visit."""
+    sightings = np.unique(ways.sighting)
+    if len(sightings) > _MOST_SEEDS:
+        sightings = sightings[np.linspace(0, len(sightings) - 1, _MOST_SEEDS).round().astype(int)]
+    return np.flatnonzero(np.isin(ways.sighting, sightings))
 
 
 def _wrong(
@@ -165,7 +176,9 @@ def _covariances(
         covariance = covariance + by @ np.swapaxes(by, 1, 2)
     shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
     for row, candidate in enumerate(found):
-        arm_m = np.linalg.norm(target.faces[candidate.readings[0].face].base_from_face.translation)
+        arm_m = float(
+            np.linalg.norm(target.faces[candidate.readings[0].face].base_from_face.translation)
+        )
         variances = np.repeat([shift**2 + (turn * arm_m) ** 2, turn**2], 3)
         covariance[row] += np.diag(variances + _LEAST_VARIANCE)
     return covariance
@@ -178,56 +191,55 @@ def _misfit(
     data: DataSet,
     observations: dict[int, Observation],
     ways: _Ways,
+    seeds: np.ndarray,
     there: Pose,
-    cameras: Pose,
     drift: Array,
     events: Events,
 ) -> Array:
-    """What it costs that a way (n, by row) is right and another one too (n, by column): infinite
+    """What it costs that a seed (s, by row) is right and another way too (n, by column): infinite
     where they are far apart; those of one sighting exclude each other."""
     first = next(iter(observations.values()))
-    turn = cameras.rotation
-    odometry = there[ways.picture]
-    predicted = np.einsum("aij,bj->abi", turn, ways.camera_from_base.translation)
+    shown, pictures = ways.camera_from_base, ways.picture
+    odometry = there[pictures]
+    cameras = odometry[seeds] @ shown[seeds].inverse()
+    turn, seen = cameras.rotation, shown.translation
+    predicted = np.einsum("aij,bj->abi", turn, seen)
     shift = predicted + cameras.translation[:, None] - odometry.translation
-    seen = ways.camera_from_base.translation
-    lever = np.sum((seen[None] - seen[:, None]) ** 2, axis=-1)
+    lever = np.sum((seen[None] - seen[seeds, None]) ** 2, axis=-1)
     extra = _of_pictures(data, first, observations, there)
     shifts = np.trace(ways.covariance[:, :3, :3], axis1=1, axis2=2)
     turns = np.trace(ways.covariance[:, 3:, 3:], axis1=1, axis2=2)
-    loose = np.trace(extra, axis1=1, axis2=2)[ways.picture]
-    between = np.trace(drift[..., :3, :3], axis1=2, axis2=3)[ways.picture][:, ways.picture]
-    variance = 2 * (shifts[:, None] + lever * turns[:, None]) + shifts + between
-    variance += loose + (1 + lever) * loose[:, None]
+    loose = np.trace(extra, axis1=1, axis2=2)[pictures]
+    between = np.trace(drift[..., :3, :3], axis1=2, axis2=3)[np.ix_(pictures[seeds], pictures)]
+    variance = 2 * (shifts[seeds, None] + lever * turns[seeds, None]) + shifts + between
+    variance += loose + (1 + lever) * loose[seeds, None]
     is_near = np.sum(shift**2, axis=-1) < _FAR_SIGMAS**2 * variance
-    is_near &= ways.sighting[:, None] != ways.sighting
+    is_near &= ways.sighting[seeds, None] != ways.sighting
     misfit = np.full(is_near.shape, np.inf)
-    misfit[np.arange(len(seen)), np.arange(len(seen))] = 0.0
+    misfit[np.arange(len(seeds)), seeds] = 0.0
     rows, columns = np.nonzero(is_near)
     if not len(rows):
         return misfit
+    axes = np.zeros((len(turn), 6, 6))
+    axes[:, :3, :3] = axes[:, 3:, 3:] = turn
+    back = np.swapaxes(axes, 1, 2)
+    own = axes @ ways.covariance[seeds] @ back + extra[pictures[seeds]]
+    turned = turn[rows] @ shown.rotation[columns]
     error = np.concatenate(
         [
             shift[rows, columns],
-            so3.log(
-                turn[rows]
-                @ ways.camera_from_base.rotation[columns]
-                @ np.swapaxes(odometry.rotation[columns], 1, 2)
-            ),
+            so3.log(turned @ np.swapaxes(odometry.rotation[columns], 1, 2)),
         ],
         axis=-1,
     )
-    axes = np.zeros((len(turn), 6, 6))
-    axes[:, :3, :3] = axes[:, 3:, 3:] = turn
-    own = axes @ ways.covariance @ np.swapaxes(axes, 1, 2) + extra[ways.picture]
     # Where the other picture's robot is, by how this one's is off: it turns about where this is.
     by_first = np.tile(-np.eye(6), (len(rows), 1, 1))
-    by_first[:, :3, 3:] = so3.hat((turn[rows] @ (seen[columns] - seen[rows])[..., None])[..., 0])
+    away = seen[columns] - seen[seeds[rows]]
+    by_first[:, :3, 3:] = so3.hat((turn[rows] @ away[..., None])[..., 0])
     # The second one's own covariance is in the same axes, those of the first's camera.
-    second = axes[rows] @ ways.covariance[columns] @ np.swapaxes(axes[rows], 1, 2)
+    second = axes[rows] @ ways.covariance[columns] @ back[rows]
     spread = by_first @ own[rows] @ np.swapaxes(by_first, 1, 2)
-    spread += second + extra[ways.picture[columns]]
-    spread += drift[ways.picture[rows], ways.picture[columns]]
+    spread += second + extra[pictures[columns]] + drift[pictures[seeds[rows]], pictures[columns]]
     pulled = np.linalg.solve(spread, error[..., None])[..., 0]
     room = np.minimum(np.linalg.slogdet(spread)[1], events.pose_score)
     misfit[rows, columns] = np.sum(error * pulled, axis=-1) + room + ways.excess[columns]

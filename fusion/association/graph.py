@@ -24,8 +24,9 @@ from .local import Mode
 from .modes import VisitModes, odometry_poses
 
 _SCALE_STEP = 0.01
-HELD = 1e-9
-"""Sigma of what is known exactly."""
+HELD = 1e-6
+"""Sigma (m, rad, and of scales) of what is known exactly: far below what any sighting tells, and
+not so far that beside a gap in odometry nothing is left of it in a number's digits."""
 Place = tuple[str, int]
 """A camera and which of its places, counted from 0 in the order in which it hung there."""
 Break = tuple[str, int]
@@ -108,7 +109,7 @@ class RobotPath:
         covariance = np.zeros((0, d, d))
         if len(self.stamps_ns) > 1:
             whole = track.motion(self.stamps_ns, np.zeros(2)).covariance
-            covariance = whole[:, self.tangent][:, :, self.tangent]
+            covariance = whole[:, self.tangent][:, :, self.tangent] + HELD**2 * np.eye(d)
         self.information = np.linalg.inv(covariance)
         self.log_covariance = np.linalg.slogdet(covariance)[1]
 

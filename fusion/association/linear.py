@@ -180,5 +180,5 @@ def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
         put(columns.scales, priors.scales[batch.robot])
     if columns.faces:
         expected, shift, turn = priors.faces[batch.robot]
-        put(columns.faces, np.tile(np.repeat([shift, turn], 3), len(expected)))
+        put(columns.faces, np.tile(np.repeat(np.array([shift, turn]), 3), len(expected)))
     return np.diag(information)

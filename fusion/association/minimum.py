@@ -122,16 +122,24 @@ class _Minimum:
         """The minima."""
         for _ in range(_MOST_STEPS):
             self._linearise()
-            step = -np.linalg.solve(self.matrix, self.gradient[..., None])[..., 0]
+            scale = self._scale()
+            scaled = self.matrix * scale[:, :, None] * scale[:, None]
+            step = -scale * np.linalg.solve(scaled, (scale * self.gradient)[..., None])[..., 0]
             gain = -np.sum(step * self.gradient, axis=1)
             self._move(step)
             if np.all((np.abs(step).max(axis=1, initial=0.0) < _SMALL_STEP) | (gain < _SMALL_GAIN)):
                 break
         self._linearise()
-        factor = np.linalg.cholesky(self.matrix)
+        scale = self._scale()
+        factor = np.linalg.cholesky(self.matrix * scale[:, :, None] * scale[:, None])
+        factor = factor / scale[..., None]
         diagonal = np.diagonal(factor, axis1=1, axis2=2)
         score = self.cost + 2 * np.sum(np.log(diagonal), axis=1)
         return [self._placed(row, factor, score[row]) for row in range(len(self.variants))]
+
+    def _scale(self) -> Array:
+        """(b, n): what is known exactly and what is hardly known have equations of one size."""
+        return 1 / np.sqrt(np.diagonal(self.matrix, axis1=1, axis2=2))
 
     def _placed(self, row: int, factor: Array, score: float) -> Placed | None:
         score += self._constant(row)

@@ -166,12 +166,15 @@ class ModeFinder:
     def _unmasked(self, visit: Visit, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """Modes beside the best ones, in which other sightings are wrong."""
         others = []
+        known = {tuple(_wrong(mode).items()) for mode in found}
         for mode in found:
-            if mode.evidence > found[0].evidence + _WINDOW:
+            if mode.evidence > found[0].evidence + window():
                 break
-            now = {i: tuple(r is None for r in row) for i, row in mode.readings.items()}
             for wrong in problem.likeliest_wrong(mode):
-                other = problem.mode_near(mode.camera, wrong) if wrong != now else None
+                if tuple(wrong.items()) in known:
+                    continue
+                known.add(tuple(wrong.items()))
+                other = problem.mode_near(mode.camera, wrong)
                 if other is not None and not self._is_below_floor(visit, other):
                     others.append(other)
         return others
@@ -263,6 +266,11 @@ def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:
     after_s = (moments - track.stamps_ns[rows]) / 1e9
     carried, _ = track.carried(track.stamps_ns[rows], after_s, np.zeros(2))
     return track.odom_from_base[rows] @ carried
+
+
+def _wrong(mode: Mode) -> dict[int, tuple[bool, ...]]:
+    """Which sightings are wrong by a mode."""
+    return {i: tuple(reading is None for reading in row) for i, row in mode.readings.items()}
 
 
 def distinct(found: Iterable[Mode]) -> list[Mode]:

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from trigpoint.fusion.association.noise import Noise, VisitResiduals, corner_scale, learn
+from trigpoint.fusion.association.linear import Linear
+from trigpoint.fusion.association.noise import Noise, corner_scale, learn
 
 
-def visit(seed: int, noise: Noise, pictures: int = 12) -> VisitResiduals:
+def visit(seed: int, noise: Noise, pictures: int = 12) -> Linear:
     """A visit to a camera of a robot that is moved in space: pictures of 2 mm and 1 mrad, odometry
     of 5 mm and 5 mrad a step, with the noise."""
     random = np.random.default_rng(seed)
@@ -29,15 +30,18 @@ def visit(seed: int, noise: Noise, pictures: int = 12) -> VisitResiduals:
             by_steps[number, :, 3 * number - 3 : 3 * number] = -np.eye(3)
     spread = np.sqrt(np.diagonal(own) + jitter)
     walk = np.sqrt(noise.odometry**2 * np.diagonal(step) + noise.slip**2 * np.diagonal(slip))
-    return VisitResiduals(
+    return Linear(
         shifts=random.normal(size=(pictures, 6)) * spread,
         own=np.tile(own, (pictures, 1, 1)),
         by_unknowns=by_unknowns,
+        parts=list(range(pictures)),
         steps=random.normal(size=(pictures - 1, 3)) * walk,
         steps_by_unknowns=by_steps,
+        spread=np.tile(step + slip, (pictures - 1, 1, 1)),
         by_odometry=np.tile(step, (pictures - 1, 1, 1)),
         by_slip=np.tile(slip, (pictures - 1, 1, 1)),
         prior=np.zeros((count, count)),
+        camera=np.arange(count - 6, count),
     )
 
 
