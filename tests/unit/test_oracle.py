@@ -227,12 +227,17 @@ def test_what_happened_is_the_best_explanation(
 
 
 def test_a_lift_that_no_picture_tells_costs_its_prior_and_places_nothing() -> None:
-    session = small_session(_PLAIN)
-    explanations = session.oracle().explanations
-    [lifted] = [e for e in explanations if e.explanation.lifts == {0}]
-    assert lifted.cost - explanations[0].cost == pytest.approx(-2 * math.log(1e-4), abs=0.01)
-    assert lifted.places == {}
-    assert lifted.cut_off == {"c1"}
+    session = small_session(Shape(0, (0, 1), is_alike=False))
+    oracle = session.oracle()
+    best = oracle.explanations[0]
+    [lifted] = [
+        e
+        for e in oracle.explanations
+        if e.explanation.lifts == {1} and e.labels == best.labels and not e.explanation.moves
+    ]
+    assert lifted.cost - best.cost == pytest.approx(oracle.priors.happened(1), abs=0.01)
+    assert set(lifted.places) == {"c1"}
+    assert lifted.cut_off == {"c2"}
 
 
 def test_bounds_leave_out_nothing_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
