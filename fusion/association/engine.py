@@ -433,7 +433,9 @@ class _Outcome:
             for n, v in enumerate(self.best.visits)
             if v.visit.robot == robot and self.best.graph.node_of[n] <= gap
         ]
-        return max([int(stamps[gap]), *after]), int(stamps[gap + 1])
+        before = int(stamps[gap + 1])
+        # A visit that goes on where others begin anew has nothing in it that says when.
+        return max([int(stamps[gap]), *(until for until in after if until < before)]), before
 
     def _moves(self) -> list[Moved]:
         found = []

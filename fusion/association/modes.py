@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.fusion.dataset import DataSet
 from trigpoint.fusion.faces import candidates, is_same_pose
-from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.observations import Observation, Reading
 from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -109,18 +109,16 @@ class ModeFinder:
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
     def _cut(self, found: VisitModes) -> int | None:
-        """Where to cut a visit: before (or after) the pictures that its best mode uses, those at
-        one end are wrong with two sightings at the least."""
+        """Where to cut a visit, one end of which contradicts its best mode: at the first picture,
+        or after the last one, that does not."""
         if not found.modes:
             return None
         chosen, readings = found.visit.chosen, found.modes[0].readings
-        used = [order for order, i in enumerate(chosen) if any(r is not None for r in readings[i])]
-        before, after = chosen[: used[0]], chosen[used[-1] + 1 :]
-        if after and sum(len(readings[i]) for i in after) > 1:
-            return found.visit.indices.index(after[0])
-        if before and sum(len(readings[i]) for i in before) > 1:
-            return found.visit.indices.index(before[-1]) + 1
-        return None
+        if not (_is_wrong(readings[chosen[0]]) or _is_wrong(readings[chosen[-1]])):
+            return None
+        readings = self.completed(found.visit, found.modes[0]).readings
+        right = [o for o, i in enumerate(found.visit.indices) if not _is_wrong(readings[i])]
+        return right[0] if right[0] > 0 else right[-1] + 1
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""
@@ -266,6 +264,10 @@ def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:
     after_s = (moments - track.stamps_ns[rows]) / 1e9
     carried, _ = track.carried(track.stamps_ns[rows], after_s, np.zeros(2))
     return track.odom_from_base[rows] @ carried
+
+
+def _is_wrong(readings: tuple[Reading | None, ...]) -> bool:
+    return all(reading is None for reading in readings)
 
 
 def _wrong(mode: Mode) -> dict[int, tuple[bool, ...]]:

@@ -20,6 +20,7 @@ def test_page_names_what_broke_and_who_lost() -> None:
             "t": 50.0,
             "heard": {"odom": {"count": 5, "last": 50.0, "latencies": [0.01, 0.02]}},
             "losses": {"edge/c1 7": {"pictures.lost": 3, "level": 1}},
+            "maps": ["one"],
         }
     ]
     record = Record(100.0, samples, [Break(10.0, "router <killed>", "odom", 2.5)], heard)
