@@ -109,8 +109,8 @@ class ModeFinder:
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
     def _cut(self, found: VisitModes) -> int | None:
-        """Where to cut a visit, one end of which contradicts its best mode: at the first picture,
-        or after the last one, that does not."""
+        """Where to cut a visit, two pictures or more at one end of which contradict its best mode:
+        at the first picture, or after the last one, that does not."""
         if not found.modes:
             return None
         chosen, readings = found.visit.chosen, found.modes[0].readings
@@ -118,7 +118,10 @@ class ModeFinder:
             return None
         readings = self.completed(found.visit, found.modes[0]).readings
         right = [o for o, i in enumerate(found.visit.indices) if not _is_wrong(readings[i])]
-        return right[0] if right[0] > 0 else right[-1] + 1
+        # One by itself is wrong sooner than anything happened.
+        if right[0] > 1:
+            return right[0]
+        return right[-1] + 1 if right[-1] + 2 < len(found.visit.indices) else None
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""
