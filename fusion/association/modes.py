@@ -109,19 +109,24 @@ class ModeFinder:
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
     def _cut(self, found: VisitModes) -> int | None:
-        """Where to cut a visit, two pictures or more at one end of which contradict its best mode:
+        """Where to cut a visit, two sightings or more at one end of which contradict its best mode:
         at the first picture, or after the last one, that does not."""
         if not found.modes:
             return None
         chosen, readings = found.visit.chosen, found.modes[0].readings
         if not (_is_wrong(readings[chosen[0]]) or _is_wrong(readings[chosen[-1]])):
             return None
-        readings = self.completed(found.visit, found.modes[0]).readings
-        right = [o for o, i in enumerate(found.visit.indices) if not _is_wrong(readings[i])]
+        indices, readings = (
+            found.visit.indices,
+            self.completed(found.visit, found.modes[0]).readings,
+        )
+        right = [order for order, index in enumerate(indices) if not _is_wrong(readings[index])]
         # One by itself is wrong sooner than anything happened.
-        if right[0] > 1:
+        if sum(len(readings[index]) for index in indices[: right[0]]) > 1:
             return right[0]
-        return right[-1] + 1 if right[-1] + 2 < len(found.visit.indices) else None
+        if sum(len(readings[index]) for index in indices[right[-1] + 1 :]) > 1:
+            return right[-1] + 1
+        return None
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window."""

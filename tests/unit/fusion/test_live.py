@@ -164,7 +164,7 @@ def test_no_transform_grows_older_than_a_second_while_nobody_is_seen(charuco: Se
     sightings = [m for _, m in charuco.messages if isinstance(m, Sightings) and m.faces]
     until_ns = sightings[len(sightings) // 2].stamp_ns
     # From the drive's middle on, no camera sees anything any more.
-    come = [
+    come: list[tuple[int, str, Message]] = [
         (message.stamp_ns, node, message)
         for node, message in charuco.messages
         if isinstance(message, Odometry)

@@ -1,0 +1,77 @@
+"""What hangs on one gap of odometry alone."""
+
+import numpy as np
+import pytest
+from small_sessions import Shape, small_session
+
+from trigpoint.fusion.association.bridges import tied_twice
+from trigpoint.fusion.association.engine import explain
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.graph import Graph, Tie, Variant
+from trigpoint.fusion.association.minimum import placed
+from trigpoint.fusion.association.modes import ModeFinder
+from trigpoint.fusion.association.visits import visit_of
+from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+
+
+def graph_of(shape: Shape) -> Graph:
+    """A graph in which every picture is a visit of its own."""
+    data, observations = data_of(shape)
+    finder = ModeFinder(data, observations, Events())
+    visits = [finder.modes_of(visit_of(observations, [i])) for i in range(len(observations))]
+    return Graph(data, visits, Events())
+
+
+def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
+    session = small_session(shape)
+    inputs = Inputs(session.site, {"r1": session.target})
+    pipeline = Pipeline(inputs, is_live=False)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        pipeline.advance()
+    pipeline.finish()
+    data = pipeline._data  # pyright: ignore[reportPrivateUsage]
+    return data, [entry.observation for entry in data.entries]
+
+
+def test_loop_that_closes_ties_everything_on_it_and_nothing_after() -> None:
+    graph = graph_of(Shape(0, (0, 1, 0, 2), is_alike=False))
+    tied = tied_twice(graph, {0: Tie(0, 0), 2: Tie(0, 0)}, {1: 0, 3: 0}, frozenset())
+    assert ("c1", 0) in tied
+    assert ("c2", 0) in tied  # either way round the loop
+    assert ("c3", 0) not in tied
+
+
+def test_without_a_loop_only_where_the_map_begins_is_sure() -> None:
+    graph = graph_of(Shape(0, (0, 1), is_alike=False))
+    assert {
+        spot for spot in tied_twice(graph, {}, {0: 0, 1: 0}, frozenset()) if "c" in spot[0]
+    } == {("c1", 0)}
+
+
+def test_variants_together_are_placed_as_each_alone() -> None:
+    graph = graph_of(Shape(2, (0, 1, 0), is_alike=True))
+    count = len(graph.visits[2].modes)
+    assert count > 1
+    variants = [
+        Variant({0: Tie(0, 0), 2: Tie(mode, 0)}, breaks)
+        for mode in range(count)
+        for breaks in (frozenset(), frozenset({("r1", 1)}))
+    ]
+    together = placed(graph, variants)
+    for variant, found in zip(variants, together, strict=True):
+        (alone,) = placed(graph, [variant])
+        assert (found is None) == (alone is None)
+        if found is not None and alone is not None:
+            assert found.score == pytest.approx(alone.score, abs=1e-2)
+            rows = found.layout.places["c1", 0]
+            assert np.allclose(found.covariance(rows), alone.covariance(rows), rtol=1e-3)
+
+
+def test_explanation_of_nothing_wrong_has_no_events() -> None:
+    data, observations = data_of(Shape(0, (0, 1, 0), is_alike=False))
+    found = explain(data, observations)
+    assert not found.lifts
+    assert not found.moves
