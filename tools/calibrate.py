@@ -17,7 +17,7 @@ from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
-from trigpoint.network import CameraRecord, encode_network
+from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.terminal import Progress, table
 from trigpoint.tools.building_alignment import Alignment, align, alignment_text
@@ -201,6 +201,8 @@ def _print(results: Results, error: NetworkError | None) -> None:
     for name, camera in cameras:
         for reason in camera.undetermined:
             typer.echo(f"{name} is not determined: {reason}")
+        if camera.status == "located" and not camera.confirmed:
+            typer.echo(f"{name} {ON_ONE_SIGHTING}")
     if results.network.statistics.chi2_per_dof is not None:
         typer.echo(noise_text(results.network.statistics.chi2_per_dof))
     if error and error.distance is not None:

@@ -15,6 +15,11 @@ from .geometry.camera import LensModel
 from .geometry.rotation import Array
 
 FORMAT = "trigpoint-network/1"
+ON_ONE_SIGHTING = (
+    "rests on one sighting alone, which may have been wrong; drive past it again, where it sees "
+    "the robot from elsewhere"
+)
+"""What is to be said of a located camera that is not `confirmed`."""
 
 Status = Literal["located", "undetermined", "unseen"]
 

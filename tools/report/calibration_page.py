@@ -3,7 +3,7 @@
 from html import escape
 
 from trigpoint import __version__
-from trigpoint.network import CameraRecord
+from trigpoint.network import ON_ONE_SIGHTING, CameraRecord
 
 from .building_section import building_section
 from .calibration import CalibrationResults
@@ -34,6 +34,7 @@ def calibration_page(results: CalibrationResults) -> str:
         "main",
         _header(results),
         _undetermined(results),
+        _unconfirmed(results),
         tiles(results),
         _map(results),
         building_section(results),
@@ -80,6 +81,18 @@ def _undetermined(results: CalibrationResults) -> str:
     if not items:
         return ""
     title = element("b", "What the session does not determine")
+    return element("div", title, element("ul", *items), class_="failures")
+
+
+def _unconfirmed(results: CalibrationResults) -> str:
+    items = [
+        element("li", element("b", escape(name)), escape(f" {ON_ONE_SIGHTING}"))
+        for name, camera in results.network.cameras.items()
+        if camera.map_from_camera is not None and not camera.confirmed
+    ]
+    if not items:
+        return ""
+    title = element("b", "Located, and not confirmed")
     return element("div", title, element("ul", *items), class_="failures")
 
 

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from drives import CameraPlan, lab_cameras, lab_plan, looking_at, make_session, write_session
@@ -154,6 +155,13 @@ def test_undetermined_camera_tells_why_and_where_the_robot_stood() -> None:
         in text
     )
     assert "c3 : it never saw a robot's target" in text
+
+
+def test_camera_on_one_sighting_is_named() -> None:
+    alone = msgspec.structs.replace(located((2.0, 3.0, 1.6), 0.05), confirmed=False)
+    text = words(calibration_page(make_results(cameras={"c1": located(), "c2": alone})))
+    assert "c2 rests on one sighting alone" in text
+    assert "c1 rests" not in text
 
 
 def test_next_pose_stands_with_what_it_improves() -> None:
