@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.bound import session_bound
 from trigpoint.tools.calibrate import calibrated

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import gtsam  # pyright: ignore[reportMissingImports] - of the extra `bench`
 import numpy as np
 
-from trigpoint.fusion.problem import Batch, Chain, Problem, State
+from trigpoint.fusion.model.problem import Batch, Chain, Problem, State
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -154,7 +154,7 @@ def _add_moved(factors: gtsam.NonlinearFactorGraph, problem: Problem, chain: Cha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moved:
-    """A reported motion; its residual is `models.odometry_terms`'s."""
+    """A reported motion; its residual is `prediction.odometry_terms`'s."""
 
     reported: Pose
 

@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from trigpoint.fusion.bound import oracle_problem
-from trigpoint.fusion.odometry_track import composed
-from trigpoint.fusion.problem import Problem, State
-from trigpoint.fusion.solver import solve
+from trigpoint.fusion.model.odometry import composed
+from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
+from trigpoint.tools.cramer_rao import oracle_problem
 
 from . import factor_graph
 from .factor_graph import Graph, Solved

@@ -29,8 +29,8 @@ from trigpoint.cdr import decode
 from trigpoint.clock import to_ns
 from trigpoint.config import load_site
 from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import load_world

@@ -19,9 +19,9 @@ import typer
 
 from trigpoint import cdr
 from trigpoint.clock import to_ns, to_seconds
-from trigpoint.fusion.heap import give_back_large
+from trigpoint.fusion.live.memory import give_back_large
+from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.messages import Odometry, Sightings
 
 from .corridor import EPOCH_NS, Corridor

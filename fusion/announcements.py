@@ -17,7 +17,7 @@ from trigpoint.target import Target
 from trigpoint.topics import Topic
 
 from .coverage import coverage
-from .estimator import CameraEstimate
+from .estimators.interface import CameraEstimate
 
 # A transform that is not repeated within a second is taken for a stale one by what draws it.
 _PERIOD_NS = to_ns(0.7)

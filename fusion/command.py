@@ -16,12 +16,12 @@ from trigpoint.config import load_site
 from trigpoint.errors import OperationError
 from trigpoint.node import Node, stopped_by_signals
 
-from .heap import give_back_large
 from .inputs import load_inputs
+from .live.memory import give_back_large
+from .live.solver_messages import Solver
+from .live.solver_process import START_S, SolverProcess
 from .node import KIND, NAME, FusionNode
-from .orders import Solver
 from .pipeline import Inputs
-from .solver_process import START_S, SolverProcess
 
 _log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from trigpoint.geometry import CameraModel
 from trigpoint.network import load_covariance, load_network
 from trigpoint.target import Target, load_target
 
-from .dataset import KnownCameras, known_cameras
-from .estimators import check_estimator
+from .estimators.registry import check_estimator
+from .model.dataset import KnownCameras, known_cameras
 from .pipeline import Inputs
 
 

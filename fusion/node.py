@@ -19,14 +19,14 @@ from trigpoint.node import Node
 from trigpoint.topics import Topic, command_key
 from trigpoint.watchdog import Pulse
 
-from .admission import AHEAD_NS, Admission
 from .checkpoint import Checkpoint
-from .guidance_world import GuidanceWorld
-from .guide import Guide
-from .orders import Solver
+from .diagnostics import Troubles
+from .fair_lock import Turns
+from .intake.admission import AHEAD_NS, Admission
+from .live.guidance_thread import Guide
+from .live.solver_messages import Solver
 from .pipeline import Inputs, Output, Pipeline
-from .troubles import Troubles
-from .turns import Turns
+from .solver.snapshot import GuidanceWorld
 
 KIND = "fusion"
 NAME = "fusion"

@@ -30,19 +30,19 @@ from trigpoint.target import Target
 from trigpoint.topics import Topic
 
 from .announcements import CameraAnnouncements, Output
-from .dataset import DataSet, Event, KnownCameras
-from .estimator import CameraEstimate, Collecting, Estimator, Inspectable, Live, Sampled
-from .estimators import make_estimator
-from .filter import RobotEstimate
-from .follower import Follower
-from .guidance_world import GuidanceWorld
-from .intake import Intake
-from .observations import Observation
-from .odometry_track import Added
-from .orders import Solver, Suggested
-from .residuals import CameraResiduals
-from .results import Results, map_id_of, results_of
-from .shared import SharedLooks
+from .estimators.interface import CameraEstimate, Collecting, Estimator, Inspectable, Live, Sampled
+from .estimators.registry import make_estimator
+from .estimators.residuals import CameraResiduals
+from .estimators.results import Results, map_id_of, results_of
+from .intake.message_intake import Intake
+from .intake.robot_identity import SharedLooks
+from .live.follower import Follower
+from .live.solver_messages import Solver, Suggested
+from .model.dataset import DataSet, Event, KnownCameras
+from .model.observations import Observation
+from .model.odometry import Added
+from .solver.filter import RobotEstimate
+from .solver.snapshot import GuidanceWorld
 
 _TF_PERIOD_NS = to_ns(0.1)
 _PARTICLES_PERIOD_NS = to_ns(0.5)

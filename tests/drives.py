@@ -15,10 +15,10 @@ import numpy as np
 from trigpoint import cdr, topics
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise, parse_site
-from trigpoint.fusion.dataset import DataSet, Entry
-from trigpoint.fusion.intake import Intake
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.intake.message_intake import Intake
+from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
-from trigpoint.fusion.results import Results
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

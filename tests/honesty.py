@@ -7,7 +7,7 @@ from dataclasses import replace
 from drives import Session
 from scipy.stats import chi2
 
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry.uncertainty import is_positive_semidefinite
 from trigpoint.messages import Message
 from trigpoint.network import encode_network

@@ -9,10 +9,9 @@ from drives import EPOCH_NS, lens, looking_at
 
 from trigpoint.clock import to_ns
 from trigpoint.config import parse_site
-from trigpoint.fusion.assembly import Assembled, assemble
-from trigpoint.fusion.dataset import DataSet, Entry, KnownCameras
-from trigpoint.fusion.equations import NormalEquations
-from trigpoint.fusion.observations import (
+from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras
+from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
     Verdict,
@@ -21,10 +20,11 @@ from trigpoint.fusion.observations import (
     face_points,
     observation_of,
 )
-from trigpoint.fusion.odometry_track import OdometryTrack
-from trigpoint.fusion.problem import CameraState, Problem, RobotState, State
-from trigpoint.fusion.shutter import sweep_of
-from trigpoint.fusion.solver import moved_state
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.problem import CameraState, Problem, RobotState, State
+from trigpoint.fusion.model.rolling_shutter import sweep_of
+from trigpoint.fusion.solver.levenberg_marquardt import moved_state
+from trigpoint.fusion.solver.normal_equations import NormalEquations
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 
 from trigpoint.errors import InputError
-from trigpoint.fusion.bound import Bound, Oracle, cramer_rao
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.intake import Intake
+from trigpoint.fusion.intake.message_intake import Intake
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.messages import CameraInfo, Odometry, Sightings
 from trigpoint.network import decode_tum
 from trigpoint.recorder.recording import Recording
 
 from .calibrate import messages_of
+from .cramer_rao import Bound, Oracle, cramer_rao
 from .truth import load_truth
 
 

@@ -10,7 +10,7 @@ from trigpoint.building import Building, lay_network, save_building
 from trigpoint.config import Site
 from trigpoint.errors import InputError
 from trigpoint.floor_plan import FloorPlan
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.terminal import table
 
 

@@ -12,10 +12,10 @@ from trigpoint import cdr, topics
 from trigpoint.building import attached_plan, load_plan
 from trigpoint.config import load_site
 from trigpoint.errors import InputError, MessageError, writing
-from trigpoint.fusion.estimators import check_estimator
+from trigpoint.fusion.estimators.registry import check_estimator
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.fusion.results import Results
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording

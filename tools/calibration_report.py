@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from trigpoint.errors import writing
-from trigpoint.fusion.guidance import Suggestion, next_poses
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.guidance.suggestions import Suggestion, next_poses
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.results import Results
 from trigpoint.tools.building_alignment import Alignment
 from trigpoint.tools.report.calibration import CalibrationResults
 from trigpoint.tools.report.calibration_page import calibration_page

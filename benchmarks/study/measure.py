@@ -8,10 +8,10 @@ import time
 import msgspec
 import numpy as np
 
-from trigpoint.fusion.bound import Bound
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.tools.cramer_rao import Bound
 
 from .session import StudySession, simulated_session, worked_out
 

@@ -6,19 +6,19 @@ import msgspec
 import numpy as np
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.bound import Bound, Oracle, cramer_rao
-from trigpoint.fusion.dataset import DataSet, KnownCameras
-from trigpoint.fusion.observations import (
+from trigpoint.fusion.model.dataset import DataSet, KnownCameras
+from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
     base_from_faces,
     observation_of,
     view_of,
 )
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.fusion.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
+from trigpoint.tools.cramer_rao import Bound, Oracle, cramer_rao
 from trigpoint.tools.simulation.memory import Simulated, Truth
 from trigpoint.tools.simulation.wrong_sightings import Labelled
 

@@ -16,16 +16,16 @@ from trigpoint.config import (
     RobotConfig,
     Site,
 )
-from trigpoint.fusion.bound import Bound
-from trigpoint.fusion.dataset import KnownCameras
-from trigpoint.fusion.decidable_lifts import left_open
-from trigpoint.fusion.decidable_robots import left_open_by_robots
+from trigpoint.fusion.model.dataset import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import Message, Odometry, Sightings
+from trigpoint.tools.cramer_rao import Bound
 from trigpoint.tools.simulation.memory import Simulated, simulated
 from trigpoint.tools.simulation.world import World
 
+from .decidable_lifts import left_open
+from .decidable_robots import left_open_by_robots
 from .oracle import bound_of, known_to_oracle
 from .situation import Known, Situation
 from .situations import NEW_CAMERA, SITUATIONS

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.fusion.assembly import lens_sigmas
-from trigpoint.fusion.body import body_of, by_reading
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.faces import Candidate, are_same_pose, candidates
-from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.model.assembly import lens_sigmas
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
+from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.observations import Observation
-from trigpoint.fusion.problem import CameraState
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 
 from .agreement import seen_by

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.fusion.observations import Observation, Reading
-from trigpoint.fusion.problem import CameraState
+from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from trigpoint.fusion.assembly import lens_sigmas
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.odometry_track import PLANAR, SPATIAL
+from trigpoint.fusion.model.assembly import lens_sigmas
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from trigpoint.fusion.assembly import Assembled
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.models import base_jacobian, batch_jacobian, odometry_terms
-from trigpoint.fusion.odometry_track import SLIP
-from trigpoint.fusion.problem import Batch, Chain, Problem
+from trigpoint.fusion.model.assembly import Assembled
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.odometry import SLIP
+from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
 
 _EXACT = 1e-9

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from trigpoint.fusion.assembly import Assembled, assemble
-from trigpoint.fusion.dataset import DataSet, Entry
-from trigpoint.fusion.faces import best_reading
-from trigpoint.fusion.models import base_jacobian, batch_jacobian
-from trigpoint.fusion.observations import Observation, Reading, Verdict
-from trigpoint.fusion.problem import Batch, CameraState, State
-from trigpoint.fusion.solver import solve
+from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation, Reading, Verdict
+from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
+from trigpoint.fusion.model.problem import Batch, CameraState, State
+from trigpoint.fusion.reading.faces import best_reading
+from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.faces import candidates, is_same_pose
-from trigpoint.fusion.observations import Observation, Reading
-from trigpoint.fusion.problem import CameraState
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.reading.faces import candidates, is_same_pose
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from trigpoint.fusion.body import body_of, by_reading
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.faces import best_reading
-from trigpoint.fusion.observations import Observation, Reading, View
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.reading.faces import best_reading
+from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import msgspec
 
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.observations import LEAST_SIGMA_PX, Observation
-from trigpoint.fusion.odometry_track import SLIP
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import LEAST_SIGMA_PX, Observation
+from trigpoint.fusion.model.odometry import SLIP
 
 from .noise import Noise
 

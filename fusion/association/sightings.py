@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.fusion.observations import Observation, View, face_points
-from trigpoint.fusion.planar_pose import planar_poses
+from trigpoint.fusion.model.observations import Observation, View, face_points
+from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from trigpoint.fusion.equations import EXACT, linearise
-from trigpoint.fusion.problem import Problem, State
+from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.fusion.solver.normal_equations import EXACT, linearise
 from trigpoint.geometry.rotation import Array
 
 

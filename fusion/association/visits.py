@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
 
 # Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
 # a tenth of what a camera's distance is.

@@ -23,9 +23,9 @@ from trigpoint.clock import ManualClock, SystemClock
 from trigpoint.config import Site, load_site
 from trigpoint.errors import PortError
 from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.solver_process import SolverProcess
 from trigpoint.node import Node
 from trigpoint.recorder.mcap_writer import McapWriter
 from trigpoint.recorder.node import Recorder

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from builders import REAL_DATA
 
-from trigpoint.fusion.consistent import solve_consistently
-from trigpoint.fusion.dataset import DataSet
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.problem import State
+from trigpoint.fusion.solver.relinearisation import solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.network import encode_network
 from trigpoint.recorder.recording import open_recording

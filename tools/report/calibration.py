@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.building import Building
-from trigpoint.fusion.guidance import Suggestion
-from trigpoint.fusion.residuals import CameraResiduals
+from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.guidance.suggestions import Suggestion
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trigpoint.fusion.residuals import CameraResiduals
+from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.geometry.rotation import Array
 
 from .axes import Axes

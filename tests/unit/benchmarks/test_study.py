@@ -13,9 +13,9 @@ from benchmarks.study.session import StudySession, simulated_session, worked_out
 from benchmarks.study.situations import SITUATIONS
 from benchmarks.study.store import Store
 from benchmarks.study.summary import summary_of
-from trigpoint.fusion.bound import oracle_problem
-from trigpoint.fusion.equations import linearise
-from trigpoint.fusion.solver import solve
+from trigpoint.fusion.solver.levenberg_marquardt import solve
+from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.tools.cramer_rao import oracle_problem
 
 MEASURE = Measure(
     situation="drive",

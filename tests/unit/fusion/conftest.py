@@ -6,7 +6,7 @@ from msgspec import structs
 
 from benchmarks.study.session import StudySession, simulated_session
 from benchmarks.study.worlds import WORLDS
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 
 
 @pytest.fixture(scope="session")

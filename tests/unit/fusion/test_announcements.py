@@ -7,7 +7,7 @@ import numpy as np
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.fusion.announcements import CameraAnnouncements, Output
-from trigpoint.fusion.estimator import CameraEstimate
+from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.messages import PoseEstimate, Transforms
 from trigpoint.tools.simulation.targets import target_of

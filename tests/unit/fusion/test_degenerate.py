@@ -25,7 +25,7 @@ from drives import (
 from msgspec import structs
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry, Sightings
 from trigpoint.tools.simulation.targets import target_of

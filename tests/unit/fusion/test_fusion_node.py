@@ -19,9 +19,9 @@ from trigpoint.clock import ManualClock
 from trigpoint.correction import decode_mark
 from trigpoint.errors import OperationError
 from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.fusion.results import Results
 from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
 from trigpoint.network import decode_network, load_network
 from trigpoint.node import Node

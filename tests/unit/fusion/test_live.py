@@ -10,8 +10,8 @@ from msgspec import structs
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.correction import decode_mark
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Output, Pipeline
-from trigpoint.fusion.results import Results
 from trigpoint.messages import (
     CameraInfo,
     Message,

@@ -8,8 +8,8 @@ from drives import RobotPlan, Session, circle, lab_plan, make_session, offline, 
 from honesty import assert_honest
 from msgspec import structs
 
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_known
-from trigpoint.fusion.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry, Sightings
 from trigpoint.tools.simulation.targets import target_of

@@ -9,12 +9,12 @@ from drives import EPOCH_NS, Session, lab_plan, make_session, offline, write_ses
 
 from trigpoint.clock import to_ns
 from trigpoint.errors import InputError
-from trigpoint.fusion.bound import Bound
-from trigpoint.fusion.results import Results
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.bound import poses_at, session_bound
+from trigpoint.tools.cramer_rao import Bound
 from trigpoint.tools.session_inputs import session_inputs
 
 

@@ -11,8 +11,8 @@ from trigpoint.fusion.association.graph import Graph, Tie, Variant
 from trigpoint.fusion.association.minimum import placed
 from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.visits import visit_of
-from trigpoint.fusion.dataset import DataSet
-from trigpoint.fusion.observations import Observation
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 
 

@@ -13,8 +13,8 @@ from pages import read_page
 from trigpoint.building import Building
 from trigpoint.cli import run
 from trigpoint.floor_plan import FloorPlan
-from trigpoint.fusion.guidance import Suggestion
-from trigpoint.fusion.residuals import CameraResiduals
+from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.guidance.suggestions import Suggestion
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.network import (
     CameraRecord,

@@ -1,0 +1,61 @@
+"""Whether a camera's pictures decide where it is, asked by who knows the truth.
+
+An estimator that says «undetermined» is right where another pose explains what the camera saw as
+well as the true one does. Studies ask here, so that they count it as a fault only where it is one.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE, Hypothesis, distinct, refine
+from trigpoint.fusion.initialisation.cameras import is_below_floor
+from trigpoint.fusion.initialisation.start_poses import spread, starts_of
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.geometry import Pose
+
+_MOST_OBSERVATIONS = 24
+_MOST_RIVALS = 24
+
+
+def data_decide(data: DataSet, camera: str, true_pose: Pose, true_places: list[Pose]) -> bool:
+    """Whether the true pose fits a camera's observations better than every other by 25 of χ²."""
+    return lead_of_truth(data, camera, true_pose, true_places) >= DECISIVE
+
+
+def lead_of_truth(data: DataSet, camera: str, true_pose: Pose, true_places: list[Pose]) -> float:
+    """χ² by which the best other pose of a camera is worse than the one near the true one, both
+    worked out to their best; infinite where there is no other, negative where another is better.
+
+    `true_places`: map_from_base at each of the data set's entries. By the robot that tells most;
+    poses below the floor are no others (`initialisation.cameras`).
+    """
+    entries = [
+        replace(entry, map_from_base=pose)
+        for entry, pose in zip(data.entries, true_places, strict=True)
+    ]
+    known = DataSet(data.site, data.targets, data.lenses, data.known, data.tracks, entries)
+    robots = {e.observation.robot for e in entries if e.observation.camera == camera}
+    leads = [_lead(known, camera, robot, true_pose) for robot in sorted(robots)]
+    return max(leads, default=-np.inf)
+
+
+def _lead(data: DataSet, camera: str, robot: str, true_pose: Pose) -> float:
+    indices = [
+        index
+        for index, entry in enumerate(data.entries)
+        if (entry.observation.camera, entry.observation.robot) == (camera, robot)
+    ]
+    few, state = spread(indices, _MOST_OBSERVATIONS), data.first_state()
+    truth = refine(data, state, camera, true_pose, few)
+    if truth is None:
+        return -np.inf
+    starts = starts_of(data, camera, few, most=_MOST_RIVALS)
+    rivals = distinct(refine(data, state, camera, start, few) for start in starts)
+    return min(
+        (truth.lead(rival) for rival in rivals if _is_other(data, truth, rival)), default=np.inf
+    )
+
+
+def _is_other(data: DataSet, truth: Hypothesis, rival: Hypothesis) -> bool:
+    return not rival.is_like(truth) and not is_below_floor(data, rival)

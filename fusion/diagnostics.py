@@ -1,0 +1,84 @@
+"""What is wrong with what comes in, for as long as it is: in words, for the diagnostics.
+
+Pure: no bus, no clock.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from trigpoint import topics
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import Site
+
+from .intake.admission import Admission
+from .pipeline import Pipeline
+
+_STALE_NS = to_ns(3.0)
+"""For how long odometry must be old, or away, until that is told."""
+_TOLD_NS = to_ns(5.0)
+"""For how long something is told after the last message that was left out for it."""
+
+
+class Troubles:
+    """One site's. Not thread-safe. Times are monotonic, ns."""
+
+    def __init__(self, site: Site, admission: Admission) -> None:
+        self._site, self._admission = site, admission
+        self._reported: Counter[str] = Counter()
+        self._grown_ns: dict[str, int] = {}
+        self._stale_since_ns: dict[str, int] = {}
+        self._heard_ns: dict[str, int] = {}
+
+    def heard(self, key: str, now_ns: int) -> None:
+        """Something was taken of a key."""
+        self._heard_ns[key] = now_ns
+
+    def restart(self) -> None:
+        """The pipeline is a new one, whose counts begin anew."""
+        self._reported.clear()
+        self._reported.update(self._admission.counts)
+        self._stale_since_ns.clear()
+
+    def left_out(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, int]]:
+        """(reason, how many more were left out than when this was asked last)."""
+        for reason, count in (Counter(pipeline.left_out) + self._admission.counts).items():
+            more = count - self._reported[reason]
+            if more > 0:  # what is cleared up later was left out all the same
+                self._reported[reason] = count
+                self._grown_ns[reason] = now_ns
+                yield reason, more
+
+    def now(self, pipeline: Pipeline, now_ns: int) -> dict[str, str]:
+        """Name -> what is wrong now."""
+        found = dict(self._admission.troubles(now_ns))
+        for reason, text in pipeline.problems.items():
+            grown_ns = self._grown_ns.get(reason)
+            if grown_ns is not None and now_ns - grown_ns < _TOLD_NS:
+                found[reason] = text
+        return found | dict(self._stale(pipeline, now_ns)) | dict(self._silent(pipeline, now_ns))
+
+    def _stale(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Robots whose odometry is old for seconds."""
+        stale_ns = pipeline.stale_ns
+        for robot in self._stale_since_ns.keys() - stale_ns.keys():
+            del self._stale_since_ns[robot]
+        for robot, behind_ns in stale_ns.items():
+            since_ns = self._stale_since_ns.setdefault(robot, now_ns)
+            if now_ns - since_ns >= _STALE_NS:
+                yield (
+                    f"stale {robot}",
+                    f"the odometry of {robot} is stamped {to_seconds(behind_ns):.1f} s before what "
+                    "came already and is not used until it is past that; was its clock set back?",
+                )
+
+    def _silent(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Robots whose odometry does not come any more while cameras see them."""
+        for robot in self._site.robots:
+            heard_ns = self._heard_ns.get(topics.ODOMETRY.key(self._site.name, robot))
+            if heard_ns is None or now_ns - heard_ns < _STALE_NS or not pipeline.waits_for(robot):
+                continue
+            yield (
+                f"silent {robot}",
+                f"no odometry of {robot} for {to_seconds(now_ns - heard_ns):.0f} s while cameras "
+                "see its target; check its bridge",
+            )

@@ -1,0 +1,1 @@
+"""What every estimator offers; the estimators are rooms of their own."""

@@ -1,0 +1,1 @@
+"""The recursive estimators: the extended Kalman filter and the particle filter."""

@@ -1,0 +1,251 @@
+"""The extended Kalman filter: robots and cameras in one state, as the 2005 paper announced.
+
+The state is an error about nominal values: each robot's last pose (x, y and heading where it is
+planar), every camera, and where the site file gives them a prior sigma the cameras' time offsets
+and the robots' odometry scales. After each update the error is put into the nominal values, which
+are then linearised about anew (iterated: Bell and Cathey, «The iterated Kalman filter update as a
+Gauss-Newton method», 1993). Errors of poses are left twists, which is what keeps the filter honest
+where the heading drifts (`pose_errors`, decision 0643).
+
+A new camera enters with its full cross covariance: its first sighting, solved for the camera alone,
+makes the camera's error a linear function of everything else's (Smith, Self and Cheeseman, 1990).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.problem import CameraState
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
+
+from .filter_state import Sight, Surprise, carry, velocity
+from .kalman_state import KalmanState, Part
+from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
+from .relative_pose import RelativeView, relative_jacobians, relative_view
+from .sequential import SequentialEstimator
+
+_MOST_ITERATIONS = 5
+# An iteration that moves nothing by more than this many of its sigmas is the last.
+_SETTLED = 0.02
+
+
+def extended_kalman_filter(data: DataSet) -> SequentialEstimator:
+    """The estimator «ekf»."""
+    return SequentialEstimator(data, KalmanBelief.at_origin)
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanBelief(KalmanState):
+    """See `Belief`."""
+
+    @classmethod
+    def at_origin(cls, data: DataSet) -> "KalmanBelief":
+        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        belief = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
+        if data.known.poses:
+            return belief.with_known_cameras(data)
+        robot = data.anchored_robot
+        assert robot is not None  # no camera is known
+        track = data.tracks[robot]
+        belief = belief.with_robot_priors(data, robot, track.odom_from_base[0], track.first_ns)
+        d = len(track.tangent)
+        return belief.with_part(("last", robot), np.zeros((d, d)))
+
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "KalmanBelief":
+        if stamp_ns <= self.stamps_ns[robot]:
+            return self
+        moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
+        motion = data.tracks[robot].motion(moments_ns, self.scales(robot))
+        step = carry(self.poses[robot], motion)
+        part, tangent = self.columns["last", robot], self.tangents[robot]
+        # The start's twist is the end's; only what the motion itself does wrong is added.
+        by_end = twist_by_disturbance(step.end)[np.ix_(tangent, tangent)]
+        covariance = self.covariance.copy()
+        if ("scales", robot) in self.columns:
+            scales = self.columns["scales", robot]
+            by_scales = by_end @ step.by_scales[tangent]
+            covariance[part] += by_scales @ covariance[scales]
+            covariance[:, part] += covariance[:, scales] @ by_scales.T
+        by_motion = by_end @ step.by_motion[tangent]
+        covariance[part, part] += by_motion @ motion.covariance[0] @ by_motion.T
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns | {robot: stamp_ns},
+            poses=self.poses | {robot: step.end},
+            covariance=covariance,
+        )
+
+    # -- sightings --------------------------------------------------------------------------------
+
+    def updated(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
+        """Iterated over what the sighting bears on; all the rest follows by its covariance."""
+        if sight.is_tie:
+            return self._tied(data, sight)
+        parts = _parts_of(sight)
+        near = self.only(parts)
+        # The first linearisation is where the sighting puts the robot, not where odometry does.
+        error = near._error_at(sight)
+        kalman = view = jacobian = None
+        for _ in range(_MOST_ITERATIONS):
+            there = near.moved(error)
+            view = there._view(data, sight)
+            if view is None:
+                return None
+            jacobian = there._jacobian(data, sight, view)
+            kalman = _kalman(near.covariance, jacobian, view.residual - jacobian @ error)
+            step, error = kalman.x - error, kalman.x
+            if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.abs(np.diagonal(kalman.P))) + 1e-9):
+                break
+        assert kalman is not None
+        assert view is not None
+        assert jacobian is not None
+        after = self._followed(kalman, jacobian, self.of(parts))
+        chi2 = float(kalman.mahalanobis) ** 2
+        return after, _surprise(after._view(data, sight), view, chi2, len(view.residual))
+
+    def _followed(
+        self, kalman: ExtendedKalmanFilter, jacobian: Array, columns: np.ndarray
+    ) -> "KalmanBelief":
+        """All of the state after an update (k equations) of some of its columns."""
+        gain = self.covariance[:, columns] @ jacobian.T @ kalman.SI
+        # A product with its own transpose is half the work, and symmetric to the last bit.
+        known = gain @ np.linalg.cholesky(kalman.S)
+        covariance = known @ known.T
+        np.subtract(self.covariance, covariance, out=covariance)
+        return replace(self.moved(gain @ kalman.y), covariance=covariance)
+
+    def _error_at(self, sight: Sight) -> Array:
+        """The error (n,) that puts the robot where the sighting does."""
+        robot = sight.observation.robot
+        error = np.zeros(len(self.covariance))
+        twist = twist_between(self.poses[robot], sight.map_from_base)
+        error[self.columns["last", robot]] = twist[self.tangents[robot]]
+        return error
+
+    def _tied(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
+        """A robot enters by its first sighting by a camera of the state."""
+        robot, camera = sight.observation.robot, sight.observation.camera
+        stamp_ns = sight.observation.stamp_ns - to_ns(self.states[camera].time_offset_s)
+        ready = self.with_robot_priors(data, robot, sight.map_from_base, stamp_ns)
+        return ready._entered(data, sight, ("last", robot))
+
+    def with_camera(
+        self, data: DataSet, sight: Sight, camera: CameraState
+    ) -> "tuple[KalmanBelief, Surprise] | None":
+        name, robot = sight.observation.camera, sight.observation.robot
+        camera_from_base = camera.map_from_camera.inverse() @ sight.map_from_base
+        # What is known of its time offset before any sighting is that it is about nothing.
+        map_from_camera = self.poses[robot] @ camera_from_base.inverse()
+        placed = CameraState(map_from_camera, data.lenses[name])
+        return self.with_camera_priors(data, name, placed)._entered(data, sight, ("pose", name))
+
+    def _entered(
+        self, data: DataSet, sight: Sight, part: Part
+    ) -> tuple["KalmanBelief", Surprise] | None:
+        """With a new part that this sighting alone determines, given everything else.
+
+        The sighting's equations ρ + A δ + B ν = noise are turned by B's full factorisation: the
+        upper rows give the part ν from the rest δ, the lower ones, free of ν, update the rest.
+        """
+        count = len(self.tangents[part[1]]) if part[0] == "last" else 6
+        ready = self.with_part(part, np.zeros((count, count)))
+        view = ready._view(data, sight)
+        if view is None or not view.determines_pose:
+            return None
+        rest = ready.of([other for other in _parts_of(sight) if other != part])
+        near = ready.only(_parts_of(sight))
+        jacobian = near._jacobian(data, sight, view)
+        new = near.columns[part]
+        basis, root = np.linalg.qr(jacobian[:, new], mode="complete")
+        turned = basis.T @ np.delete(jacobian, new, axis=1)
+        residual, inverse = basis.T @ view.residual, np.linalg.inv(root[:count])
+        placed = ready._placed(part, rest, -inverse @ turned[:count], -inverse @ residual[:count])
+        placed.covariance[ready.columns[part], ready.columns[part]] += inverse @ inverse.T
+        lower = len(residual) - count
+        if lower == 0:
+            return placed, _surprise(placed._view(data, sight), view, 0.0, 0)
+        prior = placed.covariance[np.ix_(rest, rest)]
+        kalman = _kalman(prior, turned[count:], residual[count:])
+        after = placed._followed(kalman, turned[count:], rest)
+        chi2 = float(kalman.mahalanobis) ** 2
+        return after, _surprise(after._view(data, sight), view, chi2, lower)
+
+    def _placed(self, part: Part, rest: np.ndarray, by_rest: Array, error: Array) -> "KalmanBelief":
+        """A part whose error is `error` (k,) and by_rest (k, m) times that of some columns (m,)."""
+        columns, covariance = self.columns[part], self.covariance.copy()
+        whole = np.zeros(len(covariance))
+        whole[columns] = error
+        rows = by_rest @ covariance[rest]
+        covariance[columns], covariance[:, columns] = rows, rows.T
+        covariance[columns, columns] = rows[:, rest] @ by_rest.T
+        return replace(self.moved(whole), covariance=symmetric(covariance))
+
+    # -- how a sighting follows the state ---------------------------------------------------------
+
+    def _seen(self, data: DataSet, sight: Sight) -> tuple[Pose, Array]:
+        """Where the robot was when it was seen, and its disturbance per second then, (6,).
+
+        Its node stands where an earlier estimate of the camera's time offset put it.
+        """
+        camera, robot = sight.observation.camera, sight.observation.robot
+        pose, node_ns = self.poses[robot], self.stamps_ns[robot]
+        if ("offset", camera) not in self.columns:
+            return pose, np.zeros(6)
+        moving = velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
+        after_s = to_seconds(sight.observation.stamp_ns - node_ns)
+        return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
+
+    def _view(self, data: DataSet, sight: Sight) -> RelativeView | None:
+        camera, robot = self.states[sight.observation.camera], sight.observation.robot
+        pose, _ = self._seen(data, sight)
+        camera_from_base = camera.map_from_camera.inverse() @ pose
+        return relative_view(sight.observation, data.targets[robot], camera.lens, camera_from_base)
+
+    def _jacobian(self, data: DataSet, sight: Sight, view: RelativeView) -> Array:
+        """The compressed residual by the whole error, (k, n)."""
+        camera, robot = sight.observation.camera, sight.observation.robot
+        map_from_camera = self.states[camera].map_from_camera
+        pose, moving = self._seen(data, sight)
+        by_camera, by_base = relative_jacobians(map_from_camera, pose)
+        by_camera, by_base = view.root @ by_camera, view.root @ by_base
+        jacobian = np.zeros((len(view.residual), len(self.covariance)))
+        jacobian[:, self.columns["pose", camera]] = by_camera @ disturbance_by_twist(
+            map_from_camera
+        )
+        jacobian[:, self.columns["last", robot]] = (by_base @ disturbance_by_twist(pose))[
+            :, self.tangents[robot]
+        ]
+        if ("offset", camera) in self.columns:
+            # True time = stamp - offset: a larger one looks at the robot earlier on its way.
+            jacobian[:, self.columns["offset", camera]] = -(by_base @ moving)[:, None]
+        return jacobian
+
+
+def _parts_of(sight: Sight) -> list[Part]:
+    """The parts of the error that a sighting bears on."""
+    camera, robot = sight.observation.camera, sight.observation.robot
+    return [("last", robot), ("pose", camera), ("offset", camera)]
+
+
+def _kalman(covariance: Array, jacobian: Array, residual: Array) -> ExtendedKalmanFilter:
+    """filterpy's filter over an error that was zero with a covariance (m, m), after an update by
+    equations residual (k,) + jacobian (k, m) · error = noise of unit variance."""
+    kalman = ExtendedKalmanFilter(dim_x=len(covariance), dim_z=len(residual))
+    kalman.x, kalman.P = np.zeros(len(covariance)), covariance
+    kalman.R = np.eye(len(residual))
+    kalman.update(
+        np.zeros(len(residual)), lambda _: jacobian, lambda error: residual + jacobian @ error
+    )
+    return kalman
+
+
+def _surprise(
+    after: RelativeView | None, view: RelativeView, chi2: float, freedom: int
+) -> Surprise:
+    rms_px = after.rms_px if after is not None else view.rms_px
+    return Surprise(chi2, freedom, chi2 + view.left_over, freedom + view.freedom, rms_px)

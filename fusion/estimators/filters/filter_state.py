@@ -1,0 +1,134 @@
+"""What a recursive filter believes at a moment; immutable, so that going back costs nothing."""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import Motion, OdometryTrack
+from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, hat
+
+_VELOCITY_WINDOW_NS = to_ns(0.02)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """An observation made ready for a filter: read, its wild corners marked, and about where it
+    puts the robot, `map_from_base`. `is_tie`: nothing else says where the robot is."""
+
+    observation: Observation
+    map_from_base: Pose
+    is_tie: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Surprise:
+    """How far an observation lay from what was expected.
+
+    `chi2` over `freedom`: of the innovation; `total`, `total_freedom`: with what no pose explains;
+    `rms_px`: of a coordinate, afterwards.
+    """
+
+    chi2: float
+    freedom: int
+    total: float
+    total_freedom: int
+    rms_px: float
+
+
+class Belief(Protocol):
+    """Robots at their last nodes and the located cameras, with what is known of them together."""
+
+    @property
+    def stamps_ns(self) -> dict[str, int]:
+        """Of the last node of each robot that is tied to the map."""
+        ...
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras that are part of it."""
+        ...
+
+    def camera(self, camera: str) -> CameraState: ...
+
+    def estimate(self, camera: str) -> CameraEstimate: ...
+
+    def robot(self, robot: str) -> RobotEstimate:
+        """The robot at its last node."""
+        ...
+
+    def scales(self, robot: str) -> Array:
+        """The robot's odometry scale errors, (2,)."""
+        ...
+
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> Self:
+        """The robot moved on to a later time by its odometry."""
+        ...
+
+    def updated(self, data: DataSet, sight: Sight) -> tuple[Self, Surprise] | None:
+        """With a sighting of the robot at its last node, or one that ties it, by a camera that is
+        part of this; None where it says nothing."""
+        ...
+
+    def with_camera(
+        self, data: DataSet, sight: Sight, camera: CameraState
+    ) -> tuple[Self, Surprise] | None:
+        """With a new camera by its first sighting; `camera`: about where it is. None where the
+        sighting does not determine it."""
+        ...
+
+    def without_camera(self, camera: str) -> Self: ...
+
+    def without_robot(self, robot: str) -> Self: ...
+
+    def joint_covariance(self, cameras: list[str]) -> Array:
+        """(6n, 6n) over the poses of these cameras."""
+        ...
+
+    def particles(self, robot: str) -> Pose | None:
+        """Places where the robot may be, all equally likely; None where there are none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Carry:
+    """A robot's step by odometry; leading dimensions as its pose has.
+
+    `end`: where it leads; a disturbance of the start moves the end by `by_start` (…, 6, 6), one of
+    the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
+    """
+
+    end: Pose
+    by_start: Array
+    by_motion: Array
+    by_scales: Array
+
+
+def carry(start: Pose, motion: Motion) -> Carry:
+    """t' = t + R Δt, R' = R ΔR of one motion: a turn of the start swings the end about it."""
+    end = start @ motion.earlier_from_later[0]
+    arm = end.translation - start.translation
+    by_start = np.zeros((*arm.shape[:-1], 6, 6))
+    by_start[...] = np.eye(6)
+    by_start[..., :3, 3:] = -hat(arm)
+    by_motion = np.zeros_like(by_start)
+    by_motion[..., :3, :3] = by_motion[..., 3:, 3:] = start.rotation
+    return Carry(end, by_start, by_motion, by_motion @ motion.by_scale[0])
+
+
+def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:
+    """How a robot's pose is disturbed per second at a moment, (…, 6), in the map's axes."""
+    begin = max(stamp_ns - _VELOCITY_WINDOW_NS, track.first_ns)
+    end = min(stamp_ns + _VELOCITY_WINDOW_NS, track.last_ns)
+    if end <= begin:
+        return np.zeros((*map_from_base.translation.shape[:-1], 6))
+    motion = track.motion(np.array([begin, end]), scales).earlier_from_later[0]
+    moved = (map_from_base @ motion).difference(map_from_base)
+    return moved / to_seconds(end - begin)

@@ -1,0 +1,134 @@
+"""What became of each sighting that a filter went through: the robots' ways by that, and how well
+it all fits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Verdict
+from trigpoint.fusion.model.problem import Chain
+from trigpoint.fusion.model.trajectory import interpolated
+from trigpoint.geometry import Pose
+
+from .filter_state import Belief, Surprise
+
+# One wrong reading in twenty makes so many in a row once in 160,000 times.
+_IN_A_ROW = 4
+
+
+@dataclass(slots=True)
+class Step:
+    """What became of one sighting. `before`: the belief before it, None where that is too long ago;
+    `map_from_base`: afterwards; `surprise`: None where it was set aside."""
+
+    time_ns: int
+    entry: int
+    before: Belief | None
+    map_from_base: Pose | None
+    surprise: Surprise | None
+
+
+def nodes_of(data: DataSet, steps: list[Step], robot: str) -> dict[int, Pose]:
+    """The robot's poses after its sightings by their times, ascending."""
+    nodes: dict[int, Pose] = {}
+    track = data.tracks[robot]
+    if robot == data.anchored_robot and len(track):
+        nodes[track.first_ns] = track.odom_from_base[0]
+    for step in steps:
+        is_mine = data.entries[step.entry].observation.robot == robot
+        if is_mine and step.map_from_base is not None:
+            nodes[step.time_ns] = step.map_from_base
+    return nodes
+
+
+def poses_at(
+    data: DataSet, belief: Belief, robot: str, nodes: dict[int, Pose], stamps_ns: np.ndarray
+) -> Pose:
+    """The robot at moments (m,) that odometry covers, by its nodes and its odometry."""
+    track = data.tracks[robot]
+    chain = Chain(
+        robot=robot,
+        stamps_ns=np.array(list(nodes)),
+        motion=None,
+        track=track,
+        scales=belief.scales(robot),
+        planar=track.planar,
+        is_anchored=False,
+    )
+    return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
+
+
+def place(data: DataSet, belief: Belief, steps: list[Step], indices: list[int]) -> None:
+    """Put where the robots stood, as far as it is known now, into entries of the data set."""
+    for robot, track in data.tracks.items():
+        mine = [data.entries[i] for i in indices if data.entries[i].observation.robot == robot]
+        if not mine:
+            continue
+        nodes = nodes_of(data, steps, robot)
+        stamps_ns = np.array([entry.observation.stamp_ns for entry in mine])
+        moments_ns = np.clip(stamps_ns, track.first_ns, track.last_ns)
+        poses = poses_at(data, belief, robot, nodes, moments_ns) if nodes else None
+        for row, entry in enumerate(mine):
+            entry.map_from_base = poses[row] if poses is not None else None
+
+
+# -- how well the sightings fit -------------------------------------------------------------------
+
+
+def rms_px(data: DataSet, steps: list[Step], camera: str) -> float | None:
+    """Of a coordinate of what a camera's used sightings leave over; None where it has none."""
+    squares = [
+        step.surprise.rms_px**2
+        for step in steps
+        if step.surprise is not None and data.entries[step.entry].observation.camera == camera
+    ]
+    return float(np.sqrt(np.mean(squares))) if squares else None
+
+
+def chi2_per_dof(steps: list[Step]) -> float | None:
+    """χ² of all used sightings over its degrees of freedom; None where there are none."""
+    used = [step.surprise for step in steps if step.surprise is not None]
+    freedom = sum(surprise.total_freedom for surprise in used)
+    return sum(surprise.total for surprise in used) / freedom if freedom > 0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """Sightings in a row by one camera or of one robot, `what`, all of which contradict what is
+    believed: noise or a wrong reading does not do that."""
+
+    what: str
+    since_ns: int
+    until_ns: int
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return (
+            f"{_IN_A_ROW} pictures or more in a row {self.what} contradict the rest: a robot was "
+            "carried, a camera was moved, or the filter went wrong and with it the cameras that it "
+            'located meanwhile; work the session out by estimator = "smoother"'
+        )
+
+
+def contradictions(data: DataSet, steps: list[Step]) -> list[Contradiction]:
+    """Those among the steps, in order of their ends."""
+    found: list[Contradiction] = []
+    runs: dict[str, list[int]] = {}
+    for step in steps:
+        observation = data.entries[step.entry].observation
+        for what in (f"by camera {observation.camera}", f"of robot {observation.robot}"):
+            if observation.verdict is Verdict.REJECTED:
+                runs.setdefault(what, []).append(observation.stamp_ns)
+            elif what in runs:
+                found += _told({what: runs.pop(what)})
+    return found + _told(runs)
+
+
+def _told(runs: dict[str, list[int]]) -> list[Contradiction]:
+    return [
+        Contradiction(what, stamps_ns[0], stamps_ns[-1])
+        for what, stamps_ns in runs.items()
+        if len(stamps_ns) >= _IN_A_ROW
+    ]

@@ -1,0 +1,145 @@
+"""A sighting as a measurement of camera_from_base: all that a picture says of camera and robot.
+
+The corners' residuals depend on camera_from_base alone, so that the least squares
+over a hundred corners are those over six numbers: with the thin factorisation J = Q R of their
+weighted Jacobian, |r + J d|² = |Qᵀr + R d|² + what no pose explains (Golub and Van Loan, «Matrix
+Computations», section 5.3). Both filters measure by this.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array, hat
+from trigpoint.target import Target
+
+# A corner of a good sighting lies beyond this many sigmas once in 3,000 times.
+_WILD_SIGMAS = 4.0
+# With more wild corners than this the whole sighting is wrong.
+_WILD_SHARE = 0.25
+_LEAST_CORNERS = 4
+# A sighting determines a pose where the weakest direction is known at least this much, relative to
+# the best known one.
+_DETERMINED = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeView:
+    """A sighting to first order about `camera_from_base`.
+
+    A disturbance d (6,) of that pose costs |residual + root d|², unit noise each; `root`: (6, 6),
+    `residual`: (6,). `left_over`: χ² that no pose explains, over `freedom`; `rms_px`: of a used
+    coordinate.
+    """
+
+    camera_from_base: Pose
+    root: Array
+    residual: Array
+    left_over: float
+    freedom: int
+    rms_px: float
+
+    @property
+    def determines_pose(self) -> bool:
+        """Whether the sighting alone says where the robot is from the camera."""
+        strength = np.linalg.svd(self.root, compute_uv=False)
+        return len(self.root) == 6 and bool(strength[-1] >= _DETERMINED * strength[0])
+
+
+def relative_view(
+    observation: Observation,
+    target: Target,
+    lens: CameraModel,
+    camera_from_base: Pose,
+) -> RelativeView | None:
+    """The view of a read observation at a pose; None where a corner lies behind the camera or too
+    few are left."""
+    points = points_of(observation, target)
+    arm = points.in_base(base_from_faces(target)) @ camera_from_base.rotation.T
+    optical = arm + camera_from_base.translation
+    used = points.weights > 0
+    if np.any(optical[used, 2] < 1e-3) or used.sum() < _LEAST_CORNERS:
+        return None
+    pixels, by_optical = lens.project_by_point(optical[used])
+    weights = points.weights[used][:, None]
+    apart = pixels - points.pixels[used]
+    jacobian = np.concatenate([by_optical, -by_optical @ hat(arm[used])], axis=-1)
+    jacobian = (jacobian * weights[..., None]).reshape(2 * len(apart), 6)
+    residual = (apart * weights).reshape(-1)
+    if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(residual))):
+        return None
+    basis, root = np.linalg.qr(jacobian)
+    compressed = basis.T @ residual
+    left = max(float(residual @ residual - compressed @ compressed), 0.0)
+    rms_px = float(np.sqrt(np.mean(apart**2)))
+    return RelativeView(
+        camera_from_base, root, compressed, left, len(residual) - len(compressed), rms_px
+    )
+
+
+def without_wild_corners(
+    observation: Observation, target: Target, lens: CameraModel, camera_from_base: Pose
+) -> Observation | None:
+    """The observation with the corners marked that no pose near by explains, worst first.
+
+    None where too many are wild, or nothing is left to fit.
+    """
+    points = points_of(observation.read_as(_readings(observation)), target)
+    arm = points.in_base(base_from_faces(target)) @ camera_from_base.rotation.T
+    optical = arm + camera_from_base.translation
+    if np.any(optical[:, 2] < 1e-3):
+        return None
+    pixels, by_optical = lens.project_by_point(optical)
+    weights = points.weights[:, None]
+    jacobian = np.concatenate([by_optical, -by_optical @ hat(arm)], axis=-1) * weights[..., None]
+    residual = (pixels - points.pixels) * weights
+    kept = np.ones(len(residual), dtype=bool)
+    most = max(int(_WILD_SHARE * len(kept)), 0)
+    while kept.sum() >= _LEAST_CORNERS:
+        length = _unexplained(jacobian, residual, kept)
+        worst = int(np.argmax(np.where(kept, length, 0.0)))
+        if not length[worst] > _WILD_SIGMAS:
+            return _marked(observation, ~kept)
+        kept[worst] = False
+        if (~kept).sum() > most:
+            return None
+    return None
+
+
+def _readings(observation: Observation):
+    assert observation.chosen is not None  # it was aligned
+    return observation.chosen
+
+
+def _unexplained(jacobian: Array, residual: Array, kept: np.ndarray) -> Array:
+    """Length (n,) of each corner's residual in sigmas once the pose fits the kept ones best."""
+    step, *_ = np.linalg.lstsq(
+        jacobian[kept].reshape(-1, 6), residual[kept].reshape(-1), rcond=None
+    )
+    return np.linalg.norm(residual - jacobian @ step, axis=-1)
+
+
+def _marked(observation: Observation, wild: np.ndarray) -> Observation:
+    if not wild.any():
+        return observation
+    ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
+    return observation.with_outliers(tuple(np.split(wild, ends)))
+
+
+def relative_jacobians(map_from_camera: Pose, map_from_base: Pose) -> tuple[Array, Array]:
+    """How a disturbance of camera_from_base follows one of the camera and one of the robot,
+    (…, 6, 6) each.
+
+    With C = R_cᵀ: t = C (t_b - t_c), so ∂t/∂δt_b = C, ∂t/∂δt_c = -C, ∂t/∂δθ_c = C [t_b - t_c]×,
+    and both rotations turn with C.
+    """
+    to_camera = np.swapaxes(map_from_camera.rotation, -1, -2)
+    between = map_from_base.translation - map_from_camera.translation
+    shape = np.broadcast_shapes(map_from_camera.rotation.shape, map_from_base.rotation.shape)
+    by_base = np.zeros((*shape[:-2], 6, 6))
+    by_base[..., :3, :3] = by_base[..., 3:, 3:] = to_camera
+    by_camera = -by_base
+    by_camera[..., :3, 3:] = to_camera @ hat(between)
+    return by_camera, by_base

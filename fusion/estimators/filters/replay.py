@@ -1,0 +1,212 @@
+"""The walk of a filter through its sightings, in order of time.
+
+Beliefs are immutable: a late sighting goes back to the belief before it and takes what followed
+again, as far as the last 64 sightings reach; an older one enters when the session is worked out to
+the end. A camera that is located goes back to its first sighting alike.
+"""
+
+import bisect
+from collections.abc import Callable, Iterable
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.initialisation.cameras import Located
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Verdict
+from trigpoint.fusion.model.problem import State
+from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
+
+from .filter_state import Belief, Surprise
+from .history import Step
+from .sighting_update import first_sight, is_expected, predicted_at, sight_of
+
+_HISTORY = 64
+# A camera's pictures wait for it to be located while so many others are used.
+_MOST_REPLAYED = 256
+# So many sightings in a row by two cameras or more that contradict where the robot is believed to
+# be: it was carried.
+_CARRIED = 4
+
+
+class Walk:
+    """`belief`: after all of the `steps`; `located`: cameras, by all of their sightings."""
+
+    def __init__(self, data: DataSet, origin: Callable[[DataSet], Belief]) -> None:
+        self._data, self._origin = data, origin
+        self.belief = origin(data)
+        self.steps: list[Step] = []
+        self.located: dict[str, Located] = {}
+        # The step before which each camera that is not located was first seen, and the belief then.
+        self._first_seen: dict[str, tuple[int, Belief]] = {}
+
+    def copy(self) -> "Walk":
+        """What it is now, to go on from if what comes next is unusable."""
+        other = copy(self)
+        other.steps, other.located = list(self.steps), dict(self.located)
+        other._first_seen = dict(self._first_seen)
+        return other
+
+    def is_located(self, camera: str) -> bool:
+        return camera in self.located or camera in self._data.known.poses
+
+    def state(self) -> State:
+        """What is believed, as `locate` takes it."""
+        first, belief = self._data.first_state(), self.belief
+        cameras = {name: belief.camera(name) for name in belief.cameras}
+        robots = {
+            name: replace(robot, scales=belief.scales(name)) for name, robot in first.robots.items()
+        }
+        return State(cameras, robots)
+
+    # -- which sighting comes next ----------------------------------------------------------------
+
+    def insert(self, index: int) -> RobotEstimate | None:
+        """Use a sighting at its place in time; None where it makes no correction."""
+        place = bisect.bisect_right(self.steps, self._time_ns(index), key=lambda s: s.time_ns)
+        later = self._rewind(place)
+        if later is None:
+            return None  # older than the history
+        correction = self._take(index)
+        for step in later:
+            self._take(step.entry)
+        return correction
+
+    def wait(self, camera: str) -> None:
+        """Remember when a camera that is not located was first seen."""
+        first = self._first_seen.get(camera)
+        if first is None or len(self.steps) - first[0] > _MOST_REPLAYED:
+            self._first_seen[camera] = (len(self.steps), self.belief)
+
+    def enter(self, camera: str, indices: Iterable[int]) -> bool:
+        """Go back to where a located camera was first seen and take its sightings too; whether it
+        is part of what is believed then."""
+        first = self._first_seen.pop(camera)
+        later = [step.entry for step in self._back_to(*first)]
+        since_ns = self.steps[-1].time_ns if self.steps else 0
+        self._take_all([*later, *(i for i in indices if self._time_ns(i) >= since_ns)])
+        if camera in self.belief.cameras:
+            return True
+        self._first_seen[camera] = first
+        return False
+
+    def restart(self) -> None:
+        """Take every sighting of the located cameras anew, from the beginning."""
+        chosen = self._usable()
+        self.belief, self.steps, self._first_seen = self._origin(self._data), [], {}
+        self._take_all(chosen)
+
+    def is_complete(self) -> bool:
+        """Whether every sighting of a located camera was gone through."""
+        return len(self._usable()) == len(self.steps)
+
+    def _usable(self) -> list[int]:
+        entries = self._data.entries
+        return [i for i, e in enumerate(entries) if self.is_located(e.observation.camera)]
+
+    def _take_all(self, indices: list[int]) -> None:
+        for _, index in sorted((self._time_ns(i), i) for i in indices):
+            self._take(index)
+
+    def _time_ns(self, index: int) -> int:
+        """When the robot stood as it was seen: stamp minus the camera's time offset."""
+        observation, offset_s = self._data.entries[index].observation, 0.0
+        if observation.camera in self.belief.cameras:
+            offset_s = self.belief.camera(observation.camera).time_offset_s
+        track = self._data.tracks[observation.robot]
+        return int(np.clip(observation.stamp_ns - to_ns(offset_s), track.first_ns, track.last_ns))
+
+    def _rewind(self, place: int) -> list[Step] | None:
+        """Go back before a step; the steps to do again, None where that is too long ago."""
+        if place == len(self.steps):
+            return []
+        before = self.steps[place].before
+        return None if before is None else self._back_to(place, before)
+
+    def _back_to(self, place: int, belief: Belief) -> list[Step]:
+        later, self.steps = self.steps[place:], self.steps[:place]
+        self.belief = belief
+        for camera, (first, _) in self._first_seen.items():
+            if first > place:
+                self._first_seen[camera] = (place, belief)
+        return later
+
+    # -- one sighting -----------------------------------------------------------------------------
+
+    def _take(self, index: int) -> RobotEstimate | None:
+        """Go on by one sighting; where the robot is then, None where it makes no correction."""
+        before, entry = self.belief, self._data.entries[index]
+        robot, camera = entry.observation.robot, entry.observation.camera
+        time_ns = max(self._time_ns(index), before.stamps_ns.get(robot, 0))
+        is_new = camera not in before.cameras
+        after = (self._begun if is_new else self._used)(before, index, time_ns)
+        step = Step(time_ns, index, before, None, None)
+        self.steps.append(step)
+        if len(self.steps) > _HISTORY:
+            self.steps[-_HISTORY - 1].before = None
+        if after is None:
+            verdict = Verdict.REJECTED if self._is_used(before, index) else Verdict.PENDING
+            entry.observation = entry.observation.judged(verdict)
+            self.belief = self._unless_carried(before, robot)
+            return None
+        self.belief, step.surprise = after
+        estimate = self.belief.robot(robot)
+        entry.observation = entry.observation.judged(Verdict.ACCEPTED)
+        entry.map_from_base = step.map_from_base = estimate.map_from_base
+        return estimate if not is_new and is_placed(estimate.covariance) else None
+
+    def _is_used(self, belief: Belief, index: int) -> bool:
+        """Whether a sighting could have been used: what comes before its camera's first sighting,
+        or while the robot may be anywhere, says nothing yet."""
+        observation = self._data.entries[index].observation
+        if observation.camera in belief.cameras:
+            return True
+        read = self.located[observation.camera].readings
+        robots = {self._data.entries[i].observation.robot for i in read}
+        return observation.robot in robots and observation.robot in belief.stamps_ns
+
+    def _used(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
+        """With a sighting by a camera of the belief, where it does not contradict it."""
+        entry = self._data.entries[index]
+        belief, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
+        if predicted is not None:
+            entry.map_from_base = predicted.map_from_base
+        scales = belief.scales(entry.observation.robot)
+        entry.observation = self._data.moving(entry.observation, time_ns, scales)
+        sight = sight_of(self._data, belief, entry.observation, predicted)
+        if sight is None:
+            return None
+        entry.observation = sight.observation
+        updated = belief.updated(self._data, sight)
+        if updated is None or not is_expected(updated[1]):
+            return None
+        return updated
+
+    def _begun(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
+        """With the first sighting of a camera that was located by all of its sightings."""
+        entry = self._data.entries[index]
+        observation = entry.observation
+        found = self.located[observation.camera]
+        belief, predicted = predicted_at(self._data, before, observation.robot, time_ns)
+        if predicted is None or index not in found.map_from_base or observation.chosen is None:
+            return None
+        sight = first_sight(self._data, observation, found, found.map_from_base[index])
+        if sight is None:
+            return None
+        entry.observation = sight.observation
+        return belief.with_camera(self._data, sight, found.camera)
+
+    def _unless_carried(self, belief: Belief, robot: str) -> Belief:
+        """Without the robot, where its last sightings say that it is somewhere else."""
+        cameras: list[str] = []
+        for step in reversed(self.steps[-_HISTORY:]):
+            observation = self._data.entries[step.entry].observation
+            if observation.robot == robot:
+                if step.surprise is not None:
+                    break
+                cameras.append(observation.camera)
+        if len(cameras) < _CARRIED or len(set(cameras)) < 2 or robot not in belief.stamps_ns:
+            return belief
+        return belief.without_robot(robot)

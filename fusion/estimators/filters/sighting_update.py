@@ -1,0 +1,95 @@
+"""How a filter takes one sighting: how it is read, where it puts the robot, whether it is noise."""
+
+import numpy as np
+from scipy.special import chdtri
+
+from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.estimators.outlier_rejection import DECISIVE
+from trigpoint.fusion.initialisation.cameras import Located
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.reading.alignment import PosePrior, align
+from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
+from trigpoint.geometry import Pose
+
+from .filter_state import Belief, Sight, Surprise
+from .relative_pose import relative_view, without_wild_corners
+
+# A good sighting lies beyond the gate once in 100,000 times.
+_GATE = 1e-5
+
+
+def predicted_at(
+    data: DataSet, before: Belief, robot: str, time_ns: int
+) -> tuple[Belief, RobotEstimate | None]:
+    """The belief at a later time, and the robot there; None where it may be anywhere."""
+    if robot not in before.stamps_ns:
+        return before, None
+    belief = before.advanced(data, robot, time_ns)
+    predicted = belief.robot(robot)
+    if not is_placed(predicted.covariance):
+        return before.without_robot(robot), None
+    return belief, predicted
+
+
+def sight_of(
+    data: DataSet, belief: Belief, observation: Observation, predicted: RobotEstimate | None
+) -> Sight | None:
+    """The observation as it is read best; None where that is not clear or nothing fits."""
+    estimate = belief.estimate(observation.camera)
+    lens, map_from_camera = estimate.lens, estimate.map_from_camera
+    target = data.targets[observation.robot]
+    prior, distance = None, 3.0
+    if predicted is not None:
+        prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
+        apart = predicted.map_from_base.translation - map_from_camera.translation
+        distance = float(np.linalg.norm(apart))
+    alignment = align(
+        observation,
+        target,
+        lens,
+        map_from_camera,
+        tangent=data.tracks[observation.robot].tangent,
+        prior=prior,
+        extra_sigma_px=_camera_sigma_px(estimate, distance),
+    )
+    if alignment is None or alignment.margin < DECISIVE:
+        return None
+    read = alignment.read(observation)
+    pose = map_from_camera.inverse() @ alignment.map_from_base
+    sound = without_wild_corners(read, target, lens, pose)
+    if sound is None:
+        return None
+    return Sight(sound, alignment.map_from_base, is_tie=predicted is None)
+
+
+def first_sight(
+    data: DataSet, observation: Observation, located: Located, map_from_base: Pose
+) -> Sight | None:
+    """The sighting that places a camera which all of its sightings located; None where those
+    contradict it."""
+    lens, target = located.camera.lens, data.targets[observation.robot]
+    pose = located.camera.map_from_camera.inverse() @ map_from_base
+    sound = without_wild_corners(observation, target, lens, pose)
+    view = relative_view(sound, target, lens, pose) if sound is not None else None
+    if sound is None or view is None:
+        return None
+    if not _is_noise(float(view.residual @ view.residual), len(view.residual)):
+        return None
+    return Sight(sound, map_from_base)
+
+
+def is_expected(surprise: Surprise) -> bool:
+    """Whether an innovation is one that noise makes (normalised innovation squared)."""
+    return surprise.freedom == 0 or _is_noise(surprise.chi2, surprise.freedom)
+
+
+def _is_noise(chi2: float, freedom: int) -> bool:
+    return bool(chi2 <= chdtri(freedom, _GATE))
+
+
+def _camera_sigma_px(camera: CameraEstimate, distance_m: float) -> float:
+    """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
+    variances = np.diagonal(camera.covariance)
+    turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
+    return float(camera.lens.fx * np.sqrt(turn + shift))

@@ -1,0 +1,161 @@
+"""What every estimator offers to the pipeline."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from trigpoint.fusion.association.explanation import Alternative
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.fusion.solver.snapshot import GuidanceWorld
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+
+from .residuals import CameraResiduals
+
+
+@dataclass(frozen=True, slots=True)
+class CameraEstimate:
+    """A camera in the map; `covariance`: (6, 6); `lens_sigma`: of `lens.parameters`."""
+
+    map_from_camera: Pose
+    covariance: Array
+    lens: CameraModel
+    lens_sigma: Array
+    time_offset_s: float
+    time_offset_sigma_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCount:
+    """How a camera's sightings (faces, not pictures) fared. `rejected`: those that a located camera
+    does not rest on; `reprojection_rms`: of a coordinate, pixels."""
+
+    sightings: int
+    rejected: int
+    reprojection_rms: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """What an observation did: `correction`, where it was one of a camera located before;
+    `problem`: why it could not be used at all, "" where it could."""
+
+    correction: RobotEstimate | None = None
+    located: tuple[str, ...] = ()
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A robot's way: `map_from_base` (n) at each odometry message's stamp (n,)."""
+
+    stamps_ns: np.ndarray
+    map_from_base: Pose
+
+
+class Live(Protocol):
+    """Odometry and observations in, the robots' and the cameras' poses out. Not thread-safe."""
+
+    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
+
+    def add_observation(self, observation: Observation) -> Update:
+        """Take an observation whose moment odometry covers, in any order."""
+        ...
+
+    def finish(self) -> None:
+        """Work everything out to the end: locate every camera that can be located from all that
+        came in, and solve."""
+        ...
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        """The robot at its last odometry message; None while it is not tied to the map."""
+        ...
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        """The located cameras."""
+        ...
+
+    @property
+    def located_count(self) -> int:
+        """How many cameras are located."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Live, Protocol):
+    """With everything else that the network file says."""
+
+    def solve(self) -> None:
+        """Work everything out anew from all that came in."""
+        ...
+
+    def joint_covariance(self) -> Array:
+        """(6n, 6n) over the poses of the located cameras, in their order."""
+        ...
+
+    def undetermined(self) -> dict[str, tuple[str, ...]]:
+        """Cameras that were seen by, but could not be located: what is not known of them."""
+        ...
+
+    def alternatives(self, camera: str) -> tuple[Alternative, ...]:
+        """The places that are left open for a camera that is not located, best first."""
+        ...
+
+    def is_confirmed(self, camera: str) -> bool:
+        """Whether a located camera rests on more than one sighting."""
+        ...
+
+    def count(self, camera: str) -> CameraCount: ...
+
+    def trajectory(self, robot: str) -> Trajectory | None: ...
+
+    def scales(self, robot: str) -> Array:
+        """The robot's odometry scale errors of distance and heading, (2,)."""
+        ...
+
+    def base_from_faces(self, robot: str) -> Pose: ...
+
+    @property
+    def chi2_per_dof(self) -> float | None: ...
+
+    @property
+    def iterations(self) -> int: ...
+
+
+@runtime_checkable
+class Collecting(Protocol):
+    """An estimator that needs no estimate on the way to the end, where nobody listens to it."""
+
+    def collect(self, observation: Observation) -> None:
+        """Take an observation for `finish` alone."""
+        ...
+
+    def finish(self) -> None:
+        """See `Estimator`."""
+        ...
+
+
+@runtime_checkable
+class Inspectable(Protocol):
+    """What an estimator shows that solves for every robot pose at once."""
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        """A copy of what is known for guidance to work on; None before the first solution."""
+        ...
+
+    def residuals(self, camera: str) -> CameraResiduals:
+        """What the last solution leaves over of a camera's corners."""
+        ...
+
+
+@runtime_checkable
+class Sampled(Protocol):
+    """What an estimator shows whose robots' poses are samples."""
+
+    def particles(self, robot: str) -> Pose | None:
+        """Places where the robot may be at its last odometry message, all equally likely; None
+        where there are none."""
+        ...

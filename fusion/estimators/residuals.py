@@ -1,0 +1,85 @@
+"""What a solution leaves over of the corners that a camera saw."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.prediction import batch_residual
+from trigpoint.fusion.model.problem import Batch, Problem, State
+from trigpoint.geometry.rotation import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResiduals:
+    """One camera's corners in its used observations, at all places where it hung.
+
+    `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
+    `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
+    (n,): of a coordinate, as the detector said it; `used` (n,) bool: False for the wild ones that
+    were left out. `used_sightings`, `rejected`: the sightings (faces) that a located camera rests
+    on, and those that it does not; `pending`: those of a camera that is not located.
+    """
+
+    places: Array
+    pixels: Array
+    residual_px: Array
+    sigma_px: Array
+    used: np.ndarray
+    used_sightings: int
+    rejected: int
+    pending: int
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(m, 2) of the used corners."""
+        return (self.residual_px / self.sigma_px[:, None])[self.used]
+
+
+def camera_residuals(
+    data: DataSet, problem: Problem | None, state: State, camera: str
+) -> CameraResiduals:
+    """The residuals at a solution; `problem` None: nothing was solved yet."""
+    names = data.places_of(camera)
+    batches = [b for b in problem.batches if b.camera in names] if problem is not None else []
+    parts = [_corners(data, problem, batch, state) for batch in batches if problem is not None]
+    entries = [entry for name in names for entry in data.of_camera(name)]
+    sightings = sum(len(entry.observation.views) for entry in entries)
+    used = sum(entry.observation.used_views for entry in entries)
+    is_located = camera in state.cameras
+    joined = [np.concatenate(part) for part in zip(*parts, strict=True)] if parts else _none()
+    return CameraResiduals(
+        _places(entries),
+        *joined,
+        used_sightings=used,
+        rejected=sightings - used if is_located else 0,
+        pending=0 if is_located else sightings - used,
+    )
+
+
+def _places(entries: list[Entry]) -> Array:
+    poses = [entry.map_from_base for entry in entries]
+    return np.array([pose.translation for pose in poses if pose is not None]).reshape(-1, 3)
+
+
+def _corners(
+    data: DataSet, problem: Problem, batch: Batch, state: State
+) -> tuple[Array, Array, Array, np.ndarray]:
+    """Pixels, residuals, sigmas and use of all corners in a batch, in one row."""
+    sigmas = np.ones(batch.weights.shape)
+    real = np.zeros(batch.weights.shape, dtype=bool)
+    for row, source in enumerate(batch.sources.tolist()):
+        mine = _sigmas(data.entries[source].observation)
+        sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
+    # With every weight at 1 wild corners have a residual too, and all are in pixels.
+    residual = batch_residual(problem, replace(batch, weights=real.astype(float)), state)
+    return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
+
+
+def _sigmas(observation: Observation) -> Array:
+    return np.concatenate([np.full(len(view.corners), view.sigma) for view in observation.views])
+
+
+def _none() -> list[np.ndarray]:
+    return [np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool)]

@@ -1,0 +1,155 @@
+"""The estimator's results in the form of the network file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+import numpy as np
+
+from trigpoint.fusion.association.explanation import Alternative
+from trigpoint.fusion.model.dataset import DataSet, Move
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.network import (
+    AlternativeRecord,
+    CameraRecord,
+    EarlierPose,
+    FaceRecord,
+    IntrinsicsRecord,
+    Network,
+    PoseRecord,
+    RobotRecord,
+    Statistics,
+    TargetRecord,
+    save_network,
+)
+
+from .interface import CameraEstimate, Estimator
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """The network, its joint covariance (6n, 6n), and robot -> (stamps_ns, map_from_base)."""
+
+    network: Network
+    covariance: Array
+    trajectories: dict[str, tuple[np.ndarray, Pose]]
+
+    def save(self, directory: Path) -> None:
+        """Write network.json, covariance.npz and the trajectories."""
+        save_network(
+            directory, self.network, covariance=self.covariance, trajectories=self.trajectories
+        )
+
+
+def map_id_of(data: DataSet) -> UUID | None:
+    """The map's identity; None before the first robot's first odometry message."""
+    first = data.site.first_robot
+    track = data.tracks[first]
+    if not len(track):
+        return None
+    return uuid5(NAMESPACE_URL, f"trigpoint:{data.site.name}/{first}/{track.first_ns}")
+
+
+def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:
+    """Everything that is known now."""
+    located, undetermined = estimator.cameras(), estimator.undetermined()
+    cameras = {
+        name: _camera(data, estimator, name, located.get(name), undetermined.get(name))
+        for name in data.site.cameras
+    }
+    trajectories = {}
+    for name in data.site.robots:
+        trajectory = estimator.trajectory(name)
+        if trajectory is not None:
+            trajectories[name] = (trajectory.stamps_ns, trajectory.map_from_base)
+    robots = {
+        name: _robot(data, estimator, name, trajectories.get(name)) for name in data.site.robots
+    }
+    network = Network(
+        site=data.site.name,
+        map_id=str(map_id) if map_id is not None else "",
+        estimator=data.site.fusion.estimator,
+        cameras=cameras,
+        robots=robots,
+        statistics=Statistics(estimator.chi2_per_dof, estimator.iterations),
+    )
+    return Results(network, estimator.joint_covariance(), trajectories)
+
+
+def _camera(
+    data: DataSet,
+    estimator: Estimator,
+    name: str,
+    located: CameraEstimate | None,
+    undetermined: tuple[str, ...] | None,
+) -> CameraRecord:
+    count = estimator.count(name)
+    earlier = tuple(
+        _earlier(move)
+        for move in data.moves
+        if move.camera == name and move.map_from_camera is not None
+    )
+    if located is not None:
+        return CameraRecord(
+            status="located",
+            confirmed=estimator.is_confirmed(name),
+            map_from_camera=PoseRecord.of(located.map_from_camera),
+            covariance=tuple(located.covariance.reshape(-1).tolist()),
+            intrinsics=IntrinsicsRecord.of(located.lens, located.lens_sigma),
+            time_offset=located.time_offset_s,
+            time_offset_sigma=located.time_offset_sigma_s,
+            sightings=count.sightings,
+            rejected=count.rejected,
+            reprojection_rms=count.reprojection_rms,
+            earlier=earlier,
+        )
+    lens = data.lenses.get(name)
+    intrinsics = None
+    if lens is not None:
+        intrinsics = IntrinsicsRecord.of(lens, np.zeros(len(lens.parameters)))
+    if undetermined is None:
+        return CameraRecord(status="unseen", intrinsics=intrinsics)
+    return CameraRecord(
+        status="undetermined",
+        undetermined=undetermined,
+        alternatives=tuple(_alternative(place) for place in estimator.alternatives(name)),
+        intrinsics=intrinsics,
+        sightings=count.sightings,
+        rejected=count.rejected,
+        earlier=earlier,
+    )
+
+
+def _alternative(place: Alternative) -> AlternativeRecord:
+    covariance = tuple(place.covariance.reshape(-1).tolist())
+    return AlternativeRecord(PoseRecord.of(place.map_from_camera), covariance, place.probability)
+
+
+def _earlier(move: Move) -> EarlierPose:
+    assert move.map_from_camera is not None  # it was located when it was moved
+    assert move.covariance is not None
+    covariance = tuple(move.covariance.reshape(-1).tolist())
+    return EarlierPose(str(move.until_ns), PoseRecord.of(move.map_from_camera), covariance)
+
+
+def _robot(
+    data: DataSet, estimator: Estimator, name: str, trajectory: tuple[np.ndarray, Pose] | None
+) -> RobotRecord:
+    target, track = data.targets[name], data.tracks[name]
+    base_from_face = estimator.base_from_faces(name)
+    faces = []
+    for index, face in enumerate(target.faces):
+        record = PoseRecord.of(base_from_face[index])
+        faces.append(FaceRecord(face.id, record.translation, record.quaternion))
+    map_from_odom = None
+    if trajectory is not None and len(track):
+        map_from_odom = PoseRecord.of(trajectory[1][-1] @ track.odom_from_base[-1].inverse())
+    distance_scale, heading_scale = (1 + estimator.scales(name)).tolist()
+    return RobotRecord(
+        trajectory=f"{name}.tum" if trajectory is not None else None,
+        distance_scale=distance_scale,
+        heading_scale=heading_scale,
+        map_from_odom=map_from_odom,
+        target=TargetRecord(tuple(faces)),
+    )

@@ -1,0 +1,1 @@
+"""The default estimator: a smoother over all poses, with a filter for the moment."""

@@ -1,0 +1,431 @@
+"""The batch solution: everything that came in, worked out together.
+
+In goes the data set: observations with a verdict, a reading and a guess of where the robot stood,
+and the robots' odometry. Out come
+
+- the `state` (cameras, robots, scales), its `solution` and the `assembled` problem behind it;
+- a `Filter` with what is known at the end, which `solve` and `finish` return;
+- in the data set's entries: verdicts, outliers, readings, shares, and where the robot stood;
+- `undetermined`: what is not known of the cameras that could not be located.
+
+One solution goes: readmit what was set aside, solve and judge in rounds until nothing changes, say
+where the robot stood at what is not used, drop a camera that most of its pictures contradict.
+"""
+
+from collections import Counter
+
+import numpy as np
+
+from trigpoint.fusion.association.engine import explain
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.explanation import CameraFinding, Explanation
+from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.estimators import outlier_rejection
+from trigpoint.fusion.estimators.marginals import camera_estimates
+from trigpoint.fusion.estimators.smoother import odometry_noise, standstill_noise
+from trigpoint.fusion.initialisation.cameras import Located, Undetermined, locate
+from trigpoint.fusion.model.assembly import Assembled
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation, Verdict, observation_of
+from trigpoint.fusion.model.problem import State
+from trigpoint.fusion.model.trajectory import interpolated
+from trigpoint.fusion.solver.filter import Filter
+from trigpoint.fusion.solver.levenberg_marquardt import Solution
+from trigpoint.fusion.solver.relinearisation import solve_consistently
+from trigpoint.geometry import Pose
+
+from .change_reports import why_untied
+from .contradicting_sightings import leave_out_contradicting
+from .explained_data import take
+from .placement import place
+from .readmission import Readmission
+
+_HUBER = 4.0
+_MOST_ROUNDS = 6
+_MOST_ROUGH_ROUNDS = 2
+_MOST_SETTLING = 3
+_MOST_LOCATED = 3
+# A turn's second order in a scale error of this prior sigma is what a visit's poses are known by.
+_ROUGH_SCALE = 0.05
+# How much is taken in at once of what was collected: so many observations, then this many times
+# what there is.
+_FIRST_STRETCH = 64
+_GROWTH = 3
+# What a step may still promise of χ² at the end: 0.3, 0.1 and 0.01 of a sigma.
+_ROUGH_TOLERANCE = 0.1
+LIVE_TOLERANCE = 1e-2
+FINAL_TOLERANCE = 1e-4
+_LEAST_PICTURES = 3
+_GROWTH_TO_TIE = 1.2
+
+
+class BatchSolution:
+    """The solution over a data set, redone on demand. Not thread-safe."""
+
+    def __init__(self, data: DataSet) -> None:
+        self.data = data
+        self.state = data.first_state()
+        self.solution: Solution | None = None
+        self.assembled: Assembled | None = None
+        self.undetermined: dict[str, tuple[str, ...]] = {}
+        # How many pictures each camera had when it was last tried to locate it, and by how many
+        # each robot when it was last tried in vain to tie it to the map.
+        self.tries: dict[str, int] = {}
+        self._tie_tries: dict[str, int] = {}
+        # By robot that is not tied to the map: why.
+        self._untied: dict[str, str] = {}
+        self.tolerance = LIVE_TOLERANCE
+        self.iterations = 0
+        # What was collected without an estimate, and is not in the data set yet.
+        self.collected: list[Observation] = []
+        # Entries of which it is not known yet what they mean: they stay set aside.
+        self.undecided: set[int] = set()
+        self._readmission = Readmission(data)
+        self.explanation: Explanation | None = None
+        self._memory = Memory()
+
+    # -- solving ----------------------------------------------------------------------------------
+
+    def finish(self, known: Filter | None) -> Filter | None:
+        """Work out from all that came in what explains it, and solve that to the end."""
+        if not any(len(track) for track in self.data.tracks.values()):
+            return known
+        if not self._is_explainable():
+            return self._finished_by_rules(known)
+        observations = self._all()
+        if not observations:
+            return known
+        self.explanation = explanation = explain(self.data, observations, memory=self._memory)
+        self.state = take(self.data, explanation)
+        self.undetermined = {
+            camera: (finding.reason,)
+            for camera, finding in explanation.findings.items()
+            if finding.reason
+        }
+        return self._solved_as_explained()
+
+    def _is_explainable(self) -> bool:
+        """Whether the association can explain the session: it knows robots in the plane, and takes
+        their odometry's scales to first order."""
+        return all(
+            robot.planar
+            and max(robot.odometry.distance_scale, robot.odometry.heading_scale) <= _ROUGH_SCALE
+            for robot in self.data.site.robots.values()
+        )
+
+    def _finished_by_rules(self, known: Filter | None) -> Filter | None:
+        """Locate what can be located and solve to the end without the association."""
+        self.undecided = set()
+        self.tolerance = FINAL_TOLERANCE
+        try:
+            return self._finished(self._take_in(known))
+        finally:
+            self.tolerance = LIVE_TOLERANCE
+
+    def _finished(self, known: Filter | None) -> Filter | None:
+        found: Counter[str] = Counter()
+        for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
+            known = self.solve(known)
+            tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
+            missing = [
+                name
+                for name in self.data.camera_names
+                if name not in self.state.cameras and self.data.of_camera(name)
+            ]
+            # One that is located and dropped again and again would go on so.
+            again = [n for n in missing if found[n] < _MOST_LOCATED and self.locate(n)]
+            found.update(again)
+            if not again and not tied:
+                break
+        return self._settle(known)
+
+    def _settle(self, known: Filter | None) -> Filter | None:
+        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
+        for _ in range(_MOST_SETTLING):
+            before = self._rejected()
+            if not before:
+                break
+            known = self.solve(known)
+            if self._rejected() == before:
+                break
+        return known
+
+    def _rejected(self) -> set[int]:
+        entries = self.data.entries
+        return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
+
+    def _take_in(self, known: Filter | None) -> Filter | None:
+        """Take in what was collected without an estimate, in ever larger stretches of time."""
+        while known is not None:
+            has_grown = self._extend()
+            homeless = self._homeless()
+            for robot, indices in homeless.items():
+                if known.has_robot(robot):
+                    place(self.data, known, robot, indices)
+                else:
+                    self.tie(robot, known)
+            if not has_grown and self._homeless() == homeless:
+                break
+            for camera in self.data.camera_names:
+                if camera not in self.state.cameras and self.is_due(camera):
+                    self.locate(camera)
+            known = self.solve(known, is_rough=True)
+        return known
+
+    def _extend(self) -> bool:
+        """Put the next stretch of what was collected into the data set; whether there was one."""
+        count = max(_FIRST_STRETCH, (_GROWTH - 1) * len(self.data.entries))
+        stretch, self.collected = self.collected[:count], self.collected[count:]
+        self.data.entries.extend(Entry(observation) for observation in stretch)
+        return bool(stretch)
+
+    def _solved_as_explained(self) -> Filter:
+        """Solve over what the explanation uses, until the noise of it stays the same."""
+        used = self.data.usable(self.state.cameras)
+        if not used:
+            self.assembled = self.solution = None
+            return Filter.at_origin(self.data)
+        for _ in range(_MOST_ROUNDS):
+            solved = solve_consistently(
+                self.data, self.state, used, huber=np.inf, tolerance=FINAL_TOLERANCE
+            )
+            self.state, self.iterations = solved.state, self.iterations + solved.iterations
+            self.assembled, self.solution = solved.assembled, solved.solution
+            changed = leave_out_contradicting(self.data, self.assembled, self.state, Events())
+            used = self.data.usable(self.state.cameras)
+            changed |= standstill_noise.share_out(self.data, self.assembled, self.state)
+            changed |= odometry_noise.learn(self.data, self.assembled, self.state)
+            if not changed:
+                break
+        assert self.assembled is not None
+        assert self.solution is not None
+        self._forget_unused(self.assembled)
+        known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        self._say_earlier(known)
+        self._guess_rest()
+        return known
+
+    def finding(self, camera: str) -> CameraFinding | None:
+        """What the last explanation says of a camera."""
+        return self.explanation.findings.get(camera) if self.explanation is not None else None
+
+    def _all(self) -> list[Observation]:
+        """Every observation as it came, in order of time."""
+        came = [entry.observation for entry in self.data.entries] + self.collected
+        self.collected = []
+        found = [
+            observation_of(self.data.site_camera(o.camera), o.robot, o.stamp_ns, o.views)
+            for o in came
+        ]
+        return sorted(found, key=lambda observation: observation.stamp_ns)
+
+    def _homeless(self) -> dict[str, list[int]]:
+        """By robot the entries without a place, in the order in which they came."""
+        found: dict[str, list[int]] = {}
+        for index, entry in enumerate(self.data.entries):
+            if entry.map_from_base is None:
+                found.setdefault(entry.observation.robot, []).append(index)
+        return found
+
+    def is_due(self, camera: str) -> bool:
+        """Whether a camera's pictures have grown by half since it was last tried to locate it."""
+        pictures = self._placed_count(camera)
+        return pictures >= max(_LEAST_PICTURES, 1.5 * self.tries.get(camera, 0))
+
+    def _placed_count(self, camera: str) -> int:
+        """How many of a camera's pictures show a robot whose place is known."""
+        return sum(entry.map_from_base is not None for entry in self.data.of_camera(camera))
+
+    def tie(self, robot: str, known: Filter | None) -> bool:
+        """Try to tie a robot to the map, or what hangs loose of its way, where more of it was seen
+        by located cameras than at the last try; whether that succeeded. The next solution uses it.
+        """
+        if known is None:
+            return False
+        indices = self._homeless().get(robot, [])
+        seen = sum(known.has_camera(self.data.entries[i].observation.camera) for i in indices)
+        if not seen or seen < _GROWTH_TO_TIE * self._tie_tries.get(robot, 0):
+            return False
+        untied = place(self.data, known, robot, indices)
+        if untied is not None:
+            self._tie_tries[robot], self._untied[robot] = seen, untied.reason
+            return False
+        self._tie_tries.pop(robot, None)
+        self._untied.pop(robot, None)
+        return True
+
+    def solve(self, known: Filter | None, *, is_rough: bool = False) -> Filter | None:
+        """Solve over everything; observations that contradict the rest are set aside.
+
+        `known`: what is known up to now; `is_rough`: well enough to go on from. Returns what is
+        known then; `known`, where there is nothing to solve.
+        """
+        self._readmit(known)
+        rounds = self._rounds(is_rough=is_rough)
+        if rounds is None:
+            return known
+        self.assembled, self.solution = rounds
+        self._forget_unused(self.assembled)
+        known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        self._say_earlier(known)
+        self._guess_rest()
+        dropped = self._drop_misplaced()
+        return self.solve(known, is_rough=is_rough) if dropped else known
+
+    def _say_earlier(self, known: Filter) -> None:
+        """Where cameras were before they were moved, as it is known now."""
+        estimates = camera_estimates(known, [move.name for move in self.data.moves])
+        for move in self.data.moves:
+            if move.name in estimates:
+                move.map_from_camera = estimates[move.name].map_from_camera
+                move.covariance = estimates[move.name].covariance
+
+    def _rounds(self, *, is_rough: bool) -> tuple[Assembled, Solution] | None:
+        """Solve and judge until nothing changes; None where nothing is left to solve."""
+        used = self.data.usable(self.state.cameras)
+        last = None
+        for round_ in range(_MOST_ROUGH_ROUNDS if is_rough else _MOST_ROUNDS):
+            if not used:
+                return None
+            starts = round_ == 0
+            last = assembled, _ = self._solve_used(used, is_rough=is_rough or starts)
+            changed = outlier_rejection.judge(self.data, assembled, self.state)
+            if not (is_rough or starts):
+                changed |= standstill_noise.share_out(self.data, assembled, self.state)
+                changed |= odometry_noise.learn(self.data, assembled, self.state)
+            used = self.data.usable(self.state.cameras)
+            if not changed and (is_rough or not starts):
+                break
+        return last if used else None
+
+    def _solve_used(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
+        tolerance = _ROUGH_TOLERANCE if is_rough else self.tolerance
+        solved = solve_consistently(
+            self.data, self.state, used, huber=_HUBER if is_rough else np.inf, tolerance=tolerance
+        )
+        self.state = solved.state
+        self.iterations += solved.iterations
+        return solved.assembled, solved.solution
+
+    # -- what was set aside -----------------------------------------------------------------------
+
+    def _readmit(self, known: Filter | None) -> None:
+        """Give observations that were set aside another chance, and place those without a place."""
+        for index, entry in enumerate(self.data.entries):
+            observation = entry.observation
+            if observation.camera not in self.state.cameras or index in self.undecided:
+                continue
+            outlier_rejection.reconsider(self.data, self.state, index)
+            if entry.map_from_base is None:
+                entry.map_from_base = self.pose_at(known, observation.robot, observation.stamp_ns)
+            if entry.map_from_base is None or observation.verdict is Verdict.ACCEPTED:
+                continue
+            if known is None or not known.has_camera(observation.camera):
+                continue  # located just now: the next solution looks at it again
+            chains = self.assembled.problem.chains if self.assembled else {}
+            self._readmission.look_again(index, known, chains.get(observation.robot))
+
+    def _forget_unused(self, assembled: Assembled) -> None:
+        """Cameras all of whose observations were rejected are not located any more."""
+        kept = {n: c for n, c in self.state.cameras.items() if n in assembled.problem.layout.pose}
+        self.state = State(kept, self.state.robots)
+
+    def _guess_rest(self) -> None:
+        """Place every observation that is not used, by the new solution."""
+        open_: dict[str, list[Entry]] = {}
+        for entry in self.data.entries:
+            if entry.observation.verdict is not Verdict.ACCEPTED:
+                open_.setdefault(entry.observation.robot, []).append(entry)
+        for robot, entries in open_.items():
+            for entry, pose in zip(entries, self._poses_at(robot, entries), strict=True):
+                entry.map_from_base = pose
+
+    def _poses_at(self, robot: str, entries: list[Entry]) -> list[Pose | None]:
+        """Where a robot stood at observations, by the last solution and odometry."""
+        chain = self.assembled.problem.chains.get(robot) if self.assembled else None
+        if chain is None:
+            return [None] * len(entries)
+        track = self.data.tracks[robot]
+        stamps = np.array([entry.observation.stamp_ns for entry in entries])
+        nodes = self.state.robots[robot].map_from_base
+        moments = np.clip(stamps, track.first_ns, track.last_ns)
+        poses = interpolated(track, chain, nodes, moments)
+        is_tied = self._is_tied(robot, moments)
+        return [poses[i] if is_tied[i] else None for i in range(len(entries))]
+
+    def _is_tied(self, robot: str, moments: np.ndarray) -> np.ndarray:
+        """Whether a robot's odometry leads to moments (n,) from where a used sighting, or the map's
+        origin, says where it is: across a jump or a break it leads nowhere."""
+        assert self.assembled is not None
+        track, problem = self.data.tracks[robot], self.assembled.problem
+        chain = problem.chains[robot]
+        seen = [batch.nodes for batch in problem.batches if batch.robot == robot]
+        nodes = np.concatenate([*seen, np.zeros(int(chain.is_anchored), dtype=int)])
+        return np.isin(track.pieces(moments), track.pieces(chain.stamps_ns[nodes]))
+
+    def pose_at(self, known: Filter | None, robot: str, stamp_ns: int) -> Pose | None:
+        """Where the robot stood at a moment, as far as it is known now."""
+        if known is None or not known.has_robot(robot):
+            return None
+        track, moment = self.data.tracks[robot], np.array([stamp_ns])
+        if stamp_ns >= known.stamps_ns[robot]:
+            last = np.array([known.stamps_ns[robot]])
+            if np.any(track.pieces(moment) != track.pieces(last)):
+                return None
+            return known.robot(self.data, robot, stamp_ns).map_from_base
+        if self.assembled is not None and robot in self.assembled.problem.chains:
+            chain = self.assembled.problem.chains[robot]
+            if not self._is_tied(robot, moment)[0]:
+                return None
+            nodes = self.state.robots[robot].map_from_base
+            return interpolated(track, chain, nodes, moment)[0]
+        return None
+
+    # -- locating ---------------------------------------------------------------------------------
+
+    def locate(self, camera: str) -> bool:
+        """Try to locate a camera; whether that succeeded. The next solution uses it."""
+        self.tries[camera] = self._placed_count(camera)
+        if not self.tries[camera]:
+            chains = self.assembled.problem.chains if self.assembled else {}
+            self.undetermined[camera] = why_untied(self.data, camera, chains, self._untied)
+            return False
+        result = locate(self.data, self.state, camera)
+        if isinstance(result, Undetermined):
+            self.undetermined[camera] = result.reasons
+            return False
+        self.undetermined.pop(camera, None)
+        self._take(camera, result)
+        return True
+
+    def _take(self, camera: str, located: Located) -> None:
+        self.state = State(self.state.cameras | {camera: located.camera}, self.state.robots)
+        for index, readings in located.readings.items():
+            entry = self.data.entries[index]
+            entry.observation = entry.observation.read_as(readings).judged(Verdict.ACCEPTED)
+            entry.map_from_base = located.map_from_base.get(index, entry.map_from_base)
+
+    def _drop_misplaced(self) -> bool:
+        """A camera most of whose observations contradict its place loses it, and starts anew;
+        whether there was one."""
+        for camera in list(self.state.cameras):
+            if camera in self.data.known.poses:
+                continue
+            # What it saw of a robot that is not tied yet contradicts nothing.
+            entries = [e for e in self.data.of_camera(camera) if e.map_from_base is not None]
+            accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
+            if accepted * 2 >= len(entries) or outlier_rejection.may_have_moved(entries):
+                continue
+            self._drop(camera, "its pictures contradict each other")
+            return True
+        return False
+
+    def _drop(self, camera: str, why: str) -> None:
+        """Take the place from a camera; its observations are looked at anew."""
+        cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
+        self.state = State(cameras, self.state.robots)
+        entries = self.data.of_camera(camera)
+        for entry in entries:
+            entry.observation = entry.observation.judged(Verdict.PENDING)
+        self.undetermined[camera] = (why,)
+        self.tries[camera] = len(entries)

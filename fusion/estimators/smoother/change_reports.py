@@ -1,0 +1,115 @@
+"""What people are told of a lifted robot and of a moved camera."""
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.fusion.model.dataset import DataSet, Knock, Lift, Upheaval
+from trigpoint.fusion.model.problem import State
+
+_UNMET = "it has met no located camera yet; drive it past one"
+_BEHIND_A_JUMP = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
+
+
+def say(data: DataSet, state: State) -> None:
+    """Have people told what happened to the site."""
+    for alike in data.happened:
+        lifts = [event for event in alike if isinstance(event, Lift)]
+        knocks = [event for event in alike if isinstance(event, Knock)]
+        if lifts and not knocks:
+            data.note("robot_lifted", _of_robot(data, lifts))
+        elif len(knocks) == len(alike) == 1:
+            data.note("camera_moved", _of_camera(data, state, knocks[0]))
+        else:
+            data.note("undecided", _of_either(data, alike))
+
+
+def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
+    robots = " or ".join(dict.fromkeys(lift.robot for lift in lifts))
+    text = (
+        f"robot {robots} was put down elsewhere {_between(data, lifts)} while its odometry showed "
+        "nothing; its way is broken there, and it is located anew"
+    )
+    if len(lifts) > 1:
+        text += "; a camera that it met only in between has no place until it drives there again"
+    return text
+
+
+def _of_camera(data: DataSet, state: State, knock: Knock) -> str:
+    (name,) = [
+        m.name for m in data.moves if (m.camera, m.since_ns) == (knock.camera, knock.since_ns)
+    ]
+    places = data.places_of(knock.camera)
+    after = places[places.index(name) + 1]
+    by = ""
+    if name in state.cameras and after in state.cameras:
+        old, new = (state.cameras[place].map_from_camera for place in (name, after))
+        by = f" by {np.linalg.norm(new.translation - old.translation):.2f} m"
+    return (
+        f"camera {knock.camera} was moved{by}; it is located anew, and what it saw before stays "
+        "with its earlier place"
+    )
+
+
+def _of_either(data: DataSet, alike: tuple[Upheaval, ...]) -> str:
+    what = dict.fromkeys(
+        f"robot {event.robot} was put down elsewhere"
+        if isinstance(event, Lift)
+        else f"camera {event.camera} was moved"
+        for event in alike
+    )
+    return (
+        f"either {' or '.join(what)} {_between(data, alike)}; what depends on which of them has "
+        "no place until the robot has passed there again"
+    )
+
+
+def why_untied(
+    data: DataSet, camera: str, chains: Collection[str], untied: Mapping[str, str]
+) -> tuple[str, ...]:
+    """In words, why nothing is known of where the robots stood that a camera saw.
+
+    `chains`: the robots that the last solution has; `untied`: by robot, why it could not be tied to
+    the map.
+    """
+    if (reason := _behind_an_upheaval(data, camera)) is not None:
+        return (reason,)
+    robots = dict.fromkeys(entry.observation.robot for entry in data.of_camera(camera))
+    if any(robot in chains for robot in robots):
+        return (_BEHIND_A_JUMP,)
+    return tuple(
+        f"the robot {robot} that it saw is not tied to the map: {untied.get(robot, _UNMET)}"
+        for robot in robots
+    )
+
+
+def _behind_an_upheaval(data: DataSet, camera: str) -> str | None:
+    """In words, why a camera before which a robot's way hangs loose has no place; None where that
+    is not why."""
+    entries = [entry.observation for entry in data.of_camera(camera) if entry.map_from_base is None]
+    robots = {observation.robot for observation in entries}
+    for alike in data.happened:
+        if any(isinstance(event, Lift) and event.robot in robots for event in alike):
+            what = dict.fromkeys(
+                f"robot {event.robot} was moved by hand"
+                if isinstance(event, Lift)
+                else f"camera {event.camera} was moved"
+                for event in alike
+            )
+            return (
+                f"position and orientation in the map: {' or '.join(what)} some time "
+                f"{_between(data, alike)}, and whether before or after this camera saw the robot "
+                "is not known; drive there again"
+            )
+    return None
+
+
+def _between(data: DataSet, events: list[Lift] | tuple[Upheaval, ...]) -> str:
+    """Between which times of the session."""
+    first = min(e.after_ns if isinstance(e, Lift) else e.until_ns for e in events) - data.epoch_ns
+    last = max(e.before_ns if isinstance(e, Lift) else e.since_ns for e in events) - data.epoch_ns
+    return f"between {first / NANOSECONDS:.1f} s and {last / NANOSECONDS:.1f} s of the session"

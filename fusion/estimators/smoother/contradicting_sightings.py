@@ -1,0 +1,70 @@
+"""Sightings that contradict the solution which they are a part of.
+
+The association judges most of a session's sightings to first order, and those that it did not
+choose to look at each by itself. In the solution everything has its word. What a sighting would
+have the robot stand otherwise, ν, has there at most its own covariance P; so with the score of a
+sighting that is right at least νᵀP⁻¹ν + ln |P|, one for which that is more than a wrong one's is
+wrong, whatever the rest of its covariance is.
+"""
+
+import numpy as np
+
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.model.assembly import Assembled
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
+from trigpoint.fusion.model.problem import Batch, State
+
+_Excess = tuple[float, int, int]
+
+
+def leave_out_contradicting(
+    data: DataSet, assembled: Assembled, state: State, events: Events
+) -> bool:
+    """Leave out the worst of each robot's sightings that contradict the solution; whether any was.
+
+    What draws good ones off beside it is at least twice as bad as they are; they get another look.
+    """
+    worst: dict[str, float] = {}
+    found: list[tuple[str, _Excess]] = []
+    for batch in assembled.problem.batches:
+        for excess in _excesses(data, assembled, batch, state, events):
+            worst[batch.robot] = max(worst.get(batch.robot, 0.0), excess[0])
+            found.append((batch.robot, excess))
+    left_out = [each for robot, each in found if each[0] > worst[robot] / 2]
+    for _, source, order in left_out:
+        entry = data.entries[source]
+        views = entry.observation.views
+        wild = list(entry.observation.outliers or [np.zeros(len(v.corners), bool) for v in views])
+        wild[order] = np.ones(len(views[order].corners), bool)
+        entry.observation = entry.observation.with_outliers(tuple(wild))
+    return bool(left_out)
+
+
+def _excesses(
+    data: DataSet, assembled: Assembled, batch: Batch, state: State, events: Events
+) -> list[_Excess]:
+    """By how much each sighting of a batch that contradicts is worse than a wrong one, with its
+    source and order."""
+    limit = events.pose_score + events.wrong_score
+    by_base = base_jacobian(assembled.problem, batch, state)
+    residual = batch_residual(assembled.problem, batch, state)
+    found = []
+    for row, source in enumerate(batch.sources.tolist()):
+        start = 0
+        for order, view in enumerate(data.entries[source].observation.views):
+            part = slice(start, start + len(view.corners))
+            start = part.stop
+            flat = by_base[row, part].reshape(-1, 6)
+            normal = flat.T @ flat
+            if np.linalg.matrix_rank(normal, hermitian=True) < 6:
+                continue  # left out already, or too few corners to contradict
+            own = np.linalg.inv(normal)
+            step = -own @ (flat.T @ residual[row, part].reshape(-1))
+            if batch.jitter is not None:
+                own = own + np.diag(batch.jitter)
+            chi2 = float(step @ np.linalg.solve(own, step))
+            excess = chi2 + float(np.linalg.slogdet(own)[1]) - limit
+            if excess > 0:
+                found.append((excess, source, order))
+    return found

@@ -1,0 +1,179 @@
+"""What is known at the moment: a filter, carried on sighting by sighting, and its last steps.
+
+A sighting that comes late is put before the ones that are later than it, which are then taken in
+again. Filters are immutable and share what a step leaves alone, so that going back costs nothing.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.estimators.marginals import camera_estimates
+from trigpoint.fusion.model.assembly import true_time_ns
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation, Verdict
+from trigpoint.fusion.model.problem import State
+from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
+
+from .placement import align_before
+
+# An observation's surprise is χ² of twice its corners; beyond this many times that, the sighting,
+# the robot or the camera is not where the rest says.
+_SURPRISING = 3.0
+_MOST_STEPS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A used entry, and the filter before it."""
+
+    time_ns: int
+    before: Filter
+    entry: Entry
+
+
+class Present:
+    """The filter of one moment. Not thread-safe.
+
+    `known`: None before the first odometry message.
+    """
+
+    def __init__(self, data: DataSet) -> None:
+        self.data = data
+        self.known: Filter | None = None
+        self._steps: list[_Step] = []
+        # (camera, robot) -> stamp and share of the last observation.
+        self._shares: dict[tuple[str, str], tuple[int, float]] = {}
+        # Where each robot is by its odometry since the filter's last step, and by which filter;
+        # where scales are estimated, the filter carried on that far.
+        self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
+
+    def begin(self, robot: str) -> None:
+        """Take note of a robot's odometry: the first robot's first message is where the map is."""
+        if self.known is None and (robot == self.data.anchored_robot or self.data.known.poses):
+            self.known = Filter.at_origin(self.data)
+
+    def settle(self) -> None:
+        """Do now, where nobody waits, what one of the next sightings would have to wait for."""
+        known = self.known
+        if known is not None and known.is_worth_settling:
+            self.known = known.settled()
+
+    def go_on_from(self, known: Filter | None, entries: Iterable[Entry] = ()) -> None:
+        """Replace what is known; `entries`: whose shares are to be gone on from, in order."""
+        self.known = known
+        self._steps.clear()
+        for entry in entries:
+            self._note_share(entry)
+
+    @property
+    def shares(self) -> dict[tuple[str, str], tuple[int, float]]:
+        """(camera, robot) -> stamp and share of the last observation."""
+        return dict(self._shares)
+
+    def take_shares(self, shares: dict[tuple[str, str], tuple[int, float]]) -> None:
+        """Go on from the shares of another."""
+        self._shares = dict(shares)
+
+    # -- an observation of a located camera by a robot that is tied to the map --------------------
+
+    def use(self, entry: Entry, state: State) -> RobotEstimate | None:
+        """Update by an observation; None where it was rejected or came too late.
+
+        `state`: by whose time offsets its moment is known.
+        """
+        assert self.known is not None
+        time_ns = true_time_ns(self.data, entry.observation, state)
+        scales = self.known.scales(entry.observation.robot)
+        entry.observation = self.data.moving(entry.observation, time_ns, scales)
+        later = self._rewind(entry.observation.robot, time_ns)
+        correction = self._apply(entry, time_ns)
+        for step in later:
+            self._apply(step.entry, step.time_ns)
+        return correction
+
+    def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
+        """Go back before everything of this robot that is later; the steps to do again."""
+        assert self.known is not None
+        if self.known.stamps_ns[robot] <= time_ns:
+            return []
+        for row in range(len(self._steps) - 1, -1, -1):
+            before = self._steps[row].before
+            if before.stamps_ns[robot] <= time_ns:
+                self.known = before
+                later = self._steps[row:]
+                del self._steps[row:]
+                return later
+        return []  # older than all of it; the next solution has it
+
+    def _apply(self, entry: Entry, time_ns: int) -> RobotEstimate | None:
+        """Update the filter by an observation; None where it was rejected or came too late."""
+        current = self.known
+        assert current is not None
+        robot = entry.observation.robot
+        if time_ns < current.stamps_ns[robot]:
+            return None  # older than the steps: the next solution has it
+        predicted = current.robot(self.data, robot, time_ns)
+        aligned = align_before(self.data, current, entry.observation, predicted)
+        if aligned is None:
+            entry.observation = entry.observation.judged(Verdict.REJECTED)
+            entry.map_from_base = predicted.map_from_base
+            return None
+        observation, pose = aligned
+        moved = current.advanced(self.data, robot, time_ns, pose)
+        entry.share = self._share_before(observation)
+        after, surprise = moved.updated(self.data, observation, share=entry.share)
+        entry.map_from_base = pose
+        if surprise > _SURPRISING * 2 * observation.corner_count + 50:
+            entry.observation = observation.judged(Verdict.REJECTED)
+            return None
+        entry.observation = observation.judged(Verdict.ACCEPTED)
+        self._steps.append(_Step(time_ns, current, entry))
+        del self._steps[:-_MOST_STEPS]
+        self._note_share(entry)
+        self.known = after
+        estimate = after.robot(self.data, robot)
+        return estimate if is_placed(estimate.covariance) else None
+
+    def _share_before(self, observation: Observation) -> float:
+        """The share of the same camera's last observation, while the robot stands as it did."""
+        pair = observation.camera, observation.robot
+        if pair not in self._shares:
+            return 1.0
+        stamp_ns, share = self._shares[pair]
+        track = self.data.tracks[observation.robot]
+        is_still = track.is_still(*sorted([stamp_ns, observation.stamp_ns]))
+        return share if is_still else 1.0
+
+    def _note_share(self, entry: Entry) -> None:
+        observation = entry.observation
+        self._shares[observation.camera, observation.robot] = (observation.stamp_ns, entry.share)
+
+    # -- where a robot is -------------------------------------------------------------------------
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        """At its last odometry message; None while it is not tied to the map."""
+        if self.known is None or not self.known.has_robot(robot):
+            return None
+        carried = self._carried.get(robot)
+        if carried is not None and carried[0] is self.known:
+            _, estimate, ahead = carried
+        else:
+            estimate, ahead = self.known.robot(self.data, robot), self.known
+        last_ns = self.data.tracks[robot].last_ns
+        if robot in self.known.layout.scales:
+            ahead = ahead.carried(self.data, robot, last_ns)
+            estimate = ahead.robot(self.data, robot)
+        else:
+            estimate = carried_on(self.data, robot, estimate, last_ns, ahead.scales(robot))
+        self._carried[robot] = (self.known, estimate, ahead)
+        return estimate
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        """The located cameras."""
+        if self.known is None:
+            return {}
+        last_ns = max(self.known.stamps_ns.values(), default=self.data.epoch_ns)
+        since_epoch_s = float(self.data.since_epoch_s(last_ns))
+        names = list(self.data.site.cameras)
+        return camera_estimates(self.known, names, since_epoch_s=since_epoch_s)

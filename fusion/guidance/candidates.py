@@ -1,0 +1,158 @@
+"""Poses that a robot can be expected to be able to drive to, and how long the way there is.
+
+The floor is known by where robots have driven: squares within half a metre of their ways, joined
+to their neighbours. A robot that does not move in a plane is only sent where one of its kind was.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
+
+from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+CELL_M = 0.25
+DRIVEN_M = 0.5
+"""How near to a driven pose a suggestion is."""
+SEEN_M = 1.0
+"""How near to where a camera has seen a target it is expected to see one again."""
+_HEADINGS = 12
+_MOST_PLACES = 24  # for each camera
+_LARGEST_GAP_M = 3.0  # between two poses of a way; beyond it the robot's odometry jumped
+_DETOUR = 1.5  # a goal that no known way leads to
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """`places`: (n, 2) middles of the squares; `steps`: (n, n) sparse, metres from one to the next;
+    `poses`: all that were driven, (m)."""
+
+    places: Array
+    steps: coo_array
+    poses: Pose
+
+    @classmethod
+    def of(cls, world: GuidanceWorld) -> "Ground":
+        driven = np.concatenate([np.zeros((0, 2)), *(_dense(w) for w in world.ways.values())])
+        places = _squares(driven)
+        poses = Pose(
+            np.concatenate([np.zeros((0, 3, 3)), *(w.rotation for w in world.ways.values())]),
+            np.concatenate([np.zeros((0, 3)), *(w.translation for w in world.ways.values())]),
+        )
+        return cls(places, _steps(places), poses)
+
+    def paths_from(self, here: Pose) -> Array:
+        """How long the way to each square is, (n,), metres."""
+        start = here.translation[:2]
+        straight = np.linalg.norm(self.places - start, axis=1)
+        if not len(self.places):
+            return straight
+        nearest = int(np.argmin(straight))
+        paths = np.asarray(dijkstra(self.steps, directed=False, indices=nearest))
+        return np.where(np.isfinite(paths), np.maximum(paths, straight), _DETOUR * straight)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """`map_from_base` (n), and how long the way there is (n,), metres."""
+
+    map_from_base: Pose
+    path_m: Array
+
+    def where(self, chosen: np.ndarray) -> "Candidates":
+        return Candidates(self.map_from_base[chosen], self.path_m[chosen])
+
+
+def nearest_cameras(
+    world: GuidanceWorld, ground: Ground, paths: Array, *, without: str, most: int
+) -> list[str]:
+    """The cameras that have seen a target, those first that the robot is nearest to."""
+    if not len(ground.places):
+        return []
+    tree = KDTree(ground.places)
+    found = []
+    for name, views in world.views.items():
+        if name != without and len(views.places):
+            _, squares = tree.query(_spread_rows(views.places, 16)[:, :2])
+            found.append((float(paths[squares].min()), name))
+    return [name for _, name in sorted(found)[:most]]
+
+
+def candidates(
+    world: GuidanceWorld, ground: Ground, paths: Array, place: RobotPlace, cameras: list[str]
+) -> Candidates:
+    """Where these cameras may see the robot; a bounded number."""
+    if not place.planar:
+        return _driven(ground, place.map_from_base)
+    near = [_near(ground.places, world.views[name].places[:, :2]) for name in cameras]
+    chosen = np.unique(np.concatenate([np.zeros(0, dtype=int), *near]))
+    x, y = np.repeat(ground.places[chosen], _HEADINGS, axis=0).T
+    headings = np.tile(np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS, len(chosen))
+    return Candidates(Pose.planar(x, y, headings), np.repeat(paths[chosen], _HEADINGS))
+
+
+def _near(places: Array, seen: Array) -> np.ndarray:
+    """Indices of squares near where a camera saw a target, spread evenly over them."""
+    if not len(places) or not len(seen):
+        return np.zeros(0, dtype=int)
+    distance, _ = KDTree(seen).query(places)
+    near = np.flatnonzero(distance <= SEEN_M)
+    return _spread(near, _MOST_PLACES)
+
+
+def _driven(ground: Ground, here: Pose) -> Candidates:
+    chosen = _spread(np.arange(len(ground.poses)), _HEADINGS * _MOST_PLACES)
+    poses = ground.poses[chosen]
+    return Candidates(poses, np.linalg.norm(poses.translation - here.translation, axis=1))
+
+
+def _spread(indices: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of them, evenly."""
+    if len(indices) <= most:
+        return indices
+    return indices[np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def _spread_rows(rows: Array, most: int) -> Array:
+    return rows[_spread(np.arange(len(rows)), most)]
+
+
+def _dense(way: Pose) -> Array:
+    """A way's places with more of them in between, (n, 2)."""
+    places = way.translation[:, :2]
+    if len(places) < 2:
+        return places
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    counts = np.where(lengths <= _LARGEST_GAP_M, np.ceil(lengths / CELL_M), 1).astype(int)
+    counts = np.maximum(counts, 1)
+    start = np.repeat(np.arange(len(counts)), counts)
+    offset = np.arange(len(start)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (offset / counts[start])[:, None]
+    between = places[start] * (1 - share) + places[start + 1] * share
+    return np.concatenate([between, places[-1:]])
+
+
+def _squares(driven: Array) -> Array:
+    """Middles of all squares within reach of driven places."""
+    if not len(driven):
+        return np.zeros((0, 2))
+    reach = int(np.ceil(DRIVEN_M / CELL_M))
+    around = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
+    own = np.unique(np.round(driven / CELL_M).astype(int), axis=0)
+    near = np.unique((own[:, None] + around).reshape(-1, 2), axis=0) * CELL_M
+    distance, _ = KDTree(driven).query(near)
+    return near[distance <= DRIVEN_M]
+
+
+def _steps(places: Array) -> coo_array:
+    """Between squares that touch, also at a corner."""
+    n = len(places)
+    if n < 2:
+        return coo_array((n, n))
+    pairs = KDTree(places).query_pairs(1.5 * CELL_M, output_type="ndarray")
+    lengths = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    return coo_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(n, n))

@@ -1,0 +1,241 @@
+"""What cameras would see of a robot at poses where it might go, and what that would tell."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.prediction import batch_jacobian
+from trigpoint.fusion.model.problem import (
+    Batch,
+    CameraState,
+    Chain,
+    Layout,
+    Priors,
+    Problem,
+    RobotState,
+    State,
+)
+from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Face, Pattern
+
+from .candidates import SEEN_M, Candidates
+
+# A pose is a candidate where some face is wholly and well in a picture, not seen too steeply, and
+# its squares are large enough to be found, with some room for what is not exactly as expected.
+_MARGIN_PX = 8.0
+_STEEPEST_COSINE = 0.35
+_LEAST_SQUARE_PX = 8.0
+_FEWEST_CORNERS = 6
+_MOST_VISITS = 360
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """What a picture by each of `cameras` would tell: information (q, q) over `columns` (q,) of the
+    dense part, the robot's pose first."""
+
+    cameras: tuple[str, ...]
+    columns: np.ndarray
+    information: Array
+
+
+@dataclass(slots=True)
+class _Sum:
+    cameras: list[str] = field(default_factory=list)
+    parts: list[tuple[np.ndarray, Array]] = field(default_factory=list)
+
+    def visit(self, last: np.ndarray) -> Visit:
+        columns = np.unique(np.concatenate([part[0] for part in self.parts]))
+        columns = np.concatenate([last, columns[~np.isin(columns, last)]])
+        place = {column: row for row, column in enumerate(columns.tolist())}
+        information = np.zeros((len(columns), len(columns)))
+        for names, matrix in self.parts:
+            rows = [place[name] for name in names.tolist()]
+            information[np.ix_(rows, rows)] += matrix
+        return Visit(tuple(self.cameras), columns, information)
+
+
+def visits(
+    world: GuidanceWorld,
+    layout: Layout,
+    place: RobotPlace,
+    chosen: Candidates,
+    cameras: list[str],
+) -> tuple[Candidates, list[Visit]]:
+    """Those of the candidates at which a camera sees the robot, and what each tells.
+
+    Of too many those that the first camera sees have half of the room.
+    """
+    seen = {
+        name: faces_seen(world, place, chosen.map_from_base, name, world.state.cameras[name])
+        for name in cameras
+    }
+    kept = _kept(np.stack([faces.whole.any(axis=1) for faces in seen.values()]))
+    sums: dict[int, _Sum] = defaultdict(_Sum)
+    for name, faces in seen.items():
+        mine = kept[faces.shown[kept].any(axis=1)]
+        for start in range(0, len(mine), _AT_ONCE):
+            rows = mine[start : start + _AT_ONCE]
+            poses, shown = chosen.map_from_base[rows], faces.shown[rows]
+            columns, matrices, counts = _information(world, layout, place, name, poses, shown)
+            for row, matrix, count in zip(rows.tolist(), matrices, counts.tolist(), strict=True):
+                if count:
+                    sums[row].cameras.append(name)
+                    sums[row].parts.append((columns, matrix))
+    order = sorted(sums)
+    last = np.arange(layout.size)[layout.last[place.robot]]
+    return chosen.where(np.array(order, dtype=int)), [sums[row].visit(last) for row in order]
+
+
+def _kept(every: np.ndarray) -> np.ndarray:
+    """Rows of `every` (cameras, n) bool that any camera sees, at most so many."""
+    first = np.flatnonzero(every[0])
+    others = np.flatnonzero(every.any(axis=0) & ~every[0])
+    half = _MOST_VISITS // 2
+    room = _MOST_VISITS - min(len(first), max(half, _MOST_VISITS - len(others)))
+    parts = [_thinned(first, _MOST_VISITS - room), _thinned(others, room)]
+    return np.sort(np.concatenate(parts))
+
+
+def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
+    if len(rows) <= most:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
+
+
+@dataclass(frozen=True, slots=True)
+class FacesSeen:
+    """Of a camera: which faces it sees wholly from poses, and which at least in part; (n, faces)
+    bool each."""
+
+    whole: np.ndarray
+    shown: np.ndarray
+
+
+def faces_seen(
+    world: GuidanceWorld, place: RobotPlace, poses: Pose, camera: str, state: CameraState
+) -> FacesSeen:
+    """What a camera is expected to see from poses (n); nothing far from where it saw before."""
+    views = world.views[camera].places
+    faces = place.target.faces
+    found = FacesSeen(*(np.zeros((len(poses), len(faces)), dtype=bool) for _ in range(2)))
+    if not len(views):
+        return found
+    distance, _ = KDTree(views).query(poses.translation)
+    rows = np.flatnonzero(distance <= SEEN_M)
+    base_from_face = world.state.robots[place.robot].base_from_face
+    for index, face in enumerate(faces):
+        if len(rows):
+            whole, shown = _sees(state, poses[rows] @ base_from_face[index], face)
+            found.whole[rows, index], found.shown[rows, index] = whole, shown
+    return found
+
+
+def _sees(camera: CameraState, map_from_face: Pose, face: Face) -> tuple[np.ndarray, np.ndarray]:
+    """Whether a face that shows its front and is large enough is wholly in the picture, and whether
+    at least one of its outermost corners or its middle is; (n,) each."""
+    corners = face.corners
+    across = corners[:, 0] - corners[:, 1]
+    extremes = corners[[0, int(np.argmax(across)), len(corners) - 1, int(np.argmin(across))]]
+    points = map_from_face @ np.vstack([extremes, extremes.mean(axis=0)])[None]
+    sight = camera.map_from_camera.translation - points[:, -1]
+    distance = np.maximum(np.linalg.norm(sight, axis=1), 1e-6)
+    cosine = -np.sum(map_from_face.rotation[..., 2] * sight, axis=1) / distance
+    square = camera.lens.fx * face.square * cosine / distance
+    shows = (cosine >= _STEEPEST_COSINE) & (square >= _LEAST_SQUARE_PX)
+    inside = _inside(camera, points)
+    return shows & inside[:, :-1].all(axis=1), shows & inside.any(axis=1)
+
+
+def _inside(camera: CameraState, points_map: Array) -> np.ndarray:
+    """Which points (n, k, 3) in the map are well in the picture, (n, k)."""
+    optical, lens = camera.map_from_camera.inverse() @ points_map, camera.lens
+    inside = lens.sees(optical)
+    pixels = lens.project(np.where(inside[..., None], optical, [0.0, 0.0, 1.0]))
+    low, high = _MARGIN_PX, np.array([lens.width, lens.height]) - 1 - _MARGIN_PX
+    return inside & np.all((pixels >= low) & (pixels <= high), axis=-1)
+
+
+def _information(
+    world: GuidanceWorld,
+    layout: Layout,
+    place: RobotPlace,
+    camera: str,
+    poses: Pose,
+    shown: np.ndarray,
+) -> tuple[np.ndarray, Array, np.ndarray]:
+    """Columns (q,), information (n, q, q) and number of corners (n,) of a picture at each pose;
+    `shown`: (n, faces)."""
+    robot = replace(world.state.robots[place.robot], map_from_base=poses)
+    state = State(world.state.cameras, world.state.robots | {place.robot: robot})
+    batch = _batch(world, place, camera, robot, shown)
+    # A robot that stands says nothing of a camera's clock.
+    standing = replace(layout, time_offset={})
+    problem = Problem({place.robot: _chain(place, len(poses))}, (batch,), _NO_PRIORS, standing)
+    jacobian, _, columns = batch_jacobian(problem, batch, state)
+    flat = jacobian.reshape(len(poses), -1, jacobian.shape[-1])
+    last = np.arange(layout.size)[layout.last[place.robot]]
+    counts = (batch.weights > 0).sum(axis=1)
+    return np.concatenate([last, columns]), np.swapaxes(flat, 1, 2) @ flat, counts
+
+
+def _batch(
+    world: GuidanceWorld, place: RobotPlace, camera: str, robot: RobotState, shown: np.ndarray
+) -> Batch:
+    """A made-up picture at each of the robot's n poses with the corners that it would show."""
+    used = np.flatnonzero(shown.any(axis=0)).tolist()
+    corners = [place.target.faces[i].corners for i in used]
+    points = np.concatenate(corners)
+    faces = np.repeat(used, [len(c) for c in corners])
+    seen = np.concatenate(
+        [_corners_seen(world.state.cameras[camera], place, robot, i, shown[:, i]) for i in used],
+        axis=1,
+    )
+    n, count = seen.shape
+    return Batch(
+        camera=camera,
+        robot=place.robot,
+        nodes=np.arange(n),
+        face_points=np.broadcast_to(points, (n, count, 3)),
+        faces=np.broadcast_to(faces, (n, count)),
+        pixels=np.zeros((n, count, 2)),
+        weights=seen / world.views[camera].sigma_px,
+        shares=np.ones(n),
+        sources=np.zeros(n, dtype=int),
+        after_node_s=np.zeros(n),
+        since_epoch_s=np.zeros(n),
+    )
+
+
+def _corners_seen(
+    camera: CameraState, place: RobotPlace, robot: RobotState, index: int, shown: np.ndarray
+) -> np.ndarray:
+    """Which corners of a face are found at each pose, (n, corners): of a checkerboard all or none,
+    of a marked board those in the picture."""
+    face = place.target.faces[index]
+    map_from_face = robot.map_from_base @ robot.base_from_face[index]
+    inside = _inside(camera, map_from_face @ face.corners[None]) & shown[:, None]
+    needed = len(face.corners) if face.pattern is Pattern.CHECKERBOARD else _FEWEST_CORNERS
+    return inside & (inside.sum(axis=1) >= needed)[:, None]
+
+
+def _chain(place: RobotPlace, count: int) -> Chain:
+    """Nodes at which the robot stands still."""
+    return Chain(
+        robot=place.robot,
+        stamps_ns=np.arange(count),
+        motion=None,
+        track=OdometryTrack(place.noise, planar=place.planar),
+        scales=np.zeros(2),
+        planar=place.planar,
+        is_anchored=False,
+    )
+
+
+_NO_PRIORS = Priors({}, {}, {}, {}, {}, np.zeros((0, 0)))

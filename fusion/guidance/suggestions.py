@@ -1,0 +1,215 @@
+"""Where a robot should go next so that the network's worst camera becomes known best.
+
+A visit is one picture by every camera that would see the target from there. What it is worth is the
+expected information: the derivatives of the corners at that pose, at the noise that the camera's
+corners have had so far, after the robot has come there by odometry and is as uncertain as that
+makes it. Of all candidates (`candidates`) the one is suggested after which the worst
+camera, the one with the largest position sigma, is expected to have the smallest.
+
+A suggestion is only where a robot can be expected to be able to drive, near poses that were driven
+before, and in sight of a camera only near where that camera has seen a target before: there is no
+map of walls. What cameras see on the way there is not counted.
+
+Pure and on immutable inputs, so it may run beside the estimator.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from trigpoint.fusion.model.problem import Layout
+from trigpoint.fusion.solver.filter import is_placed
+from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
+from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .candidates import Candidates, Ground, candidates, nearest_cameras
+from .expected_motion import expected_motion
+from .expected_views import Visit, visits
+
+# Beside the worst camera so many others, the nearest ones, are thought of: one that is known well
+# tells the robot where it is, and with it the camera that it saw last.
+_OTHER_CAMERAS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A pose to visit: `camera` is the worst one, with its position sigma (root of the trace,
+    metres) now and as expected after the visit; `seen_by`: the cameras that would see the robot."""
+
+    robot: str
+    map_from_base: Pose
+    camera: str
+    sigma_m: float
+    expected_sigma_m: float
+    seen_by: tuple[str, ...]
+
+    @property
+    def is_worthwhile(self) -> bool:
+        """Whether it lowers the sigma by at least a fiftieth."""
+        return self.expected_sigma_m < 0.98 * self.sigma_m
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """The joint covariance over the dense part, each robot's last pose included."""
+
+    layout: Layout
+    covariance: Array
+
+    def sigma_m(self, camera: str) -> float:
+        """Root of the trace of a camera's position covariance."""
+        rows = self.position_rows(camera)
+        return float(np.sqrt(np.trace(self.covariance[np.ix_(rows, rows)])))
+
+    def position_rows(self, camera: str) -> np.ndarray:
+        return np.arange(self.layout.size)[self.layout.pose[camera]][:3]
+
+    def worst(self, cameras: Iterable[str]) -> str | None:
+        """The one of these cameras with the largest position sigma; None where none is located."""
+        columns = {name: self.layout.pose[name] for name in cameras}
+        placed = [n for n, c in columns.items() if is_placed(self.covariance[c, c])]
+        return max(placed, key=self.sigma_m, default=None)
+
+    def columns(self, robot: str) -> tuple[np.ndarray, np.ndarray]:
+        """The robot's last pose, and its scales (none where they are not estimated)."""
+        every = np.arange(self.layout.size)
+        return every[self.layout.last[robot]], every[self.layout.scales.get(robot, slice(0, 0))]
+
+    def moved(self, robot: str, motion: ExpectedMotion) -> "Belief":
+        """After the robot went on by odometry."""
+        last, scales = self.columns(robot)
+        change = np.eye(self.layout.size)
+        change[np.ix_(last, last)] = motion.by_start
+        change[np.ix_(last, scales)] = motion.by_scale[:, : len(scales)]
+        covariance = change @ self.covariance @ change.T
+        covariance[np.ix_(last, last)] += motion.covariance
+        return Belief(self.layout, covariance)
+
+    def seen(self, visit: Visit) -> "Belief":
+        """After a visit, the robot being there."""
+        rows = visit.columns
+        gain = _gain(visit.information, self.covariance[np.ix_(rows, rows)])
+        across = self.covariance[:, rows]
+        return Belief(self.layout, self.covariance - across @ gain @ across.T)
+
+
+def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Suggestion]:
+    """The next poses for a robot, each after the one before; fewer where nothing helps.
+
+    Empty where nothing is known yet: no located camera, or a robot that is not tied to the map.
+    """
+    place = world.robots.get(robot)
+    if place is None or robot not in world.layout.last:
+        return []
+    try:
+        belief = Belief(world.layout, covariance_of(world.information))
+    except LinAlgError:
+        return []
+    belief = belief.moved(robot, place.since)
+    found, ground = [], Ground.of(world)
+    here = place.map_from_base
+    for _ in range(count):
+        best = _best(world, ground, belief, place, here)
+        if best is None:
+            break
+        suggestion, visit, motion = best
+        found.append(suggestion)
+        belief = belief.moved(robot, motion).seen(visit)
+        here = suggestion.map_from_base
+    return found
+
+
+def next_poses(world: GuidanceWorld, *, count: int) -> list[Suggestion]:
+    """The next poses of the robot whose first one helps most."""
+    found = [suggestions(world, robot, count=count) for robot in world.robots]
+    useful = [poses for poses in found if poses]
+    return min(useful, key=lambda poses: poses[0].expected_sigma_m, default=[])
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Every candidate of one robot with what is expected after it."""
+
+    camera: str
+    sigma_m: float
+    candidates: Candidates
+    motions: list[ExpectedMotion]
+    visits: list[Visit]
+    expected_sigma_m: Array
+
+    def at(self, index: int, robot: str) -> Suggestion:
+        return Suggestion(
+            robot,
+            self.candidates.map_from_base[index],
+            self.camera,
+            self.sigma_m,
+            float(self.expected_sigma_m[index]),
+            self.visits[index].cameras,
+        )
+
+
+def options(
+    world: GuidanceWorld, ground: Ground, belief: Belief, place: RobotPlace, here: Pose
+) -> Options | None:
+    """What every visit that can be thought of from `here` is expected to do for the worst camera;
+    None where there is none."""
+    worst = belief.worst(world.views)
+    if worst is None:
+        return None
+    reach = ground.paths_from(here)
+    cameras = [worst, *nearest_cameras(world, ground, reach, without=worst, most=_OTHER_CAMERAS)]
+    chosen = candidates(world, ground, reach, place, cameras)
+    chosen, found = visits(world, belief.layout, place, chosen, cameras)
+    if not found:
+        return None
+    motions = [
+        expected_motion(place, here, chosen.map_from_base[i], float(chosen.path_m[i]))
+        for i in range(len(found))
+    ]
+    after = [_after(belief, place, m, v, worst) for m, v in zip(motions, found, strict=True)]
+    return Options(worst, belief.sigma_m(worst), chosen, motions, found, np.array(after))
+
+
+def _best(
+    world: GuidanceWorld, ground: Ground, belief: Belief, place: RobotPlace, here: Pose
+) -> tuple[Suggestion, Visit, ExpectedMotion] | None:
+    found = options(world, ground, belief, place, here)
+    if found is None:
+        return None
+    index = int(np.argmin(found.expected_sigma_m))
+    chosen = found.at(index, place.robot)
+    return (chosen, found.visits[index], found.motions[index]) if chosen.is_worthwhile else None
+
+
+def _after(
+    belief: Belief, place: RobotPlace, motion: ExpectedMotion, visit: Visit, camera: str
+) -> float:
+    """A camera's position sigma after going somewhere and being seen there.
+
+    Only what the visit touches is worked out, so a candidate costs the same in any network.
+    """
+    mine = belief.position_rows(camera)
+    last, scales = belief.columns(place.robot)
+    rows = np.concatenate([visit.columns, mine])
+    covariance = belief.covariance[np.ix_(rows, rows)]
+    by_scale = motion.by_scale[:, : len(scales)]
+    arrived = motion.by_start @ belief.covariance[last] + by_scale @ belief.covariance[scales]
+    own = arrived[:, last] @ motion.by_start.T + arrived[:, scales] @ by_scale.T
+    d = len(last)  # the robot's own columns are a visit's first ones
+    covariance[:d] = arrived[:, rows]
+    covariance[:, :d] = covariance[:d].T
+    covariance[:d, :d] = own + motion.covariance
+    n = len(visit.columns)
+    across = covariance[n:, :n]
+    less = across @ _gain(visit.information, covariance[:n, :n]) @ across.T
+    return float(np.sqrt(max(np.trace(covariance[n:, n:] - less), 0.0)))
+
+
+def _gain(information: Array, covariance: Array) -> Array:
+    """(P + M⁻¹)⁻¹ where M may be singular: (I + M P)⁻¹ M."""
+    solved = np.linalg.solve(np.eye(len(covariance)) + information @ covariance, information)
+    return 0.5 * (solved + solved.T)

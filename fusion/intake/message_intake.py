@@ -1,0 +1,232 @@
+"""From messages to observations in order of time: what fits, what is late, what came twice.
+
+Pure: no bus, no clock. A sighting waits here until the odometry of its robot reaches its moment,
+which is only known as well as its camera's time offset.
+"""
+
+import heapq
+from collections import Counter
+from dataclasses import dataclass, field
+
+from trigpoint.clock import to_ns
+from trigpoint.config import Site
+from trigpoint.fusion.estimators.interface import Live
+from trigpoint.fusion.model.observations import Observation, View, observation_of, view_of
+from trigpoint.geometry import CameraModel
+from trigpoint.messages import FaceSighting, Sightings
+from trigpoint.target import Target
+
+from .robot_identity import SharedLooks
+
+_MOST_WAITING = 4096
+_REMEMBERED = 4096
+_CLOCK_TOLERANCE_NS = to_ns(5.0)
+# How many sigmas of its time offset a sighting is given to have been later than its stamp.
+_SIGMAS = 3.0
+
+
+@dataclass(order=True, slots=True)
+class _Waiting:
+    """`latest_ns`: the robot was seen at this moment, true time, at the latest."""
+
+    latest_ns: int
+    order: int
+    observation: Observation = field(compare=False)
+
+
+class Intake:
+    """Sightings on their way to the estimator. Not thread-safe.
+
+    `counts`: what was left out, by reason; every message that is not used is counted here;
+    `problems`: reason -> what was wrong the last time, in words.
+    `shared`: tells robots apart that carry the same target; None: what they show is left out.
+    """
+
+    def __init__(
+        self, site: Site, targets: dict[str, Target], *, shared: SharedLooks | None = None
+    ) -> None:
+        self._site, self._targets, self._shared = site, targets, shared
+        self.counts: Counter[str] = Counter()
+        self.last_problem = ""
+        self.problems: dict[str, str] = {}
+        self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
+        self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
+        self._order = 0
+        # A picture shows each face of each robot once at most.
+        self._most_faces = sum(len(target.faces) for target in targets.values())
+        # By how much true time may be ahead of a camera's stamp.
+        self._ahead_ns = {
+            name: to_ns(_SIGMAS * camera.time_offset_sigma) for name, camera in site.cameras.items()
+        }
+
+    def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:
+        """What is known of a camera's time offset by now."""
+        self._ahead_ns[camera] = to_ns(_SIGMAS * sigma_s - offset_s)
+
+    @property
+    def depth(self) -> int:
+        """How many observations wait for odometry."""
+        return sum(len(queue) for queue in self._waiting.values())
+
+    def add(self, camera: str, message: Sightings, lens: CameraModel) -> None:
+        """Take the sightings of one picture."""
+        if (message.width, message.height) != (lens.width, lens.height):
+            self._leave_out(
+                "wrong_size",
+                f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
+                f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
+            )
+            return
+        if not message.faces or self._is_repeated(camera, message.stamp_ns):
+            return
+        if len(message.faces) > self._most_faces:
+            self._leave_out(
+                "too_many_faces",
+                f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
+                f"of the site have {self._most_faces}; it is left out, see who sends that",
+            )
+            return
+        for robot, views in self._views(camera, message).items():
+            self._queue(robot, observation_of(camera, robot, message.stamp_ns, tuple(views)))
+
+    def _is_repeated(self, camera: str, stamp_ns: int) -> bool:
+        seen = self._seen[camera]
+        if stamp_ns in seen:
+            self.counts["repeated"] += 1
+            return True
+        seen[stamp_ns] = None
+        if len(seen) > _REMEMBERED:
+            del seen[next(iter(seen))]
+        return False
+
+    def _views(self, camera: str, message: Sightings) -> dict[str, list[View]]:
+        views: dict[str, list[View]] = {}
+        shared: list[dict[str, View]] = []
+        eye = self._site.cameras[camera]
+        for face in message.faces:
+            robots = self._robots_of(face)
+            if len(robots) > 1 and self._shared is not None:
+                by_robot = {robot: view_of(self._targets[robot], face, eye) for robot in robots}
+                possible = {robot: view for robot, view in by_robot.items() if view is not None}
+                if possible:
+                    shared.append(possible)
+                    continue
+                robots = robots[:1]
+            if len(robots) != 1:
+                self._leave_out(
+                    "unknown_target",
+                    f"camera {camera} sees a target «{face.target}» that "
+                    f"{len(robots) or 'no'} robots carry; give each robot its own target",
+                )
+                continue
+            view = view_of(self._targets[robots[0]], face, eye)
+            if view is None:
+                self._leave_out(
+                    "unknown_face",
+                    f"camera {camera} sees a face {face.face} that the target "
+                    f"«{self._targets[robots[0]].name}» does not have; use one target file",
+                )
+                continue
+            views.setdefault(robots[0], []).append(view)
+        if shared and self._shared is not None:
+            self._shared.add(camera, message.stamp_ns, tuple(shared))
+        return views
+
+    def _tell_apart(self, *, is_end: bool = False) -> None:
+        """Queue what is clear by now of robots that look alike."""
+        if self._shared is None:
+            return
+        for observation in self._shared.ready(is_end=is_end):
+            self._queue(observation.robot, observation)
+        self._count_untold(self._shared)
+
+    def tell_by_place(self, estimator: Live, *, is_end: bool = False) -> bool:
+        """Queue what is clear of robots that look alike by where the estimator has them; whether
+        anything was. `is_end`: also where nothing has come in since it was last asked."""
+        if self._shared is None:
+            return False
+        found = self._shared.by_place(estimator, is_end=is_end)
+        for observation in found:
+            self._queue(observation.robot, observation)
+        self._count_untold(self._shared)
+        return bool(found)
+
+    def _count_untold(self, shared: SharedLooks) -> None:
+        if shared.untold > self.counts["untold_robot"]:
+            self.last_problem = self.problems["untold_robot"] = shared.problem
+        elif not shared.untold and self.last_problem == shared.problem:
+            self.last_problem = ""
+        self.counts["untold_robot"] = shared.untold
+
+    def _robots_of(self, face: FaceSighting) -> list[str]:
+        if not face.target:
+            return list(self._targets)
+        return [robot for robot, target in self._targets.items() if target.name == face.target]
+
+    def _queue(self, robot: str, observation: Observation) -> None:
+        queue = self._waiting[robot]
+        if len(queue) >= _MOST_WAITING:
+            heapq.heappop(queue)
+            self._leave_out("without_odometry", f"no odometry of {robot}; check its bridge")
+        self._order += 1
+        latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
+        heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
+
+    def _leave_out(self, reason: str, text: str) -> None:
+        self.counts[reason] += 1
+        self.last_problem = self.problems[reason] = text
+
+    def ready(
+        self, robot: str, first_ns: int, last_ns: int, most: int | None = None
+    ) -> list[Observation]:
+        """The observations of a robot whose moments odometry covers now, in order of time; `most`
+        of them, where it says so.
+
+        Those from before its odometry began are left out.
+        """
+        self._tell_apart()
+        queue, found = self._waiting[robot], []
+        while queue and queue[0].latest_ns <= last_ns and (most is None or len(found) < most):
+            waiting = heapq.heappop(queue)
+            if waiting.latest_ns < first_ns:
+                self.counts["before_odometry"] += 1
+            else:
+                found.append(waiting.observation)
+        self._drop_far_ahead(robot, last_ns)
+        return found
+
+    def has_ready(self, robot: str, last_ns: int) -> bool:
+        """Whether observations of a robot wait that odometry covers."""
+        queue = self._waiting[robot]
+        return bool(queue) and queue[0].latest_ns <= last_ns
+
+    def waits_for(self, robot: str) -> bool:
+        """Whether anything waits for a robot's odometry."""
+        return bool(self._waiting[robot])
+
+    def rest(self, robot: str, last_ns: int) -> list[Observation]:
+        """At the end of the odometry: those of its last moments, which may be within it."""
+        self._tell_apart(is_end=True)
+        queue = self._waiting[robot]
+        kept, found = [], []
+        for waiting in sorted(queue):
+            is_within = waiting.observation.stamp_ns <= last_ns
+            (found if is_within else kept).append(waiting)
+        self._waiting[robot] = kept
+        return [waiting.observation for waiting in found]
+
+    def _drop_far_ahead(self, robot: str, last_ns: int) -> None:
+        """A camera whose clock is far ahead would wait for ever."""
+        queue = self._waiting[robot]
+        ahead = [w for w in queue if w.observation.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
+        if len(ahead) > 64:
+            camera = ahead[0].observation.camera
+            self.counts["far_ahead"] += len(ahead)
+            self.last_problem = self.problems["far_ahead"] = (
+                f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
+                f"odometry of {robot}; synchronise its clock, or check that odometry comes"
+            )
+            gone = {waiting.order for waiting in ahead}
+            kept = [waiting for waiting in queue if waiting.order not in gone]
+            heapq.heapify(kept)
+            self._waiting[robot] = kept

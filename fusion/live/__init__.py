@@ -1,0 +1,1 @@
+"""The live session: a process that solves, a filter that corrects, their messages."""

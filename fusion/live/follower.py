@@ -1,0 +1,249 @@
+"""The smoother's live side, where somebody else does the solving.
+
+The filter takes every sighting at once. All that came in goes on to the solver, in order of time
+and so much later that nothing that may still make a correction comes before it. What the solver
+found is taken over sighting by sighting: its filter is first brought up to now with what came since
+the moment that it knows, a few sightings a turn and most while no robot waits; until then the old
+one goes on making corrections. So no turn takes long, and sightings that come late have their place
+in the new filter as well.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from scipy.linalg import LinAlgError
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.estimators.interface import CameraEstimate, Update
+from trigpoint.fusion.estimators.smoother.camera_relocation import of_its_time
+from trigpoint.fusion.estimators.smoother.current_filter import Present
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.geometry import Pose
+
+from .solver_messages import (
+    Finish,
+    Happened,
+    News,
+    Order,
+    Report,
+    Reported,
+    Solved,
+    Solver,
+    Suggested,
+    TakeLens,
+    TakeObservation,
+    TakeOdometry,
+)
+
+# What comes later than this after its moment comes after what is later than it.
+_MOST_HELD_S = 2.0
+# How many sightings a new filter is brought on by in a turn in which none came.
+_CATCHING_UP = 2
+
+
+@dataclass(slots=True)
+class _Recent:
+    """An observation that no solution knows yet; `number`: what it was told to the solver as."""
+
+    observation: Observation
+    number: int | None = None
+
+
+@dataclass(slots=True)
+class _Coming:
+    """A solution's filter on its way to now, and what it lacks, in order."""
+
+    present: Present
+    missing: deque[Observation]
+
+
+class Follower:
+    """See `Live`; what a solver is needed for comes with the solver's news. Not thread-safe."""
+
+    def __init__(self, data: DataSet, solver: Solver) -> None:
+        self.data, self._solver = data, solver
+        self._present = Present(data)
+        self._coming: _Coming | None = None
+        self._orders: list[Order] = []
+        self._recent: list[_Recent] = []
+        self._lenses: set[str] = set()
+        self._told = 0
+        self._asked = 0
+        self._located: tuple[str, ...] = ()
+        self._came, self._came_before = 0, 0
+        self.reported: Reported | None = None
+        # Whether a camera was located that nobody has been told of yet.
+        self.has_new_camera = False
+        self.longest_solution_s = 0.0
+
+    # -- input ------------------------------------------------------------------------------------
+
+    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
+        added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
+        if added is not Added.STALE:
+            self._orders.append(TakeOdometry(robot, stamp_ns, odom_from_base))
+        self._present.begin(robot)
+        return added
+
+    def add_observation(self, observation: Observation) -> Update:
+        try:
+            correction = self._use(self._present, observation)
+        except (LinAlgError, ValueError) as reason:
+            return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+        self._came += 1
+        self._recent.append(_Recent(observation))
+        if self._coming is not None:
+            self._coming.missing.append(observation)
+        return Update(correction=correction)
+
+    def collect(self, observation: Observation) -> None:
+        self._tell(observation, is_collected=True)
+
+    def _use(self, present: Present, observation: Observation) -> RobotEstimate | None:
+        """Bring a filter on by an observation; it is as before where that fails."""
+        entry = Entry(of_its_time(self.data.moves, observation))
+        known = present.known
+        if known is None or not known.has_robot(observation.robot):
+            return None
+        if not known.has_camera(entry.observation.camera):
+            return None
+        try:
+            return present.use(entry, known.state)
+        except (LinAlgError, ValueError):
+            present.go_on_from(known)
+            raise
+
+    # -- the solver -------------------------------------------------------------------------------
+
+    def attend(self) -> Iterator[Suggested | Happened]:
+        """Take the solver's news and give it what it lacks; what is to be said of it.
+
+        Called at every turn.
+        """
+        for news in self._solver.news():
+            yield from self._take(news)
+        self._catch_up()
+        self._hand_over(is_all=False)
+
+    def _take(self, news: News) -> Iterator[Suggested | Happened]:
+        if isinstance(news, Solved):
+            self._take_over(news)
+        elif isinstance(news, Reported):
+            self.reported = news
+        else:
+            yield news
+
+    def _take_over(self, solved: Solved) -> None:
+        """Begin to go on from a solution."""
+        self.data.moves = list(solved.moves)
+        for robot, rows in solved.jumps.items():
+            self.data.tracks[robot].jump_at(rows)
+        self.longest_solution_s = max(self.longest_solution_s, solved.took_s)
+        self._located = solved.located
+        self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
+        present = Present(self.data)
+        present.go_on_from(solved.known)
+        present.take_shares(solved.shares)
+        missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
+        self._coming = _Coming(present, deque(missing))
+
+    def _catch_up(self) -> None:
+        """Bring a new filter on; it is taken once it lacks nothing."""
+        came, before = self._came, self._came_before
+        self._came, self._came_before = 0, came
+        coming = self._coming
+        if not came:
+            (self._present if coming is None else coming.present).settle()
+        if coming is None:
+            return
+        for _ in range(min(len(coming.missing), catching_up(came, before))):
+            try:
+                self._use(coming.present, coming.missing.popleft())
+            except (LinAlgError, ValueError):
+                continue  # the old filter could use it; the solver says what it makes of it
+        if not coming.missing:
+            old, self._present, self._coming = self._present, coming.present, None
+            self.has_new_camera |= bool(_cameras(coming.present) - _cameras(old))
+
+    def _hand_over(self, *, is_all: bool) -> None:
+        """Tell the solver what is old enough, in order of time."""
+        ready = [r for r in self._recent if r.number is None and (is_all or self._is_old(r))]
+        for recent in sorted(ready, key=lambda r: r.observation.stamp_ns):
+            self._tell(recent.observation)
+            recent.number = self._told
+        orders, self._orders = self._orders, []
+        if orders:
+            self._solver.tell(orders)
+
+    def _is_old(self, recent: _Recent) -> bool:
+        held_ns = to_ns(min(self.data.site.fusion.late, _MOST_HELD_S))
+        observation = recent.observation
+        return observation.stamp_ns <= self.data.tracks[observation.robot].last_ns - held_ns
+
+    def _tell(self, observation: Observation, *, is_collected: bool = False) -> None:
+        camera = observation.camera
+        if camera not in self._lenses:
+            self._lenses.add(camera)
+            self._orders.append(TakeLens(camera, self.data.lenses[camera]))
+        self._orders.append(TakeObservation(observation, is_collected))
+        self._told += 1
+
+    @property
+    def count(self) -> int:
+        """How many observations came."""
+        return self._told + sum(recent.number is None for recent in self._recent)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the solver owes no answer."""
+        return not self._asked or self.is_answered
+
+    def finish(self) -> None:
+        """Have everything solved to the end; the report of it comes with the solver's news."""
+        self._ask(Finish())
+
+    def ask(self) -> None:
+        """Have what is known now reported."""
+        self._ask(Report())
+
+    def _ask(self, order: Report | Finish) -> None:
+        self._asked += 1
+        self._hand_over(is_all=True)
+        self._solver.tell([order])
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether everything that was asked for was reported."""
+        reported = self.reported
+        return reported is not None and reported.orders >= self._asked
+
+    # -- output -----------------------------------------------------------------------------------
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        return self._present.robot(robot)
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        return self._present.cameras()
+
+    @property
+    def located_count(self) -> int:
+        return len(self._located)
+
+
+def catching_up(came: int, before: int) -> int:
+    """How many sightings a new filter is brought on by in a turn in which some came, and before it.
+
+    It gains on them whatever comes, and in a turn in which a robot waits it does no more than that
+    takes: nothing for a single sighting after a turn without one.
+    """
+    if not came:
+        return _CATCHING_UP
+    return came + 1 if before else came - 1
+
+
+def _cameras(present: Present) -> set[str]:
+    return set(present.known.layout.pose) if present.known is not None else set()

@@ -1,0 +1,118 @@
+"""What the live estimator and whoever solves for it tell each other; all of it can be pickled."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.model.dataset import Event, Move
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.solver.filter import Filter
+from trigpoint.geometry import CameraModel, Pose
+
+# -- to the one that solves -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class TakeLens:
+    """A camera's lens, before its first observation."""
+
+    camera: str
+    lens: CameraModel
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOdometry:
+    """A robot's odometry message, as it was taken."""
+
+    robot: str
+    stamp_ns: int
+    odom_from_base: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class TakeObservation:
+    """The next observation; they are counted. `is_collected`: for the next `Finish` alone."""
+
+    observation: Observation
+    is_collected: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """Solve to the end, and report."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Report what is known now."""
+
+
+Order = TakeLens | TakeOdometry | TakeObservation | Finish | Report
+
+# -- from the one that solves ---------------------------------------------------------------------
+
+Shares = dict[tuple[str, str], tuple[int, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A solution over the first `count` observations.
+
+    `shares`: see `Present`; `jumps`: robot -> the rows of its odometry where its way is broken;
+    `located`: the cameras that are part of it; `took_s`: how long it took.
+    """
+
+    count: int
+    known: Filter
+    shares: Shares
+    moves: tuple[Move, ...]
+    jumps: dict[str, tuple[int, ...]]
+    located: tuple[str, ...]
+    took_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """What people should be told."""
+
+    event: Event
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """The results as they are known after `count` observations and `orders` orders to report or to
+    finish; `is_final`: solved to the end."""
+
+    count: int
+    orders: int
+    is_final: bool
+    results: Results
+
+
+@dataclass(frozen=True, slots=True)
+class Suggested:
+    """Where a robot should go next (`guidance.suggestions`)."""
+
+    robot: str
+    stamp_ns: int
+    map_from_base: Pose
+
+
+News = Solved | Happened | Reported | Suggested
+
+
+class Solver(Protocol):
+    """Whoever takes orders and has news for the live estimator; used by one thread."""
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        """Hand orders over, to be carried out in this order; never waits."""
+        ...
+
+    def news(self) -> list[News]:
+        """What came since the last call; raise OperationError where none will come any more."""
+        ...
+
+    def close(self) -> None:
+        """End it, whatever it is at."""
+        ...

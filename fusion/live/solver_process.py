@@ -1,0 +1,258 @@
+"""A process of its own that solves for the live estimator, so that no correction waits for it.
+
+A thread would not do: it holds the interpreter between its many small numpy calls, and a filter's
+step needs the interpreter as often. Orders and news go through a pipe each; a thread at either end
+sees to it that neither side ever waits for the other.
+"""
+
+import logging
+import math
+import os
+import pickle
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection
+
+from trigpoint.errors import OperationError
+from trigpoint.fusion.guidance.suggestions import suggestions
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.solver.snapshot import GuidanceWorld
+from trigpoint.watchdog import Pulse
+
+from .memory import give_back_large
+from .solver_messages import Finish, News, Order, Suggested, TakeObservation
+from .solver_worker import Solving
+
+START_S = 60.0
+"""How long the process may take to begin, also on a small machine that is busy."""
+_GUIDANCE_PERIOD_S = 3.0
+_JOIN_S = 1.0
+_SIGN_PERIOD_S = 1.0
+# For one order: a long session takes a minute to solve, and no solution ten times the longest.
+_PATIENCE_S = 300.0
+_TIMES_THE_LONGEST = 10.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AtWork:
+    """A sign of life of the thread that solves; the next comes within this time."""
+
+    within_s: float
+
+
+class SolverProcess:
+    """See `Solver`. `data`: empty but for what is known beforehand; used by nobody else. `pulse` is
+    beaten by the work in the process."""
+
+    def __init__(self, data: DataSet, pulse: Pulse | None = None) -> None:
+        self._pulse = pulse
+        self._beat(START_S)
+        context = get_context("spawn")
+        theirs, self._orders = context.Pipe(duplex=False)
+        self._news, theirs_too = context.Pipe(duplex=False)
+        self._process = context.Process(
+            target=_serve, args=(theirs, theirs_too), name="fusion solver", daemon=True
+        )
+        # A stop is told to the node, which may want a last solution. A Ctrl-C, or a service
+        # manager's SIGTERM to all, comes here too, also before the process could say that it does
+        # not listen; the pipe's end ends it. The tracker that `start` would start unblocks both
+        # signals (Python 3.11), so it is started before.
+        resource_tracker.ensure_running()
+        with _held_back(signal.SIGINT, signal.SIGTERM):
+            self._process.start()
+        theirs.close()
+        theirs_too.close()
+        self._outbox: queue.SimpleQueue[DataSet | Sequence[Order] | None] = queue.SimpleQueue()
+        # Not as an argument: more of it than the system keeps for a process that does not read yet
+        # would have us wait for its start, and for ever where it is killed before.
+        self._outbox.put(data)
+        self._inbox: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self._is_gone = threading.Event()
+        self._threads = [
+            threading.Thread(target=run, name=f"fusion solver {run.__name__}", daemon=True)
+            for run in (self._send, self._receive)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        assert self._process.pid is not None  # it was started
+        return self._process.pid
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        """Hand orders over; never waits."""
+        self._outbox.put(tuple(orders))
+
+    def news(self) -> list[News]:
+        """What came since the last call; raise OperationError where the process has died."""
+        found = []
+        while not self._inbox.empty():
+            found.append(self._inbox.get())
+        if self._is_gone.is_set() and not found:
+            self._process.join(_JOIN_S)
+            raise OperationError(
+                f"the process that solves for fusion ended (status {self._process.exitcode}); "
+                "start fusion again, it resumes its map"
+            )
+        return found
+
+    def close(self) -> None:
+        """End the process, whatever it is at."""
+        self._process.kill()
+        self._outbox.put(None)
+        for thread in self._threads:
+            thread.join(_JOIN_S)
+        self._process.join(_JOIN_S)
+        self._orders.close()
+        self._news.close()
+
+    def _send(self) -> None:
+        while (item := self._outbox.get()) is not None:
+            try:
+                self._orders.send(item)
+            except OSError:
+                return  # it died, which `_receive` sees too
+
+    def _receive(self) -> None:
+        try:
+            while True:
+                item = pickle.loads(self._news.recv_bytes())
+                if isinstance(item, AtWork):
+                    self._beat(item.within_s)
+                else:
+                    self._inbox.put(item)
+        except (EOFError, OSError):
+            self._is_gone.set()
+
+    def _beat(self, within_s: float) -> None:
+        if self._pulse is not None:
+            self._pulse.beat(within_s)
+
+
+@contextmanager
+def _held_back(*signals: signal.Signals) -> Iterator[None]:
+    """These do not reach the calling thread meanwhile, nor ever a process that it starts."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# -- in the process -------------------------------------------------------------------------------
+
+
+def _serve(orders: Connection, news: Connection) -> None:
+    """Take the data set and carry out orders, until the pipe ends."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    give_back_large()
+    try:
+        data: DataSet = orders.recv()
+    except (EOFError, OSError):
+        return  # whoever would have sent it is gone
+    backlog = Backlog()
+    threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
+    solving, lock = Solving(data, time.perf_counter), threading.Lock()
+    say = _Voice(news).say
+
+    def world() -> GuidanceWorld | None:
+        with lock:
+            return solving.guidance_world()
+
+    threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    sign = LifeSign(say, time.monotonic)
+    while True:
+        order = backlog.take(_SIGN_PERIOD_S)
+        sign.give()
+        if order is not None:
+            with lock:
+                for item in solving.carry_out(order):
+                    say(item)
+
+
+def _listen(orders: Connection, backlog: "Backlog") -> None:
+    try:
+        while True:
+            backlog.put(orders.recv())
+    except (EOFError, OSError):
+        os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
+
+
+class Backlog:
+    """Orders that wait, in the order in which they came. One thread puts, another takes.
+
+    Observations that wait before a `Finish` are left to its solution: those in between would only
+    hold it up, and whoever stops us may not wait for it.
+    """
+
+    def __init__(self) -> None:
+        self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
+        self._finishes_put, self._finishes_taken = 0, 0
+
+    def put(self, orders: Sequence[Order]) -> None:
+        self._finishes_put += sum(isinstance(order, Finish) for order in orders)
+        for order in orders:
+            self._orders.put(order)
+
+    def take(self, timeout_s: float) -> Order | None:
+        """The next one; None where none comes in time."""
+        try:
+            order = self._orders.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if isinstance(order, Finish):
+            self._finishes_taken += 1
+        elif isinstance(order, TakeObservation) and self._finishes_put > self._finishes_taken:
+            order = replace(order, is_collected=True)
+        return order
+
+
+class LifeSign:
+    """Says that the work goes on, once a second at most. What may be waited for grows with the
+    longest time between two calls, since solutions take longer as a session grows."""
+
+    def __init__(self, say: Callable[[AtWork], None], seconds: Callable[[], float]) -> None:
+        self._say, self._seconds = say, seconds
+        self._called_s, self._said_s, self._longest_s = seconds(), -math.inf, 0.0
+
+    def give(self) -> None:
+        now_s = self._seconds()
+        self._longest_s = max(self._longest_s, now_s - self._called_s)
+        self._called_s = now_s
+        if now_s - self._said_s >= _SIGN_PERIOD_S:
+            self._said_s = now_s
+            self._say(AtWork(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
+
+
+class _Voice:
+    """Says news and signs of life, one at a time."""
+
+    def __init__(self, news: Connection) -> None:
+        self._news, self._lock = news, threading.Lock()
+
+    def say(self, news: News | AtWork) -> None:
+        with self._lock:
+            self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
+    """Say every few seconds where each robot should go next."""
+    while True:
+        time.sleep(_GUIDANCE_PERIOD_S)
+        known = world()
+        for robot in known.robots if known is not None else ():
+            assert known is not None
+            for found in suggestions(known, robot):
+                stamp_ns = known.robots[robot].stamp_ns
+                say(Suggested(robot, stamp_ns, found.map_from_base))

@@ -1,0 +1,1 @@
+"""What is estimated and what it is estimated from: odometry, sightings, unknowns, predictions."""

@@ -1,0 +1,271 @@
+"""From the data set to a problem: chains of nodes, padded batches, priors, and a start."""
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS, to_ns
+from trigpoint.config import CameraConfig
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Target
+
+from .dataset import DataSet, KnownCameras
+from .observations import Observation, moving
+from .odometry import Motion
+from .padding import padded_points
+from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
+
+# Where no camera sees the robot for long, nodes are put in between, so that the way there is
+# worked out with the rest and can be interpolated.
+_FILL_NS = NANOSECONDS
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """A problem, the state to start from, and the node of each used entry of the data set."""
+
+    problem: Problem
+    start: State
+    node_of: dict[int, int]
+
+
+def assemble(
+    data: DataSet, state: State, entries: list[int], *, anchored: bool = True, fill: bool = True
+) -> Assembled:
+    """The problem over these entries of the data set and all cameras that they name.
+
+    `state` gives the cameras, scales and faces to start from; `anchored`: the map is fixed by the
+    first robot's odometry or by the known cameras, else by the first node (a camera alone).
+    """
+    cameras = _cameras_of(data, state, entries, anchored=anchored)
+    by_robot: dict[str, list[int]] = defaultdict(list)
+    for index in entries:
+        by_robot[data.entries[index].observation.robot].append(index)
+    chains, nodes, node_of = {}, {}, {}
+    for robot in data.site.robots:
+        if robot in by_robot:
+            chain = _chain(data, state, robot, by_robot[robot], anchored=anchored, fill=fill)
+            chains[robot], nodes[robot] = chain.chain, chain.poses
+            node_of |= chain.node_of
+    start = State(
+        {name: state.cameras[name] for name in cameras},
+        {robot: replace(state.robots[robot], map_from_base=nodes[robot]) for robot in chains},
+    )
+    priors = _priors(data, cameras, list(chains), anchored=anchored)
+    layout = layout_of(cameras, chains, priors, start)
+    start = State(_of_one_lens(start.cameras, priors.owners), start.robots)
+    batches = _batches(data, state, chains, entries, node_of)
+    return Assembled(Problem(chains, batches, priors, layout), start, node_of)
+
+
+def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bool) -> list[str]:
+    seen = {data.entries[index].observation.camera for index in entries}
+    known = set(data.known.poses) if anchored else set()
+    return [name for name in data.camera_names if name in state.cameras and name in seen | known]
+
+
+def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dict[str, CameraState]:
+    """The places of one camera with its one lens and clock."""
+    return {
+        name: CameraState(
+            camera.map_from_camera,
+            cameras[owners[name]].lens,
+            cameras[owners[name]].time_offset_s,
+            cameras[owners[name]].time_drift,
+        )
+        for name, camera in cameras.items()
+    }
+
+
+def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
+    """When the robot stood as it was seen: stamp minus the camera's time offset."""
+    since_epoch_s = data.since_epoch_s(observation.stamp_ns)
+    offset_s = state.cameras[observation.camera].offset_s(np.array(since_epoch_s))
+    return observation.stamp_ns - to_ns(float(offset_s))
+
+
+@dataclass(frozen=True, slots=True)
+class _BuiltChain:
+    chain: Chain
+    poses: Pose
+    node_of: dict[int, int]
+
+
+def _chain(
+    data: DataSet, state: State, robot: str, entries: list[int], *, anchored: bool, fill: bool
+) -> _BuiltChain:
+    track, scales = data.tracks[robot], state.robots[robot].scales
+    is_first = anchored and robot == data.anchored_robot
+    times = np.array(
+        [true_time_ns(data, data.entries[i].observation, state) for i in entries], dtype=np.int64
+    )
+    times = np.clip(times, track.first_ns, track.last_ns)
+    moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
+    if fill:
+        moments = _filled(moments)
+    group = np.zeros(len(moments), dtype=int)
+    motion = None
+    if len(moments) > 1:
+        # Moments between which the robot stood still share a node.
+        motion = track.motion(moments, scales)
+        group[1:] = np.cumsum(~motion.is_still)
+        motion = motion.where(~motion.is_still)
+    node_of = dict(zip(entries, group[np.searchsorted(moments, times)].tolist(), strict=True))
+    stamps = moments[np.unique(group, return_index=True)[1]]
+    guesses = {node: data.entries[i].map_from_base for i, node in node_of.items()}
+    if is_first:
+        guesses[0] = track.odom_from_base[0]
+    chain = Chain(
+        robot=robot,
+        stamps_ns=stamps,
+        motion=motion if len(stamps) > 1 else None,
+        track=track,
+        scales=scales,
+        planar=track.planar,
+        is_anchored=is_first or not anchored,
+    )
+    return _BuiltChain(chain, _start_poses(len(stamps), motion, guesses), node_of)
+
+
+def _filled(moments: np.ndarray) -> np.ndarray:
+    """The moments, with more of them where two lie far apart."""
+    parts = [moments]
+    for gap in np.flatnonzero(np.diff(moments) > 2 * _FILL_NS):
+        count = int((moments[gap + 1] - moments[gap]) // _FILL_NS)
+        parts.append(np.linspace(moments[gap], moments[gap + 1], count + 1).astype(np.int64)[1:-1])
+    return np.unique(np.concatenate(parts))
+
+
+def _start_poses(count: int, motion: Motion | None, guesses: dict[int, Pose | None]) -> Pose:
+    """A pose for each node: the guess where there is one, between and beyond them by odometry.
+
+    Between two guesses the difference to odometry is shared out evenly.
+    """
+    known = sorted(node for node, pose in guesses.items() if pose is not None)
+    poses: list[Pose] = [Pose.identity()] * count
+    for node in known:
+        pose = guesses[node]
+        assert pose is not None
+        poses[node] = pose
+    if motion is None or not known:
+        return Pose.stack(poses)
+    steps = motion.earlier_from_later
+    for node in range(known[0] - 1, -1, -1):
+        poses[node] = poses[node + 1] @ steps[node].inverse()
+    for start, end in zip(known, [*known[1:], count], strict=True):
+        for node in range(start + 1, end):
+            poses[node] = poses[node - 1] @ steps[node - 1]
+        if end < count and end - start > 1:
+            missing = poses[end].difference(poses[end - 1] @ steps[end - 1])
+            for node in range(start + 1, end):
+                poses[node] = poses[node].disturbed(missing * (node - start) / (end - start))
+    return Pose.stack(poses)
+
+
+def _batches(
+    data: DataSet,
+    state: State,
+    chains: dict[str, Chain],
+    entries: list[int],
+    node_of: dict[int, int],
+) -> tuple[Batch, ...]:
+    pairs: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for index in entries:
+        observation = data.entries[index].observation
+        pairs[observation.camera, observation.robot].append(index)
+    return tuple(
+        _batch(data, state, chains[robot], camera, indices, node_of)
+        for (camera, robot), indices in pairs.items()
+    )
+
+
+def _batch(
+    data: DataSet,
+    state: State,
+    chain: Chain,
+    camera: str,
+    indices: list[int],
+    node_of: dict[int, int],
+) -> Batch:
+    target: Target = data.targets[chain.robot]
+    observations = [data.entries[index].observation for index in indices]
+    stamps_ns = np.array([observation.stamp_ns for observation in observations])
+    since_epoch_s = data.since_epoch_s(stamps_ns)
+    offset_s = state.cameras[camera].offset_s(since_epoch_s)
+    times_ns = stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
+    observations = moving(observations, chain.track, times_ns, chain.scales)
+    points = padded_points(observations, target)
+    shares = np.array([data.entries[index].share for index in indices])
+    nodes = np.array([node_of[index] for index in indices])
+    return Batch(
+        camera=camera,
+        robot=chain.robot,
+        nodes=nodes,
+        face_points=points.face_points,
+        faces=points.faces,
+        pixels=points.pixels,
+        weights=points.weights * np.sqrt(shares)[:, None],
+        shares=shares,
+        sources=np.array(indices),
+        after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
+        since_epoch_s=since_epoch_s,
+        jitter=data.jitter.get(chain.robot),
+    )
+
+
+def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: bool) -> Priors:
+    site = data.site
+    scales = {
+        name: np.array([noise.distance_scale, noise.heading_scale])
+        for name in robots
+        if (noise := site.robots[name].odometry).distance_scale > 0 or noise.heading_scale > 0
+    }
+    fusion = site.fusion
+    moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
+    known = data.known if anchored else KnownCameras.none()
+    owners = {name: _first(data.places_of(data.site_camera(name)), cameras) for name in cameras}
+    configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}
+    return Priors(
+        owners=owners,
+        lens={
+            name: (data.lenses[name].parameters, lens_sigmas(configs[name], data.lenses[name]))
+            for name in cameras
+            if name in configs and configs[name].estimates_intrinsics
+        },
+        time_offset={
+            name: np.array([camera.time_offset_sigma, camera.time_drift_sigma])
+            for name in cameras
+            if name in configs and (camera := configs[name]).time_offset_sigma > 0
+        },
+        scales=scales,
+        faces={
+            name: (
+                data.first_state().robots[name].base_from_face,
+                fusion.target_translation,
+                fusion.target_rotation,
+            )
+            for name in robots
+            if moves_faces
+        },
+        cameras=known.poses,
+        camera_information=known.information,
+    )
+
+
+def _first(names: list[str], present: list[str]) -> str:
+    return next(name for name in names if name in present)
+
+
+def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:
+    """Prior sigmas of `lens.parameters` by the site file."""
+    return np.array(
+        [
+            camera.focal_sigma * lens.fx,
+            camera.focal_sigma * lens.fy,
+            camera.centre_sigma * lens.width,
+            camera.centre_sigma * lens.width,
+            *([camera.distortion_sigma] * len(lens.distortion)),
+        ]
+    )

@@ -1,0 +1,234 @@
+"""Everything that came in: the robots' odometry and the observations, and what is held of them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.config import Site
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.network import Network
+from trigpoint.target import Target
+
+from .observations import Observation, Verdict, base_from_faces, moving
+from .odometry import OdometryTrack
+from .problem import CameraState, RobotState, State
+
+
+@dataclass(slots=True)
+class Entry:
+    """An observation and where the robot is believed to have been then (None: not known).
+
+    `share`: how much it counts, below 1 where it repeats the errors of others (see
+    `standstill_noise`).
+    """
+
+    observation: Observation
+    map_from_base: Pose | None = None
+    share: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class KnownCameras:
+    """Cameras known from an earlier run: poses, and their joint information (6n, 6n)."""
+
+    poses: dict[str, Pose]
+    information: Array
+
+    @classmethod
+    def none(cls) -> "KnownCameras":
+        return cls({}, np.zeros((0, 0)))
+
+
+@dataclass(slots=True)
+class Move:
+    """A camera that was moved: `name`: what its earlier pose is called among the cameras;
+    `since_ns`: the first sighting from its new place; `until_ns`: the last one from the old."""
+
+    camera: str
+    name: str
+    since_ns: int
+    until_ns: int
+    map_from_camera: Pose | None = None
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Lift:
+    """A robot was put down elsewhere between two moments, and its odometry shows nothing of it."""
+
+    robot: str
+    after_ns: int
+    before_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A camera was moved between its last sighting from its old place and the first from the
+    new one."""
+
+    camera: str
+    until_ns: int
+    since_ns: int
+
+
+Upheaval = Lift | Knock
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to the site, for people: `kind` is counted."""
+
+    kind: str
+    text: str
+
+
+@dataclass(slots=True)
+class DataSet:
+    """The estimator's inputs so far. Not thread-safe.
+
+    `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
+    of time; `events`: what nobody has been told yet; `happened`: lifts and moves that sightings
+    show, for each those that explain them alike; `jitter`: by robot the variances (6,) of how it
+    stands otherwise in a picture than its odometry's plane says (see `picture_jitter`), where it
+    does; `odometry_scale`: by robot what the stated sigmas of its odometry, and its slip, are
+    multiplied by.
+    """
+
+    site: Site
+    targets: dict[str, Target]
+    lenses: dict[str, CameraModel]
+    known: KnownCameras
+    tracks: dict[str, OdometryTrack] = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+    moves: list[Move] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    happened: list[tuple[Upheaval, ...]] = field(default_factory=list)
+    jitter: dict[str, Array] = field(default_factory=dict)
+    odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
+    _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
+    _sorted: int = field(init=False, repr=False, default=0)
+
+    def __post_init__(self) -> None:
+        for name, robot in self.site.robots.items():
+            if name not in self.tracks:
+                self.tracks[name] = OdometryTrack(robot.odometry, planar=robot.planar)
+
+    @property
+    def anchored_robot(self) -> str | None:
+        """The robot whose first odometry pose fixes the map; none where known cameras do."""
+        return None if self.known.poses else self.site.first_robot
+
+    @property
+    def last_ns(self) -> int:
+        """The newest odometry message of any robot; 0 before the first."""
+        return max((track.last_ns for track in self.tracks.values() if len(track)), default=0)
+
+    @property
+    def epoch_ns(self) -> int:
+        """The moment from which clocks drift: the first robot's first odometry message."""
+        tracks = [self.tracks[self.site.first_robot], *self.tracks.values()]
+        return next((track.first_ns for track in tracks if len(track)), 0)
+
+    def since_epoch_s(self, stamps_ns: np.ndarray | int) -> Array:
+        """Stamps in seconds since the epoch, of the same shape."""
+        return np.asarray(stamps_ns - self.epoch_ns) / NANOSECONDS
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Every camera and every earlier place of one."""
+        return [*(move.name for move in self.moves), *self.site.cameras]
+
+    def site_camera(self, name: str) -> str:
+        """The camera of a place of it."""
+        return next((move.camera for move in self.moves if move.name == name), name)
+
+    def places_of(self, camera: str) -> list[str]:
+        """The names of a camera's places, in order of time, its own the last."""
+        return [*(move.name for move in self.moves if move.camera == camera), camera]
+
+    def rename(self, camera: str, name: str, *, until_ns: int) -> None:
+        """Let a camera's observations before a moment be those of another."""
+        for entry in self.entries:
+            observation = entry.observation
+            if observation.camera == camera and observation.stamp_ns < until_ns:
+                entry.observation = replace(observation, camera=name)
+        self._by_camera.clear()
+        self._sorted = 0
+
+    def note(self, kind: str, text: str) -> None:
+        """Have people told."""
+        self.events.append(Event(kind, text))
+
+    def of_camera(self, camera: str) -> list[Entry]:
+        """Its entries, in the order in which they came."""
+        for entry in self.entries[self._sorted :]:
+            self._by_camera.setdefault(entry.observation.camera, []).append(entry)
+        self._sorted = len(self.entries)
+        return self._by_camera.get(camera, [])
+
+    def forget_from(self, index: int) -> None:
+        """Drop the entries from this one on."""
+        del self.entries[index:]
+        self._by_camera.clear()
+        self._sorted = 0
+
+    def moving(
+        self, observation: Observation, time_ns: int, scales: Array | None = None
+    ) -> Observation:
+        """An observation with its robot's twist at the true time at which it was seen."""
+        if not observation.is_swept:
+            return observation
+        track = self.tracks[observation.robot]
+        scales = np.zeros(2) if scales is None else scales
+        return moving([observation], track, np.array([time_ns]), scales)[0]
+
+    def usable(self, cameras: Iterable[str]) -> list[int]:
+        """Indices of the accepted observations of these cameras that odometry covers."""
+        wanted = set(cameras)
+        return [
+            index
+            for index, entry in enumerate(self.entries)
+            if entry.observation.camera in wanted
+            and entry.observation.verdict is Verdict.ACCEPTED
+            and entry.map_from_base is not None
+        ]
+
+    def first_state(self) -> State:
+        """Known cameras where they are, every robot without nodes."""
+        cameras = {
+            name: CameraState(pose, self.lenses[name]) for name, pose in self.known.poses.items()
+        }
+        robots = {
+            name: RobotState(_no_poses(), np.zeros(2), base_from_faces(self.targets[name]))
+            for name in self.site.robots
+        }
+        return State(cameras, robots)
+
+
+def known_cameras(network: Network, joint: Array, names: Iterable[str]) -> KnownCameras:
+    """The cameras of an earlier network that this site has too.
+
+    `joint`: (6n, 6n) covariance over all of the network's located cameras, in its order.
+    """
+    here = set(names)
+    kept = [i for i, name in enumerate(network.located) if name in here]
+    poses = {}
+    for index in kept:
+        record = network.cameras[network.located[index]].map_from_camera
+        assert record is not None  # located cameras have a pose
+        poses[network.located[index]] = record.pose
+    if not poses:
+        return KnownCameras.none()
+    rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in kept])
+    covariance = joint[np.ix_(rows, rows)]
+    # The first network's gauge is exact, so its covariance may be near singular: a floor of
+    # 0.1 mm and 0.1 mrad keeps the information finite and is far below any camera's sigma.
+    floor = 1e-8 * np.eye(len(covariance))
+    return KnownCameras(poses, np.linalg.inv(covariance + floor))
+
+
+def _no_poses() -> Pose:
+    return Pose(np.zeros((0, 3, 3)), np.zeros((0, 3)))

@@ -1,0 +1,228 @@
+"""What a picture says of a robot: the corners of its faces, and how they are read.
+
+A view whose face no picture can tell (contract, section 2, «half turn») is read as one face the
+one way or the other; the `Reading` is what the estimator believes, and may change.
+"""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import CameraConfig
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.messages import FaceSighting
+from trigpoint.target import Face, Target
+
+from .odometry import OdometryTrack
+from .rolling_shutter import Sweep, joined, sweep_of
+
+# No corner counts for more than one of this sigma, pixels (as float32 has it, like any sighting's).
+# Sharp pictures give corners to 0.005 px, but the corners of one view err together: no lens model
+# and no print is true to that (decisions/0661).
+LEAST_SIGMA_PX = float(np.float32(0.02))
+
+
+class Verdict(Enum):
+    """What the estimator makes of an observation."""
+
+    PENDING = "its camera is not located yet, or it is not clear which face it shows"
+    ACCEPTED = "used"
+    REJECTED = "contradicts the rest"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Which face a view shows (index into the target's faces), and whether by the half turn."""
+
+    face: int
+    is_turned: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate as far as lens
+    and print are believed.
+
+    `readings`: every way in which the view can be read; `sweep`: by a rolling shutter.
+    """
+
+    corners: np.ndarray
+    pixels: Array
+    sigma: float
+    readings: tuple[Reading, ...]
+    sweep: Sweep | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
+    camera's clock. `chosen`: a reading for each view, or None where that is open.
+
+    `outliers`: for each view, (n,) bool, the corners that contradict the rest.
+    """
+
+    camera: str
+    robot: str
+    stamp_ns: int
+    views: tuple[View, ...]
+    chosen: tuple[Reading, ...] | None
+    verdict: Verdict = Verdict.PENDING
+    outliers: tuple[np.ndarray, ...] = ()
+
+    def read_as(self, chosen: tuple[Reading, ...]) -> "Observation":
+        """The same with other readings; what was an outlier is looked at anew."""
+        return replace(self, chosen=chosen, outliers=())
+
+    def judged(self, verdict: Verdict) -> "Observation":
+        return replace(self, verdict=verdict)
+
+    def with_outliers(self, outliers: tuple[np.ndarray, ...]) -> "Observation":
+        return replace(self, outliers=outliers)
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether its camera has a rolling shutter."""
+        return any(view.sweep is not None for view in self.views)
+
+    def moving(self, twist: Array) -> "Observation":
+        """The same of a robot that moved by a twist (6,)."""
+        views = (
+            replace(view, sweep=view.sweep.moving(twist)) if view.sweep is not None else view
+            for view in self.views
+        )
+        return replace(self, views=tuple(views))
+
+    @property
+    def used_views(self) -> int:
+        """How many of its views are used."""
+        if self.verdict is not Verdict.ACCEPTED:
+            return 0
+        return len(self.views) - sum(bool(np.all(wild)) for wild in self.outliers)
+
+    @property
+    def corner_count(self) -> int:
+        return sum(len(view.corners) for view in self.views)
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """An observation's corners in one row: (n, 3) in their face's frame, swept on by a rolling
+    shutter, face index (n,), pixels (n, 2), and 1/sigma (n,), 0 for outliers."""
+
+    face_points: Array
+    faces: np.ndarray
+    pixels: Array
+    weights: Array
+
+    def in_base(self, base_from_face: Pose) -> Array:
+        """The corners in the robot's base frame, (n, 3); `base_from_face`: all faces, stacked."""
+        faces = base_from_face[self.faces]
+        return (faces.rotation @ self.face_points[..., None])[..., 0] + faces.translation
+
+
+def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> View | None:
+    """The view that a sighting gives, its sigma LEAST_SIGMA_PX at least; None where it does not fit
+    the target."""
+    if sighting.face >= 0:
+        indices = [i for i, face in enumerate(target.faces) if face.id == sighting.face]
+    else:
+        indices = list(range(len(target.faces)))
+    highest = int(sighting.corners.max())
+    indices = [i for i in indices if highest < target.faces[i].corner_count]
+    if sighting.face < 0:
+        indices = [i for i in indices if len(target.look_alikes(target.faces[i].appearance)) > 1]
+    readings = tuple(
+        Reading(i, turned)
+        for i in indices
+        for turned in ((False, True) if target.faces[i].reads_from_both_ends else (False,))
+    )
+    if not readings:
+        return None
+    pixels = np.asarray(sighting.pixels, dtype=float)
+    sweep = sweep_of(camera, pixels)
+    sigma = max(float(sighting.sigma), LEAST_SIGMA_PX)
+    return View(sighting.corners.astype(int), pixels, sigma, readings, sweep)
+
+
+def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ...]) -> Observation:
+    """A new observation; its reading is chosen where there is only one.
+
+    Where a shutter rolls, it is of the moment when the middle of the corners was exposed;
+    `stamp_ns`: after which the views have their corners.
+    """
+    is_plain = all(len(view.readings) == 1 for view in views)
+    chosen = tuple(view.readings[0] for view in views) if is_plain else None
+    sweep = joined(views)
+    if sweep is not None:
+        later_ns = to_ns(float(np.mean(sweep.after_s)))
+        stamp_ns += later_ns
+        views = tuple(
+            replace(view, sweep=view.sweep.later(to_seconds(later_ns))) if view.sweep else view
+            for view in views
+        )
+    return Observation(camera, robot, stamp_ns, views, chosen)
+
+
+def moving(
+    observations: list[Observation], track: OdometryTrack, times_ns: np.ndarray, scales: Array
+) -> list[Observation]:
+    """Observations of a robot with its twists at the true times (n,) at which it was seen, by its
+    odometry; those that no rolling shutter made stay as they are. `scales`: of the odometry, (2,).
+    """
+    if not any(observation.is_swept for observation in observations):
+        return observations
+    _, twists = track.carried(times_ns, np.zeros(len(times_ns)), scales)
+    return [
+        observation.moving(twist) if observation.is_swept else observation
+        for observation, twist in zip(observations, twists, strict=True)
+    ]
+
+
+def face_points(face: Face, corners: np.ndarray, *, is_turned: bool) -> Array:
+    """Positions (n, 3) of corner ids in the face's frame, read from the other end if turned."""
+    ids = face.corner_count - 1 - corners if is_turned else corners
+    return face.corners[ids]
+
+
+def points_of(observation: Observation, target: Target) -> Points:
+    """The observation's corners by its chosen readings."""
+    assert observation.chosen is not None
+    parts = []
+    for index, (view, reading) in enumerate(
+        zip(observation.views, observation.chosen, strict=True)
+    ):
+        face = target.faces[reading.face]
+        weights = np.full(len(view.corners), 1 / view.sigma)
+        if observation.outliers:
+            weights[observation.outliers[index]] = 0.0
+        points = face_points(face, view.corners, is_turned=reading.is_turned)
+        if view.sweep is not None:
+            base_from_face = face.base_from_face
+            points = points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
+        parts.append(
+            (
+                points,
+                np.full(len(view.corners), reading.face),
+                view.pixels,
+                weights,
+            )
+        )
+    return Points(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def base_from_faces(target: Target) -> Pose:
+    """All faces' poses on the robot, stacked in the target's order."""
+    return Pose.stack([face.base_from_face for face in target.faces])
+
+
+def reprojection(
+    camera: CameraModel, map_from_camera: Pose, map_from_base: Pose, points_base: Array
+) -> Array:
+    """Pixels (…, n, 2) of points (n, 3) on the robot; NaN behind the camera."""
+    optical = (map_from_camera.inverse() @ map_from_base) @ points_base
+    ahead = optical[..., 2:] > 1e-3
+    pixels = camera.project(np.where(ahead, optical, [0.0, 0.0, 1.0]))
+    return np.where(ahead, pixels, np.nan)

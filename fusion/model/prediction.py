@@ -1,0 +1,196 @@
+"""What a state predicts of sightings and of odometry, and how that changes with it.
+
+Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
+axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+from .odometry import Motion
+from .problem import Batch, Problem, State
+
+
+def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
+    """`batch_jacobian`'s residual alone, (n, K, 2)."""
+    camera = state.cameras[batch.camera]
+    scene = _scene(problem, batch, state)
+    return (camera.lens.project(scene.optical) - batch.pixels) * batch.weights[..., None]
+
+
+def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
+    """Weighted Jacobian (n, K, 2, d + q), residual (n, K, 2) and dense columns (q,) of a batch.
+
+    Residual = (projection - pixel)/sigma. With p the corner in the map and o in the optical frame,
+    o = R_cᵀ(p - t_c): ∂o/∂δt_c = -R_cᵀ, ∂o/∂δθ_c = R_cᵀ[p - t_c]×, ∂p/∂δt_b = I,
+    ∂p/∂δθ_b = -[R_b p_b]×, and likewise for a face on the base.
+    """
+    camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
+    chain, layout = problem.chains[batch.robot], problem.layout
+    scene = _scene(problem, batch, state)
+    weights = batch.weights[..., None]
+    parts, columns = [], [layout.pose[batch.camera]]
+    if batch.camera in layout.lens:
+        pixels, by_optical, by_lens = camera.lens.project_jacobians(scene.optical)
+        parts.append(by_lens * weights[..., None])
+        columns.append(layout.lens[batch.camera])
+    else:
+        pixels, by_optical = camera.lens.project_by_point(scene.optical)
+    residual = (pixels - batch.pixels) * weights
+    by_optical *= weights[..., None]
+    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
+    if scene.twist is not None:
+        speed = (scene.twist.reshape(-1, 2, 3) @ np.swapaxes(scene.seen.rotation, 1, 2))[:, :, None]
+        by_time = speed[:, 0] + np.cross(speed[:, 1], scene.in_seen_axes)
+        by_offset = -by_map @ by_time[..., None]
+        parts.append(by_offset * _offset_and_drift(batch.since_epoch_s))
+        columns.append(layout.time_offset[batch.camera])
+    if batch.robot in layout.faces:
+        by_base = by_map @ scene.seen.rotation[:, None]
+        by_face = np.concatenate([by_base, -by_base @ so3.hat(scene.in_face_axes)], axis=-1)
+        count = len(robot.base_from_face)
+        mine = batch.faces[..., None] == np.arange(count)
+        parts.append(
+            (by_face[..., None, :] * mine[..., None, :, None]).reshape(*by_face.shape[:3], -1)
+        )
+        columns.append(layout.faces[batch.robot])
+    by_poses = _by_poses(by_map, scene, chain.tangent)
+    every = np.arange(layout.size)
+    return (
+        np.concatenate([by_poses, *parts], axis=-1) if parts else by_poses,
+        residual,
+        np.concatenate([every[column] for column in columns]),
+    )
+
+
+def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
+    """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot as it was
+    seen, in the map's axes."""
+    camera = state.cameras[batch.camera]
+    scene = _scene(problem, batch, state)
+    by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
+    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
+    by_base = np.empty((*by_map.shape[:-1], 6))
+    by_base[..., :3] = by_map
+    for axis in range(3):
+        by_base[..., 3 + axis] = -_cross(by_map, scene.in_seen_axes, axis)
+    return by_base
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """A batch's corners (n, K, 3) at a state, by the axes that they are taken in: of the face, of
+    the robot as it was seen, of its node and of the camera (from the camera, the map's axes; and in
+    the optical frame). `twist` (n, 6): the robot's, where the camera has a time offset."""
+
+    in_face_axes: Array
+    in_seen_axes: Array
+    arm: Array
+    from_camera: Array
+    optical: Array
+    seen: Pose
+    twist: Array | None
+
+
+def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
+    camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
+    chain = problem.chains[batch.robot]
+    base_from_face = robot.base_from_face[batch.faces]
+    in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
+    in_base = in_face_axes + base_from_face.translation
+    node = robot.map_from_base[batch.nodes]
+    seen, twist = node, None
+    if batch.camera in problem.layout.time_offset:
+        # True time = stamp - offset: the sighting is of the robot that much further on its way.
+        after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
+        moved, twist = chain.track.carried(chain.stamps_ns[batch.nodes], after_s, chain.scales)
+        seen = node @ moved
+    in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
+    arm = in_seen_axes
+    if seen is not node:
+        arm = in_seen_axes + (seen.translation - node.translation)[:, None]
+    from_camera = arm + (node.translation - camera.map_from_camera.translation)[:, None]
+    optical = _rotated(from_camera, camera.map_from_camera.rotation)
+    # A corner behind the camera has no projection: it is pushed back before it, where its residual
+    # is large and its derivative harmless.
+    optical[..., 2] = np.where(batch.weights > 0, np.maximum(optical[..., 2], 1e-2), 1.0)
+    return _Scene(in_face_axes, in_seen_axes, arm, from_camera, optical, seen, twist)
+
+
+def _rotated(rows: Array, matrix: Array) -> Array:
+    """Rows (…, 3) times one matrix, as one product: numpy would make it one each."""
+    return (rows.reshape(-1, 3) @ matrix).reshape(rows.shape)
+
+
+def _by_poses(by_map: Array, scene: _Scene, tangent: list[int]) -> Array:
+    """Derivatives (n, K, 2, d + 6) by the node's pose and the camera's, from those by the corner in
+    the map (n, K, 2, 3); a row times [a]× is the cross product of both."""
+    d = len(tangent)
+    by_poses = np.empty((*by_map.shape[:-1], d + 6))
+    for column, free in enumerate(tangent):
+        if free < 3:
+            by_poses[..., column] = by_map[..., free]
+        else:
+            by_poses[..., column] = -_cross(by_map, scene.arm, free - 3)
+    np.negative(by_map, out=by_poses[..., d : d + 3])
+    for axis in range(3):
+        by_poses[..., d + 3 + axis] = _cross(by_map, scene.from_camera, axis)
+    return by_poses
+
+
+def _cross(rows: Array, points: Array, axis: int) -> Array:
+    """One component of the cross products of rows (n, K, 2, 3) with points (n, K, 3)."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    return rows[..., i] * points[..., j, None] - rows[..., j] * points[..., i, None]
+
+
+def _offset_and_drift(since_epoch_s: Array) -> Array:
+    """(n, 1, 1, 2): how a camera's time offset and drift change its offset at each stamp."""
+    return np.stack([np.ones_like(since_epoch_s), since_epoch_s], axis=-1)[:, None, None]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryTerms:
+    """Whitened residual (n, d) between consecutive nodes, and its derivatives."""
+
+    residual: Array
+    by_earlier: Array
+    by_later: Array
+    by_scale: Array
+
+
+def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
+    """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
+
+    Disturbances turn it by ∂t/∂δθ_i = R_iᵀ[t_j - t_i]×, ∂r/∂δθ = J_l⁻¹(r) R_iᵀ (Solà et al.), and
+    one of ΔR by -J_r⁻¹(r), where J_r(r) = J_l(-r).
+    """
+    to_earlier = np.swapaxes(earlier.rotation, 1, 2)
+    between = later.translation - earlier.translation
+    reported = motion.earlier_from_later
+    turn = so3.log(to_earlier @ later.rotation @ np.swapaxes(reported.rotation, 1, 2))
+    moved = (to_earlier @ between[..., None])[..., 0] - reported.translation
+    turning = np.linalg.inv(so3.left_jacobian(turn)) @ to_earlier
+    n = len(between)
+    by_later = np.zeros((n, 6, 6))
+    by_later[:, :3, :3] = to_earlier
+    by_later[:, 3:, 3:] = turning
+    by_earlier = -by_later
+    by_earlier[:, :3, 3:] = to_earlier @ so3.hat(between)
+    by_scale = -motion.by_scale
+    by_scale[:, 3:] = np.linalg.solve(so3.left_jacobian(-turn), by_scale[:, 3:])
+    residual = np.concatenate([moved, turn], axis=1)[:, tangent]
+    free = np.ix_(range(n), tangent, tangent)
+    root = np.linalg.cholesky(motion.covariance[free])
+    solve = np.linalg.solve
+    return OdometryTerms(
+        solve(root, residual[..., None])[..., 0],
+        solve(root, by_earlier[free]),
+        solve(root, by_later[free]),
+        solve(root, by_scale[:, tangent]),
+    )

@@ -1,0 +1,178 @@
+"""The smoother's least-squares problem: its data, its unknowns, and their order.
+
+Unknowns are the robots' poses at their sightings («nodes», a chain per robot, held by odometry)
+and the dense part: cameras, and where they have a prior sigma lenses, time offsets, odometry
+scales and the faces' poses. A camera sees one robot at a time, so the normal equations
+(`normal_equations`) are
+
+    [A  B ] [nodes]     A: block-tridiagonal, one block row a node
+    [Bᵀ C ] [dense]     C: small and dense
+
+Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
+axes; a planar robot by x, y and heading alone. The last node of each robot is in the dense part, so
+that what is left after the chains are eliminated is what a filter would know.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array
+
+from .odometry import PLANAR, SPATIAL, Motion, OdometryTrack
+
+
+@dataclass(frozen=True, slots=True)
+class CameraState:
+    """What is believed of one camera; its clock's offset at the data set's epoch, and its drift
+    (s/s) from there."""
+
+    map_from_camera: Pose
+    lens: CameraModel
+    time_offset_s: float = 0.0
+    time_drift: float = 0.0
+
+    def offset_s(self, since_epoch_s: Array) -> Array:
+        """The time offset at stamps, seconds."""
+        return self.time_offset_s + self.time_drift * since_epoch_s
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """What is believed of one robot: its nodes (n) in the map, its scales (2,), its faces."""
+
+    map_from_base: Pose
+    scales: Array
+    base_from_face: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything that is worked out."""
+
+    cameras: dict[str, CameraState]
+    robots: dict[str, RobotState]
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """One robot's nodes and the motion between them.
+
+    `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
+    worked out; `track`: the odometry behind it.
+    """
+
+    robot: str
+    stamps_ns: np.ndarray
+    motion: Motion | None
+    track: OdometryTrack
+    scales: Array
+    planar: bool
+    is_anchored: bool
+
+    @property
+    def tangent(self) -> list[int]:
+        """Which of the six disturbances are free."""
+        return PLANAR if self.planar else SPATIAL
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """All used observations of one robot by one camera, padded to one size K.
+
+    `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
+    1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): how much each
+    observation counts; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
+    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps; `jitter` (6,): variances of
+    how the target stands otherwise in a picture than its node says (a floor that tilts, a mast that
+    sways), a disturbance in the map's axes that all corners of the picture share; None: none.
+    """
+
+    camera: str
+    robot: str
+    nodes: np.ndarray
+    face_points: Array
+    faces: np.ndarray
+    pixels: Array
+    weights: Array
+    shares: Array
+    sources: np.ndarray
+    after_node_s: Array
+    since_epoch_s: Array
+    jitter: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """Gaussian knowledge from before, as (column, expected disturbance)-free standard forms.
+
+    `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
+    drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,
+    rotation sigma); `cameras`: known poses by name with their joint information (6n, 6n), in the
+    order of the dict; `owners`: camera -> the one whose lens and clock it has (of a camera's places
+    the first).
+    """
+
+    lens: dict[str, tuple[Array, Array]]
+    time_offset: dict[str, Array]
+    scales: dict[str, Array]
+    faces: dict[str, tuple[Pose, float, float]]
+    cameras: dict[str, Pose]
+    camera_information: Array
+    owners: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Columns of the dense part by name; `size` of them."""
+
+    pose: dict[str, slice]
+    lens: dict[str, slice]
+    time_offset: dict[str, slice]
+    scales: dict[str, slice]
+    faces: dict[str, slice]
+    last: dict[str, slice]
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """The data of one solution."""
+
+    chains: dict[str, Chain]
+    batches: tuple[Batch, ...]
+    priors: Priors
+    layout: Layout
+
+
+def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, state: State) -> Layout:
+    """Give every dense unknown its columns."""
+    size = 0
+
+    def take(count: int) -> slice:
+        nonlocal size
+        size += count
+        return slice(size - count, size)
+
+    pose = {name: take(6) for name in cameras}
+    lens = {
+        name: take(len(state.cameras[name].lens.parameters))
+        for name in cameras
+        if name in priors.lens
+    }
+    lens |= {n: lens[o] for n, o in priors.owners.items() if o in lens}
+    time_offset = {name: take(2) for name in cameras if name in priors.time_offset}
+    time_offset |= {n: time_offset[o] for n, o in priors.owners.items() if o in time_offset}
+    scales = {name: take(2) for name in chains if name in priors.scales}
+    faces = {name: take(6 * len(priors.faces[name][0])) for name in chains if name in priors.faces}
+    last = {name: take(len(chain.tangent)) for name, chain in chains.items()}
+    return Layout(pose, lens, time_offset, scales, faces, last, size)
+
+
+def inner_nodes(chain: Chain) -> slice:
+    """All nodes but the last."""
+    return slice(0, len(chain) - 1)

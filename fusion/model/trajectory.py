@@ -1,0 +1,48 @@
+"""A robot's pose at any moment, from a solution's nodes and its odometry."""
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+
+from .odometry import OdometryTrack, composed
+from .problem import Chain
+
+
+def interpolated(track: OdometryTrack, chain: Chain, nodes: Pose, stamps_ns: np.ndarray) -> Pose:
+    """map_from_base at moments (m,) that odometry covers.
+
+    From the node before by odometry; what is missing then at the node after is shared out by time.
+    Before the first node odometry is followed backwards, after the last one forwards, and so it is
+    on either side of a jump.
+    """
+    every, where = np.unique(np.concatenate([chain.stamps_ns, stamps_ns]), return_inverse=True)
+    odometry = _dead_reckoned(track, chain, every)
+    at_node = where[: len(chain.stamps_ns)]
+    before = np.clip(np.searchsorted(chain.stamps_ns, stamps_ns, "right") - 1, 0, None)
+    wanted = where[len(chain.stamps_ns) :]
+    start = odometry[at_node[before]]
+    pose = nodes[before] @ start.inverse() @ odometry[wanted]
+    after = np.minimum(before + 1, len(chain.stamps_ns) - 1)
+    expected = nodes[before] @ start.inverse() @ odometry[at_node[after]]
+    missing = nodes[after].difference(expected)
+    gap = chain.stamps_ns[after] - chain.stamps_ns[before]
+    share = np.clip((stamps_ns - chain.stamps_ns[before]) / np.maximum(gap, 1), 0, 1)
+    pieces, of_nodes = track.pieces(stamps_ns), track.pieces(chain.stamps_ns)
+    is_joined = (after > before) & (of_nodes[before] == of_nodes[after])
+    pose = pose.disturbed(missing * np.where(is_joined, share, 0)[:, None])
+    is_beyond = (pieces != of_nodes[before]) & (pieces == of_nodes[after])
+    if not np.any(is_beyond):
+        return pose
+    back = nodes[after] @ odometry[at_node[after]].inverse() @ odometry[wanted]
+    chosen = is_beyond[:, None]
+    return Pose(
+        np.where(chosen[..., None], back.rotation, pose.rotation),
+        np.where(chosen, back.translation, pose.translation),
+    )
+
+
+def _dead_reckoned(track: OdometryTrack, chain: Chain, stamps_ns: np.ndarray) -> Pose:
+    """Odometry alone at moments, from an arbitrary start."""
+    if len(stamps_ns) == 1:
+        return Pose.stack([Pose.identity()])
+    return composed(track.motion(stamps_ns, chain.scales).earlier_from_later)

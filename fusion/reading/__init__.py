@@ -1,0 +1,1 @@
+"""What one picture can mean: which face, which way up, from where."""

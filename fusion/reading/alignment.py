@@ -1,0 +1,327 @@
+"""Where a robot stands before a located camera, and how what the camera saw is read."""
+
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Target
+
+from .faces import candidates, corners_of, is_same_pose, pixels_of, readings_rms_px
+from .planar_pose import least_squares_steps
+from .visibility import body_of
+
+# With a prior tighter than this, poses that a look-alike face or a turned board would need are
+# many sigmas away, so that only readings near the prior need to be looked at.
+_TIGHT_M = 0.15
+_TIGHT_RAD = 0.15
+# A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is none.
+_HOPELESS = 100.0
+# A corner that is farther off than this at its view's best near the prior is wild; a view with more
+# wild ones than this share, or that moves the robot by so many of the prior's sigmas, is wrong.
+_FITS_SIGMAS = 6.0
+_WILD_SHARE = 0.25
+# A place from which all corners are this far off is none: what one flat face leaves open is less.
+_FAR_RMS_SIGMAS = 100.0
+_MOST_STEPS = 12
+# After a step this small, m and rad, the next one would be its square: nothing.
+_SMALL_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Where a robot stands before a located camera; `cost`: χ² with the prior's; `margin`: how much
+    worse the next reading is; `wild`: (n,) bool over all corners, those that took no part."""
+
+    map_from_base: Pose
+    readings: tuple[Reading, ...]
+    cost: float
+    margin: float
+    wild: np.ndarray
+
+    def read(self, observation: Observation) -> Observation:
+        """The observation as it is read here."""
+        read = observation.read_as(self.readings)
+        if not np.any(self.wild):
+            return read
+        ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
+        return read.with_outliers(tuple(np.split(self.wild, ends)))
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrior:
+    """What is known of map_from_base before a look: covariance (6, 6) of its disturbance."""
+
+    map_from_base: Pose
+    covariance: Array
+
+    def is_tight(self, tangent: list[int]) -> bool:
+        """Whether it tells faces that look alike apart."""
+        sigma = np.sqrt(np.diagonal(self.covariance)[tangent])
+        return bool(sigma[:2].max() < _TIGHT_M and sigma[-1] < _TIGHT_RAD)
+
+
+def align(
+    observation: Observation,
+    target: Target,
+    lens: CameraModel,
+    map_from_camera: Pose,
+    *,
+    tangent: list[int],
+    prior: PosePrior | None,
+    extra_sigma_px: float,
+) -> Alignment | None:
+    """The reading and robot pose that fit a located camera's observation and the prior best.
+
+    `extra_sigma_px`: what the camera's own uncertainty adds to the corners'.
+    """
+    search = _Search(observation, target, lens, map_from_camera, tangent, prior, extra_sigma_px)
+    if prior is None or not prior.is_tight(tangent):
+        return search.everywhere()
+    near = search.near(prior)
+    if near is not None:
+        return near
+    wild = search.wild_near(prior)
+    if np.all(wild):
+        return None
+    sound = search.without(wild)
+    return sound.near(prior) or sound.everywhere()
+
+
+def placements(
+    observation: Observation,
+    target: Target,
+    lens: CameraModel,
+    map_from_camera: Pose,
+    *,
+    tangent: list[int],
+) -> list[Pose]:
+    """Everywhere that a robot may stand before a located camera by one observation, best first."""
+    search = _Search(observation, target, lens, map_from_camera, tangent, None, 0.0)
+    starts, readings = search._starts()
+    if not starts:
+        return []
+    poses, costs = search._solved(Pose.stack(starts), np.stack(readings))
+    found: list[Pose] = []
+    for index in np.argsort(costs, kind="stable"):
+        is_near = bool(costs[index] < _FAR_RMS_SIGMAS**2 * 2 * len(search.pixels))
+        if is_near and not any(is_same_pose(poses[index], other) for other in found):
+            found.append(poses[index])
+    return found
+
+
+class _Search:
+    """One `align`."""
+
+    def __init__(
+        self,
+        observation: Observation,
+        target: Target,
+        lens: CameraModel,
+        map_from_camera: Pose,
+        tangent: list[int],
+        prior: PosePrior | None,
+        extra_sigma_px: float,
+    ) -> None:
+        self.observation, self.target, self.lens = observation, target, lens
+        self.map_from_camera, self.tangent, self.prior = map_from_camera, tangent, prior
+        self.pixels, sigma = pixels_of(observation)
+        self.extra_variance = extra_sigma_px**2
+        self.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
+        self.wild = np.zeros(len(self.pixels), dtype=bool)
+        self.root = np.zeros((0, len(tangent)))  # of the prior's information
+        if prior is not None:
+            covariance = prior.covariance[np.ix_(tangent, tangent)]
+            self.root = np.linalg.inv(np.linalg.cholesky(covariance))
+
+    def without(self, wild: np.ndarray) -> "_Search":
+        """The same search without some corners (n,)."""
+        other = copy(self)
+        other.wild = wild
+        other.weights = np.where(wild, 0.0, self.weights)
+        return other
+
+    def wild_near(self, prior: PosePrior) -> np.ndarray:
+        """The corners (n,) that fit nowhere near the prior, each view judged by itself: single ones
+        that lie elsewhere, or all of a view that shows something else than it says."""
+        parts = []
+        for view in self.observation.views:
+            alone = copy(self)
+            alone.observation = replace(self.observation, views=(view,))
+            alone.pixels, sigma = pixels_of(alone.observation)
+            alone.weights = 1 / np.sqrt(sigma**2 + self.extra_variance)
+            parts.append(alone._wild_in_view(prior))
+        return np.concatenate(parts)
+
+    def _wild_in_view(self, prior: PosePrior) -> np.ndarray:
+        nothing = np.ones(len(self.pixels), dtype=bool)
+        readings = self._read_at(prior.map_from_base)
+        if readings is None:
+            return nothing
+        points = corners_of(self.observation, body_of(self.target), readings[None])
+        pose, length, pull = Pose.stack([prior.map_from_base]), np.zeros(0), np.zeros(0)
+        for _ in range(_MOST_STEPS):
+            jacobian, residual, is_sound = self._linearised(pose, points)
+            if not is_sound[0]:
+                return nothing
+            count = 2 * len(self.pixels)
+            length = np.linalg.norm(residual[0, :count].reshape(-1, 2), axis=1)
+            pull = residual[0, count:]
+            # Cauchy's weights, with a scale that leaves most corners near their full weight.
+            weight = 1 / (1 + (length / max(2.0, 2 * float(np.median(length)))) ** 2)
+            root = np.concatenate([np.repeat(np.sqrt(weight), 2), np.ones(len(pull))])
+            steps = np.zeros((1, 6))
+            steps[:, self.tangent] = least_squares_steps(
+                jacobian * root[:, None], residual * root, is_sound
+            )
+            pose = pose.disturbed(steps)
+        is_elsewhere = pull @ pull > _FITS_SIGMAS**2
+        wild = length > _FITS_SIGMAS
+        return nothing if is_elsewhere or wild.mean() > _WILD_SHARE else wild
+
+    def near(self, prior: PosePrior) -> Alignment | None:
+        """The reading that fits at the prior; None where it does not fit or another may too."""
+        readings = self._read_at(prior.map_from_base)
+        if readings is None:
+            return None
+        poses, costs = self._solved(Pose.stack([prior.map_from_base]), readings[None])
+        freedom = 2 * int(np.sum(~self.wild))
+        if not costs[0] < freedom + 6 * np.sqrt(2 * freedom):
+            return None
+        margin = self._margin_at(poses, readings, float(costs[0]))
+        if margin < _HOPELESS:
+            return None
+        return Alignment(poses[0], self._named(readings), float(costs[0]), margin, self.wild)
+
+    def _margin_at(self, pose: Pose, readings: np.ndarray, cost: float) -> float:
+        """How much worse the observation fits with another reading of any one view, to first order
+        about a pose (1)."""
+        others = []
+        for order, view in enumerate(self.observation.views):
+            for number in set(range(len(view.readings))) - {int(readings[order])}:
+                other = readings.copy()
+                other[order] = number
+                others.append(other)
+        if not others:
+            return np.inf
+        chosen = np.stack(others)
+        same = Pose(
+            np.broadcast_to(pose.rotation, (len(others), 3, 3)),
+            np.broadcast_to(pose.translation, (len(others), 3)),
+        )
+        points = corners_of(self.observation, body_of(self.target), chosen)
+        jacobian, residual, is_sound = self._linearised(same, points)
+        steps = least_squares_steps(jacobian, residual, is_sound)
+        left = residual + (jacobian @ steps[..., None])[..., 0]
+        costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)
+        return float(costs.min()) - cost
+
+    def everywhere(self) -> Alignment | None:
+        """The best of all candidates."""
+        starts, readings = self._starts()
+        if not starts:
+            return None
+        chosen = np.stack(readings)
+        poses, costs = self._solved(Pose.stack(starts), chosen)
+        if not np.any(np.isfinite(costs)):
+            return None
+        best = int(np.argmin(costs))
+        differs = np.any(chosen != chosen[best], axis=1)
+        second = float(np.min(costs[differs], initial=np.inf))
+        named = self._named(chosen[best])
+        margin = second - float(costs[best])
+        return Alignment(poses[best], named, float(costs[best]), margin, self.wild)
+
+    def _starts(self) -> tuple[list[Pose], list[np.ndarray]]:
+        """Where the robot may be, and how the observation is read then."""
+        starts, readings = [], []
+        for candidate in candidates(self.observation, self.target, self.lens):
+            starts.append(self.map_from_camera @ candidate.camera_from_base)
+            views = zip(self.observation.views, candidate.readings, strict=True)
+            readings.append(np.array([view.readings.index(chosen) for view, chosen in views]))
+        if self.prior is not None:
+            read = self._read_at(self.prior.map_from_base)
+            if read is not None:
+                starts.append(self.prior.map_from_base)
+                readings.append(read)
+        return starts, readings
+
+    def _read_at(self, map_from_base: Pose) -> np.ndarray | None:
+        """For each view the index of the reading that fits a pose best; None where none does."""
+        camera_from_base = Pose.stack([self.map_from_camera.inverse() @ map_from_base])
+        chosen = []
+        for view in self.observation.views:
+            rms = readings_rms_px(view, self.target, self.lens, camera_from_base)[0]
+            chosen.append(int(np.argmin(rms)))
+            if not np.isfinite(rms[chosen[-1]]):
+                return None
+        return np.array(chosen)
+
+    def _named(self, readings: np.ndarray) -> tuple[Reading, ...]:
+        views = zip(self.observation.views, readings, strict=True)
+        return tuple(view.readings[number] for view, number in views)
+
+    def _solved(self, starts: Pose, readings: np.ndarray) -> tuple[Pose, Array]:
+        """Gauss-Newton over the robot's pose from starts (b) with readings (b, views): the poses
+        and their costs (b,), infinite where it diverges."""
+        points = corners_of(self.observation, body_of(self.target), readings)
+        poses, costs = _flattened(starts, self.tangent), np.full(len(readings), np.inf)
+        is_sound = np.ones(len(readings), dtype=bool)
+        for _ in range(_MOST_STEPS):
+            jacobian, residual, sound = self._linearised(poses, points)
+            is_sound &= sound
+            steps = self._steps(jacobian, residual, is_sound)
+            left = residual + (jacobian @ steps[..., None])[..., 0]
+            costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)
+            whole = np.zeros((len(readings), 6))
+            whole[:, self.tangent] = steps
+            poses = poses.disturbed(whole)
+            if np.abs(steps).max() < _SMALL_STEP:
+                break
+        return poses, costs
+
+    def _steps(self, jacobian: Array, residual: Array, is_sound: np.ndarray) -> Array:
+        """`least_squares_steps`; what a prior is about is determined, which saves half the time."""
+        if self.prior is None:
+            return least_squares_steps(jacobian, residual, is_sound)
+        transposed = np.swapaxes(jacobian, 1, 2) * is_sound[:, None, None]
+        information = transposed @ jacobian + np.eye(len(self.tangent)) * ~is_sound[:, None, None]
+        wanted = np.where(is_sound[:, None], residual, 0.0)
+        return -np.linalg.solve(information, transposed @ wanted[..., None])[..., 0]
+
+    def _linearised(self, poses: Pose, points: Array) -> tuple[Array, Array, np.ndarray]:
+        """Jacobian (b, m, k) and residual (b, m) of poses (b) with the prior's; which are sound."""
+        eye, rotation = self.map_from_camera.translation, self.map_from_camera.rotation
+        arm = points @ np.swapaxes(poses.rotation, 1, 2)
+        optical = (arm + poses.translation[:, None] - eye) @ rotation
+        is_sound = np.all(optical[..., 2] > 1e-3, axis=1)
+        optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
+        projected, by_point = self.lens.project_by_point(optical)
+        residual = (projected - self.pixels) * self.weights[:, None]
+        by_map = by_point @ rotation.T
+        jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)[..., self.tangent]
+        jacobian = (jacobian * self.weights[:, None, None]).reshape(
+            len(points), -1, len(self.tangent)
+        )
+        residual = residual.reshape(len(points), -1)
+        is_sound &= np.all(np.isfinite(residual), axis=1)
+        if self.prior is None:
+            return jacobian, residual, is_sound
+        apart = poses.difference(self.prior.map_from_base)[:, self.tangent]
+        held = np.broadcast_to(self.root, (len(points), *self.root.shape))
+        return (
+            np.concatenate([jacobian, held], axis=1),
+            np.concatenate([residual, apart @ self.root.T], axis=1),
+            is_sound,
+        )
+
+
+def _flattened(poses: Pose, tangent: list[int]) -> Pose:
+    """Poses (b) in the plane, where the robot moves in it."""
+    if len(tangent) == 6:
+        return poses
+    return Pose.planar(poses.translation[:, 0], poses.translation[:, 1], poses.heading)

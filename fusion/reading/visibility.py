@@ -1,0 +1,152 @@
+"""A target as an opaque solid: where its corners are, and which of them can be seen from where.
+
+A face shows its pattern on its front alone, and no corner can be seen through another face. So a
+reading that would need either is none, however well its corners fit.
+"""
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import numpy as np
+
+from trigpoint.fusion.model.observations import Reading, View
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Target
+
+# Faces are not mounted exactly where the target file says, so a corner at the edge of what another
+# face hides may be seen; a view most of whose corners are hidden can't.
+_HIDDEN_SHARE = 0.5
+_BESIDE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A target in the robot's base frame.
+
+    `corners`: a face's, by id, (c, 3) each, and all of them padded to one size in `table`
+    (f, c, 3), with how many a face has in `counts` (f,); `base_from_face`, `face_from_base` (f);
+    `low`, `high` (f, 2): the rectangle of a face's pattern in its own frame, metres.
+    """
+
+    corners: tuple[Array, ...]
+    table: Array
+    counts: np.ndarray
+    base_from_face: Pose
+    face_from_base: Pose
+    low: Array
+    high: Array
+
+
+@cache
+def body_of(target: Target) -> Body:
+    """The solid that a target is."""
+    poses = [face.base_from_face for face in target.faces]
+    outlines = np.stack([face.outline[:, :2] for face in target.faces])
+    corners = tuple(p @ face.corners for p, face in zip(poses, target.faces, strict=True))
+    counts = np.array([len(points) for points in corners])
+    table = np.zeros((len(corners), counts.max(), 3))
+    for points, row in zip(corners, table, strict=True):
+        row[: len(points)] = points
+    base_from_face = Pose.stack(poses)
+    return Body(
+        corners,
+        table,
+        counts,
+        base_from_face,
+        base_from_face.inverse(),
+        outlines.min(axis=1),
+        outlines.max(axis=1),
+    )
+
+
+def by_reading(view: View, body: Body) -> Array:
+    """A view's corners in the base frame by each of its readings, (r, n, 3)."""
+    faces, is_turned = _ways(view.readings)
+    points = corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
+    return points if view.sweep is None else points + view.sweep.shift(points)
+
+
+def corners_in_base(
+    body: Body, corners: np.ndarray, faces: np.ndarray, is_turned: np.ndarray
+) -> Array:
+    """Where corner ids are by the face that they are on and the end that it is read from; all of
+    shapes that go together (…), (…, 3)."""
+    ids = np.where(is_turned, body.counts[faces] - 1 - corners, corners)
+    return body.table[faces, ids]
+
+
+def faces_of(view: View) -> np.ndarray:
+    """The face of each of a view's readings, (r,)."""
+    return _ways(view.readings)[0]
+
+
+@lru_cache(maxsize=4096)
+def _ways(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Face and whether it is turned of each reading, (r,)."""
+    faces = np.array([reading.face for reading in readings])
+    return faces, np.array([reading.is_turned for reading in readings])
+
+
+def outermost(pixels: Array) -> np.ndarray:
+    """Indices of the corners that reach furthest in four directions."""
+    u, v = pixels.T
+    rising, falling = u + v, u - v
+    return np.array(sorted({rising.argmin(), rising.argmax(), falling.argmin(), falling.argmax()}))
+
+
+def can_be_seen(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
+    """Whether eyes see faces with points on them from in front and past all other faces; base
+    frame. Many views at once: `faces` (v, r), `points` (v, r, k, 3), `eyes` (b, v, 3); (b, v, r)
+    bool."""
+    return _from_in_front(body, faces, eyes) & ~_hidden(body, faces, points, eyes)
+
+
+def are_seen(
+    body: Body, faces: np.ndarray, points: Array, is_counted: np.ndarray, eyes: Array
+) -> np.ndarray:
+    """`can_be_seen` of pairs: whether each eye (v, 3) sees its face (v,), by those of its points
+    (v, k, 3) that are counted (v, k); (v,) bool."""
+    into = body.base_from_face.rotation[faces, :, 2]
+    in_front = np.sum(into * (eyes - body.base_from_face.translation[faces]), axis=-1) < 0
+    end = _in_faces(body, points.reshape(-1, 3)).reshape(len(body.counts), 3, *points.shape[:-1])
+    through = _go_through(body, _in_faces(body, eyes)[..., None], end)
+    through &= (np.arange(len(through))[:, None] != faces)[..., None]
+    hidden = np.sum(through.any(axis=0) & is_counted, axis=1) / np.sum(is_counted, axis=1)
+    return in_front & (hidden <= _HIDDEN_SHARE)
+
+
+def _from_in_front(body: Body, faces: np.ndarray, eyes: Array) -> np.ndarray:
+    # z of a face points into the board, so away from whoever sees its front.
+    into = body.base_from_face.rotation[faces, :, 2]
+    sight = eyes[..., None, :] - body.base_from_face.translation[faces]
+    return np.sum(into * sight, axis=-1) < 0
+
+
+def _hidden(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
+    """Whether most of the lines from the eyes to the points go through another face, (b, v, r)."""
+    views, readings, corners = points.shape[:-1]
+    start = _in_faces(body, eyes.reshape(-1, 3)).reshape(-1, 3, *eyes.shape[:-1], 1)
+    end = _in_faces(body, points.reshape(-1, 3)).reshape(-1, 3, 1, views, readings * corners)
+    through = _go_through(body, start, end).reshape(-1, *eyes.shape[:-1], readings, corners)
+    others = np.arange(len(through))[:, None, None] != faces
+    through &= others[:, None, :, :, None]
+    return through.any(axis=0).mean(axis=-1) > _HIDDEN_SHARE
+
+
+def _in_faces(body: Body, points: Array) -> Array:
+    """Points (n, 3) of the base frame in each face's frame, (f, 3, n)."""
+    return body.face_from_base.rotation @ points.T + body.face_from_base.translation[..., None]
+
+
+def _go_through(body: Body, start: Array, end: Array) -> np.ndarray:
+    """Which lines between points in each face's frame (f, 3, …) go through its pattern, (f, …)."""
+    shape = (-1, *([1] * (start.ndim - 2)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = start[:, 2] / (start[:, 2] - end[:, 2])
+        through = (share > _BESIDE) & (share < 1 - _BESIDE)
+        for axis in (0, 1):
+            crossing = start[:, axis] + share * (end[:, axis] - start[:, axis])
+            through &= crossing > body.low[:, axis].reshape(shape)
+            through &= crossing < body.high[:, axis].reshape(shape)
+    return through

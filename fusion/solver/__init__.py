@@ -1,0 +1,1 @@
+"""Least squares over everything, and what a solution knows, carried on."""

@@ -1,0 +1,320 @@
+"""The live side of the smoother: what a batch solution knows, carried on sighting by sighting.
+
+The state is the dense part of the problem (cameras, lenses, scales and each robot's last pose) as
+mean and covariance about a fixed point. A new sighting appends a node, odometry ties it to the
+robot's last one, and the last one is forgotten; that is exact but for the fixed point, which the
+next batch solution moves. A step costs the same in a state of any size (see `gaussian`). Filters
+are immutable, so that going back to an earlier one, for a sighting that came late, costs nothing.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation, points_of
+from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
+from trigpoint.fusion.model.problem import (
+    Batch,
+    Chain,
+    Layout,
+    Priors,
+    Problem,
+    RobotState,
+    State,
+    layout_of,
+)
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, hat
+
+from .gaussian import Gaussian
+from .levenberg_marquardt import Reduced, covariance_of
+from .normal_equations import EXACT
+
+# A pose with a larger sigma is none: behind a jump of the odometry nothing ties it to the map.
+_LOOSE_M = 20.0
+_LOOSE_RAD = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RobotEstimate:
+    """A robot at a time: map_from_base, and the covariance (6, 6) of its disturbance."""
+
+    stamp_ns: int
+    map_from_base: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those;
+    `source`: what is known about it, as it was worked out."""
+
+    state: State
+    stamps_ns: dict[str, int]
+    layout: Layout
+    source: Reduced | Gaussian
+
+    @cached_property
+    def known(self) -> Gaussian:
+        """The step from the fixed point; raise LinAlgError where something is not determined at
+        all."""
+        if isinstance(self.source, Gaussian):
+            return self.source
+        covariance = self.source.covariance()
+        return Gaussian.of(-covariance @ self.source.gradient, covariance)
+
+    @property
+    def is_worth_settling(self) -> bool:
+        """Whether one of the next steps will have to work everything out."""
+        return isinstance(self.source, Gaussian) and self.source.is_worth_settling
+
+    def settled(self) -> "Filter":
+        """The same, worked out as far as it is known; raise LinAlgError as `known` does."""
+        return replace(self, source=self.known.settled())
+
+    @property
+    def reduced(self) -> Reduced:
+        """What is known, as information."""
+        if isinstance(self.source, Reduced):
+            return self.source
+        information = covariance_of(self.source.covariance)
+        return Reduced(self.layout, information, -information @ self.source.mean)
+
+    @classmethod
+    def at_origin(cls, data: DataSet) -> "Filter":
+        """Before any sighting: the first robot where its odometry begins, or the known cameras."""
+        state = data.first_state()
+        stamps, robots = {}, {}
+        anchored = data.anchored_robot
+        if anchored is not None and len(data.tracks[anchored]):
+            track = data.tracks[anchored]
+            robots[anchored] = replace(
+                state.robots[anchored], map_from_base=_one(track.odom_from_base[0])
+            )
+            stamps[anchored] = track.first_ns
+        state = State(state.cameras, state.robots | robots)
+        priors = _no_priors()
+        chains = {name: _single(data, name, stamps[name]) for name in robots}
+        layout = layout_of(list(state.cameras), chains, priors, state)
+        information = np.zeros((layout.size, layout.size))
+        for name in robots:
+            last = np.arange(layout.size)[layout.last[name]]
+            information[last, last] = EXACT
+        if data.known.poses:
+            columns = np.concatenate(
+                [np.arange(layout.size)[layout.pose[n]] for n in data.known.poses]
+            )
+            information[np.ix_(columns, columns)] = data.known.information
+        reduced = Reduced(layout, information, np.zeros(layout.size))
+        return cls(state, stamps, layout, reduced)
+
+    @classmethod
+    def after(cls, state: State, problem: Problem, reduced: Reduced) -> "Filter":
+        """What a batch solution knows at its end."""
+        stamps, robots = {}, dict(state.robots)
+        for name, chain in problem.chains.items():
+            nodes = state.robots[name].map_from_base
+            robots[name] = replace(state.robots[name], map_from_base=_one(nodes[-1]))
+            stamps[name] = int(chain.stamps_ns[-1])
+        return cls(State(state.cameras, robots), stamps, reduced.layout, reduced)
+
+    def has_robot(self, robot: str) -> bool:
+        """Whether the robot is tied to the map."""
+        return robot in self.stamps_ns
+
+    def has_camera(self, camera: str) -> bool:
+        """Whether the camera is part of the state."""
+        return camera in self.layout.pose
+
+    def mean_step(self) -> Array:
+        """The step (size,) from the fixed point to the estimate."""
+        return self.known.mean
+
+    def robot(self, data: DataSet, robot: str, stamp_ns: int | None = None) -> RobotEstimate:
+        """The robot at its last node, or later by its odometry.
+
+        Raises LinAlgError where nothing determines it.
+        """
+        last = self._columns(self.layout.last[robot])
+        tangent = data.tracks[robot].tangent
+        disturbance, full = np.zeros(6), np.zeros((6, 6))
+        disturbance[tangent] = self.known.mean_of(last)
+        full[np.ix_(tangent, tangent)] = self.known.covariance_of(last)
+        pose = self.state.robots[robot].map_from_base[0].disturbed(disturbance)
+        estimate = RobotEstimate(self.stamps_ns[robot], pose, full)
+        if stamp_ns is None or stamp_ns <= estimate.stamp_ns:
+            return estimate
+        if robot in self.layout.scales:
+            return self.carried(data, robot, stamp_ns).robot(data, robot)
+        return carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
+
+    def carried(self, data: DataSet, robot: str, stamp_ns: int) -> "Filter":
+        """The robot's last pose moved on to a later time, where its odometry leads; unlike
+        `carried_on` with what is not known of its scales."""
+        start = self.robot(data, robot)
+        if stamp_ns <= start.stamp_ns:
+            return self
+        guess = carried_on(data, robot, start, stamp_ns, self.scales(robot)).map_from_base
+        return self.advanced(data, robot, stamp_ns, guess)
+
+    def before(self, data: DataSet, robot: str, camera: str, stamp_ns: int) -> Array:
+        """Covariance (6, 6) of where a camera has a robot at its last node, or later by its
+        odometry.
+
+        That may be far less than what is not known of both in the map. The camera disturbed by
+        (δt, δθ) takes along what stands before it by δt + δθ × a, with a the way to it.
+        """
+        ahead = self.carried(data, robot, stamp_ns)
+        last = self._columns(self.layout.last[robot])
+        pose = self._columns(self.layout.pose[camera])
+        eye = self.state.cameras[camera].map_from_camera.disturbed(ahead.known.mean_of(pose))
+        place = ahead.robot(data, robot).map_from_base
+        taken_along = _carry(place.translation - eye.translation)
+        apart = np.concatenate([np.eye(6)[:, data.tracks[robot].tangent], -taken_along], axis=1)
+        return apart @ ahead.known.covariance_of(np.concatenate([last, pose])) @ apart.T
+
+    def scales(self, robot: str) -> Array:
+        """The robot's scale errors at the fixed point, (2,)."""
+        return self.state.robots[robot].scales
+
+    def camera_sigma_px(self, camera: str, distance_m: float) -> float:
+        """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
+        pose = self._columns(self.layout.pose[camera])
+        variances = np.diagonal(self.known.covariance_of(pose))
+        turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
+        return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
+
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
+        """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point.
+
+        With r = e + J₀ δ₀ + J₁ δ₁ + Jₛ δₛ the whitened residual of odometry from the last pose to
+        the new one, δ₁ = -J₁⁻¹(e + J₀ δ₀ + Jₛ δₛ) with the covariance J₁⁻¹ J₁⁻ᵀ.
+        """
+        moments = np.array([self.stamps_ns[robot], stamp_ns])
+        motion = data.tracks[robot].motion(moments, self.scales(robot))
+        before = self.state.robots[robot]
+        terms = odometry_terms(
+            before.map_from_base, _one(guess), motion, data.tracks[robot].tangent
+        )
+        last = self._columns(self.layout.last[robot])
+        scales = self._columns(self.layout.scales.get(robot, slice(0, 0)))
+        inverse = np.linalg.inv(terms.by_later[0])
+        by_start = np.concatenate(
+            [terms.by_earlier[0], terms.by_scale[0][:, : len(scales)]], axis=1
+        )
+        moved = self.known.moved(
+            last,
+            np.concatenate([last, scales]),
+            -inverse @ by_start,
+            -inverse @ terms.residual[0],
+            inverse @ inverse.T,
+        )
+        return Filter(
+            self._with(robot, replace(before, map_from_base=_one(guess))),
+            self.stamps_ns | {robot: stamp_ns},
+            self.layout,
+            moved,
+        )
+
+    def updated(
+        self, data: DataSet, observation: Observation, *, share: float = 1.0
+    ) -> tuple["Filter", float]:
+        """With an observation of the robot at its last node; also its surprise, χ² over twice the
+        corners (the normalised innovation squared). `share`: how much the observation counts.
+
+        The Jacobian's triangular factor R stands for it (J = QR), so that there are only as many
+        equations as unknowns that a sighting bears on.
+        """
+        chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
+        chain = replace(chain, scales=self.scales(observation.robot))
+        batch = _batch(data, chain, observation, share)
+        problem = Problem({observation.robot: chain}, (batch,), _no_priors(), self.layout)
+        jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
+        where = np.concatenate([self._columns(self.layout.last[observation.robot]), columns])
+        flat, residual = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
+        basis, factor = np.linalg.qr(flat)
+        compressed = basis.T @ residual
+        after, whitened = self.known.updated(where, factor, compressed)
+        left_over = residual @ residual - compressed @ compressed
+        return replace(self, source=after), float(left_over + whitened @ whitened)
+
+    def _columns(self, part: slice) -> np.ndarray:
+        return np.arange(part.start, part.stop)
+
+    def _with(self, robot: str, state: RobotState) -> State:
+        return State(self.state.cameras, self.state.robots | {robot: state})
+
+
+def is_placed(covariance: Array) -> bool:
+    """Whether a pose with this covariance (6, 6) is known well enough to be one."""
+    return bool(
+        np.trace(covariance[:3, :3]) < _LOOSE_M**2 and np.trace(covariance[3:, 3:]) < _LOOSE_RAD**2
+    )
+
+
+def carried_on(
+    data: DataSet, robot: str, estimate: RobotEstimate, stamp_ns: int, scales: Array
+) -> RobotEstimate:
+    """An estimate moved to a later time by odometry: t' = t + R Δt, R' = R ΔR.
+
+    A disturbance of the start moves the end by it and turns it about the start.
+    """
+    if stamp_ns <= estimate.stamp_ns:
+        return estimate
+    motion = data.tracks[robot].motion(np.array([estimate.stamp_ns, stamp_ns]), scales)
+    start = estimate.map_from_base
+    end = start @ motion.earlier_from_later[0]
+    arm = end.translation - start.translation
+    carry = _carry(arm)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = start.rotation
+    covariance = carry @ estimate.covariance @ carry.T + turn @ motion.covariance[0] @ turn.T
+    return RobotEstimate(stamp_ns, end, covariance)
+
+
+def _carry(arm: Array) -> Array:
+    """How a disturbance of a pose disturbs what is fixed to it, an arm (3,) away: (6, 6)."""
+    carry = np.eye(6)
+    carry[:3, 3:] = -hat(arm)
+    return carry
+
+
+def _one(pose: Pose) -> Pose:
+    return Pose(pose.rotation.reshape(1, 3, 3), pose.translation.reshape(1, 3))
+
+
+def _single(data: DataSet, robot: str, stamp_ns: int) -> Chain:
+    """A chain of the robot's last node alone."""
+    return Chain(
+        robot=robot,
+        stamps_ns=np.array([stamp_ns]),
+        motion=None,
+        track=data.tracks[robot],
+        scales=np.zeros(2),
+        planar=data.tracks[robot].planar,
+        is_anchored=False,
+    )
+
+
+def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) -> Batch:
+    points = points_of(observation, data.targets[observation.robot])
+    return Batch(
+        camera=observation.camera,
+        robot=observation.robot,
+        nodes=np.zeros(1, dtype=int),
+        face_points=points.face_points[None],
+        faces=points.faces[None],
+        pixels=points.pixels[None],
+        weights=points.weights[None] * np.sqrt(share),
+        shares=np.array([share]),
+        sources=np.zeros(1, dtype=int),
+        after_node_s=(np.array([observation.stamp_ns]) - chain.stamps_ns) / NANOSECONDS,
+        since_epoch_s=data.since_epoch_s(np.array([observation.stamp_ns])),
+    )
+
+
+def _no_priors() -> Priors:
+    return Priors({}, {}, {}, {}, {}, np.zeros((0, 0)))

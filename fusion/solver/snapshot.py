@@ -1,0 +1,133 @@
+"""A copy of what a solution knows, which nothing changes later; guidance works on it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.config import OdometryNoise
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL, Motion
+from trigpoint.fusion.model.problem import Batch, Layout, Problem, State
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, hat
+from trigpoint.target import Target
+
+from .filter import Filter
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedMotion:
+    """In the free disturbances (d) of the robot: of the end by those of the start (d, d), by the
+    scale errors of distance and heading (d, 2), and the covariance (d, d) that the way adds."""
+
+    by_start: Array
+    by_scale: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPlace:
+    """A robot where its odometry has it now, and what it is like.
+
+    `since`: the motion since the filter's last pose of it.
+    """
+
+    robot: str
+    stamp_ns: int
+    map_from_base: Pose
+    since: ExpectedMotion
+    noise: OdometryNoise
+    slip: float
+    planar: bool
+    target: Target
+
+    @property
+    def tangent(self) -> list[int]:
+        return PLANAR if self.planar else SPATIAL
+
+
+def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
+    """Where a robot is by its last odometry message."""
+    track, start_ns = data.tracks[robot], known.stamps_ns[robot]
+    pose = known.state.robots[robot].map_from_base[0]
+    still = np.eye(len(track.tangent))
+    since = ExpectedMotion(still, np.zeros((len(still), 2)), 0.0 * still)
+    if start_ns < track.last_ns:
+        motion = track.motion(np.array([start_ns, track.last_ns]), known.scales(robot))
+        since = _since(motion, pose, track.tangent)
+        pose = pose @ motion.earlier_from_later[0]
+    return RobotPlace(
+        robot,
+        track.last_ns,
+        pose,
+        since,
+        track.noise,
+        track.slip,
+        track.planar,
+        data.targets[robot],
+    )
+
+
+def _since(motion: Motion, start: Pose, tangent: list[int]) -> ExpectedMotion:
+    """The motion's disturbance, which is in the axes of its start, in those of the map."""
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = start.rotation
+    by_start = np.eye(6)
+    by_start[:3, 3:] = -hat(start.rotation @ motion.earlier_from_later[0].translation)
+    free = np.ix_(tangent, tangent)
+    return ExpectedMotion(
+        by_start[free],
+        (turn @ motion.by_scale[0])[tangent],
+        (turn @ motion.covariance[0] @ turn.T)[free],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CameraViews:
+    """Where robots stood when a camera saw them (n, 3), and the usual sigma of a corner, pixels."""
+
+    places: Array
+    sigma_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceWorld:
+    """`information`: of the dense part by `layout`; `ways`: each robot's solved poses in order;
+    `views`: of the located cameras, each at its last place."""
+
+    layout: Layout
+    information: Array
+    state: State
+    robots: dict[str, RobotPlace]
+    ways: dict[str, Pose]
+    views: dict[str, CameraViews]
+
+    @classmethod
+    def of(cls, data: DataSet, known: Filter, problem: Problem, state: State) -> "GuidanceWorld":
+        """From a solution (`problem`, `state`) and the filter that carries it on."""
+        robots = {
+            name: place_of(data, known, name)
+            for name in data.site.robots
+            if known.has_robot(name) and len(data.tracks[name])
+        }
+        ways = {name: state.robots[name].map_from_base for name in problem.chains}
+        here = [name for name in data.site.cameras if name in known.reduced.layout.pose]
+        views = {name: _views(problem, state, name) for name in here}
+        return cls(
+            known.reduced.layout, known.reduced.information, known.state, robots, ways, views
+        )
+
+
+def _views(problem: Problem, state: State, camera: str) -> CameraViews:
+    mine = [batch for batch in problem.batches if batch.camera == camera]
+    places = [state.robots[b.robot].map_from_base.translation[b.nodes] for b in mine]
+    weights = [_corner_weights(batch) for batch in mine]
+    if not mine:
+        return CameraViews(np.zeros((0, 3)), 1.0)
+    return CameraViews(np.concatenate(places), float(1 / np.median(np.concatenate(weights))))
+
+
+def _corner_weights(batch: Batch) -> Array:
+    """1/sigma of the used corners, their observations' shares taken out."""
+    weights = batch.weights / np.sqrt(batch.shares)[:, None]
+    return weights[weights > 0]

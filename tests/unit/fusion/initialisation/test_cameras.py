@@ -1,0 +1,198 @@
+"""Where an unlocated camera is: by its motion past the robot, or in words why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import (
+    CameraPlan,
+    Plan,
+    RobotPlan,
+    circle,
+    lens,
+    looking_at,
+    make_session,
+    observed,
+    standing,
+    straight,
+)
+
+from trigpoint.config import OdometryNoise
+from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE, Located, distinct, refine
+from trigpoint.fusion.initialisation.cameras import Undetermined, is_below_floor, locate
+from trigpoint.fusion.initialisation.start_poses import starts_of
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.reading.visibility import body_of, can_be_seen
+from trigpoint.geometry import Pose
+from trigpoint.target import Face, Pattern, Target
+from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.visibility import seen_faces
+
+EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
+QUIET = OdometryNoise(0.001, 0.001, 0.001, 0.001)
+
+
+def seen_data(
+    target: Target, *, way=None, seconds: float = 4.0, most: int | None = None, eye: Pose = EYE
+) -> DataSet:
+    """What one camera sees of a robot whose pose in the map is known."""
+    robot = RobotPlan(way or circle(), target, QUIET)
+    plan = Plan({"c1": CameraPlan(eye)}, {"r1": robot}, seconds=seconds, picture_rate=4.0)
+    session = make_session(plan)
+    data = observed(session, most=most)
+    for entry in data.entries:
+        entry.map_from_base = session.map_from_base("r1", entry.observation.stamp_ns)
+    return data
+
+
+def frontal(data: DataSet, *, faces: int = 1) -> DataSet:
+    """The data with one picture alone, and in it the largest faces alone."""
+    views = [
+        replace(entry.observation, views=tuple(sorted(entry.observation.views, key=width)[-faces:]))
+        for entry in data.entries
+    ]
+    best = max(range(len(views)), key=lambda i: (len(views[i].views), width(views[i].views[-1])))
+    chosen = views[best] if views[best].chosen is None else replace(views[best], chosen=None)
+    return replace(data, entries=[Entry(chosen, data.entries[best].map_from_base)])
+
+
+def width(view) -> float:
+    return float(np.ptp(view.pixels[:, 0]))
+
+
+def error(found: Located | Undetermined) -> np.ndarray:
+    assert isinstance(found, Located), found
+    return np.abs(found.camera.map_from_camera.difference(EYE))
+
+
+@pytest.mark.parametrize("kind", ["charuco", "checkerboard"])
+def test_motion_past_the_camera_locates_it(kind: str) -> None:
+    data = seen_data(target_of(kind))
+    found = locate(data, data.first_state(), "c1")
+    # Dozens of pictures of 0.15 px at two metres, where a pixel is 4 mm: millimetres.
+    assert error(found)[:3].max() < 0.02
+    assert error(found)[3:].max() < 0.01
+    assert isinstance(found, Located)
+    assert len(found.readings) == len(data.entries)
+    for index, pose in found.map_from_base.items():
+        known = data.entries[index].map_from_base
+        assert known is not None
+        assert np.linalg.norm(pose.translation - known.translation) < 0.02
+
+
+def test_one_frontal_picture_of_one_of_six_look_alikes_is_undetermined_in_words() -> None:
+    data = frontal(seen_data(target_of("checkerboard")))
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+    assert "fit alike" in found.reasons[0]
+    assert found.reasons[0].count("(") == len(found.rivals) >= 2
+    # One of those that fit alike is where it truly is.
+    near = [np.abs(h.located.map_from_camera.difference(EYE)).max() for h in found.rivals]
+    assert min(near) < 0.1
+
+
+def test_one_picture_of_two_marked_faces_is_enough() -> None:
+    data = frontal(seen_data(target_of("charuco")), faces=2)
+    assert len(data.entries[0].observation.views) == 2
+    assert error(locate(data, data.first_state(), "c1"))[:3].max() < 0.05
+
+
+def test_robot_that_stands_before_the_camera_leaves_look_alikes_open() -> None:
+    data = seen_data(target_of("checkerboard"), way=standing(), seconds=2.0)
+    one_face = [
+        Entry(replace(e.observation, views=e.observation.views[:1]), e.map_from_base)
+        for e in data.entries
+    ]
+    assert one_face
+    found = locate(replace(data, entries=one_face), data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+
+
+def test_robot_that_is_not_in_the_map_yet_is_said_so() -> None:
+    data = seen_data(target_of("charuco"), seconds=1.0)
+    for entry in data.entries:
+        entry.map_from_base = None
+    found = locate(data, data.first_state(), "c1")
+    assert found == Undetermined(("the robot that it saw is not tied to the map yet",))
+
+
+def test_pictures_of_too_few_corners_are_said_so() -> None:
+    data = seen_data(target_of("charuco"), seconds=2.0)
+    for entry in data.entries:
+        views = tuple(
+            replace(v, corners=v.corners[:3], pixels=v.pixels[:3]) for v in entry.observation.views
+        )
+        entry.observation = replace(entry.observation, views=views)
+    found = locate(data, data.first_state(), "c1")
+    assert found == Undetermined(("no picture of it shows enough of a face to place it",))
+
+
+def test_pictures_that_contradict_the_odometry_are_said_so() -> None:
+    data = seen_data(target_of("charuco"))
+    random = np.random.default_rng(0)
+    for entry in data.entries:
+        views = tuple(
+            replace(v, pixels=v.pixels + random.normal(0, 12.0, v.pixels.shape))
+            for v in entry.observation.views
+        )
+        entry.observation = replace(entry.observation, views=views)
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Undetermined)
+    assert "fits its pictures" in found.reasons[0] or "contradict" in found.reasons[0]
+
+
+def test_a_few_wild_pictures_do_not_move_the_camera() -> None:
+    data = seen_data(target_of("charuco"))
+    for entry in data.entries[::6]:
+        views = tuple(replace(v, pixels=v.pixels + 40.0) for v in entry.observation.views)
+        entry.observation = replace(entry.observation, views=views)
+    assert error(locate(data, data.first_state(), "c1"))[:3].max() < 0.03
+
+
+def test_located_camera_is_never_mirrored() -> None:
+    data = seen_data(target_of("checkerboard"))
+    found = locate(data, data.first_state(), "c1")
+    assert isinstance(found, Located)
+    pose: Pose = found.camera.map_from_camera
+    assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
+    assert pose.translation[2] > 0.5
+
+
+def board_ahead() -> Target:
+    """One checkerboard that looks where the robot drives, and reads from both ends."""
+    into, down = np.array([-1.0, 0, 0]), np.array([0, 0, -1.0])
+    pose = Pose(np.column_stack([np.cross(down, into), down, into]), np.array([0.2, -0.1, 0.7]))
+    shift = tuple(pose.translation.tolist())
+    turn = tuple(pose.quaternion.tolist())
+    return Target("board", (Face(0, Pattern.CHECKERBOARD, 9, 7, 0.03, shift, turn),))
+
+
+def test_camera_is_not_put_below_the_floor_that_the_robot_drives_on() -> None:
+    eye = looking_at((2.8, 0.3, 1.6), (1.0, 0.0, 0.65))
+    data = seen_data(board_ahead(), way=straight(), eye=eye)
+    indices, state = list(range(len(data.entries))), data.first_state()
+    starts = starts_of(data, "c1", indices, most=8)
+    alike = distinct(refine(data, state, "c1", start, indices) for start in starts)
+    below = [h for h in alike if is_below_floor(data, h)]
+    assert below
+    assert min(abs(alike[0].lead(h)) for h in below) < DECISIVE  # the pictures leave it open
+    found = locate(data, state, "c1")
+    assert isinstance(found, Located), found
+    assert np.abs(found.map_from_camera.difference(eye)).max() < 0.05
+
+
+def test_robot_is_not_seen_through_its_own_faces() -> None:
+    target = target_of("checkerboard")
+    body = body_of(target)
+    points = np.stack(body.corners)
+    hidden = 0
+    for azimuth in np.linspace(0, 2 * np.pi, 73):
+        eye = looking_at((2 * np.cos(azimuth), 2 * np.sin(azimuth), 1.2), (0.0, 0.0, 0.72))
+        [[seen]] = can_be_seen(body, np.arange(6)[None], points[None], eye.translation[None, None])
+        for face in seen_faces(target, Pose.identity(), eye, lens(), ()):
+            share = len(face.corners) / face.face.corner_count
+            # The simulator's sheets reach a centimetre beyond the pattern.
+            if abs(share - 0.5) > 0.2:
+                assert seen[target.faces.index(face.face)] == (share > 0.5)
+                hidden += share < 0.5
+    assert hidden > 10

@@ -1,0 +1,150 @@
+"""The solver's process: its signs of life, and what it does with orders that pile up."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from builders import eventually
+from drives import Session, observed
+
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.live.solver_messages import (
+    Finish,
+    News,
+    Order,
+    Report,
+    Reported,
+    TakeObservation,
+)
+from trigpoint.fusion.live.solver_process import AtWork, Backlog, LifeSign, SolverProcess
+from trigpoint.fusion.live.solver_worker import Solving
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.messages import Odometry
+
+
+class Desk:
+    """A clock that is set by hand, and what was said."""
+
+    def __init__(self) -> None:
+        self.now_s, self.said = 100.0, list[AtWork]()
+        self.sign = LifeSign(self.said.append, lambda: self.now_s)
+
+    def give_after(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.sign.give()
+
+
+def test_sign_is_given_once_a_second_at_most() -> None:
+    desk = Desk()
+    for _ in range(9):
+        desk.give_after(0.25)
+    assert len(desk.said) == 3
+
+
+def test_what_may_be_waited_for_grows_with_what_a_solution_took() -> None:
+    desk = Desk()
+    desk.give_after(1.0)
+    desk.give_after(90.0)
+    desk.give_after(1.0)
+    usual, grown, after = (sign.within_s for sign in desk.said)
+    assert (grown, after) == (900.0, 900.0)
+    assert 60.0 < usual < grown
+
+
+# -- orders that pile up --------------------------------------------------------------------------
+
+
+class Listed:
+    """A solver that only keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.orders: list[Order] = []
+
+    def tell(self, orders: Sequence[Order]) -> None:
+        self.orders += orders
+
+    def news(self) -> list[News]:
+        return []
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def orders_of(session: Session) -> list[Order]:
+    """What a solver is told over a session; the last is to finish."""
+    listed = Listed()
+    pipeline = Pipeline(session.inputs, solver=listed)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    return listed.orders
+
+
+def test_every_solution_is_reported_however_many_orders_wait(charuco: Session) -> None:
+    solver = SolverProcess(charuco.inputs.data_set())
+    found: list[News] = []
+
+    def reports() -> list[Reported]:
+        found.extend(solver.news())
+        return [item for item in found if isinstance(item, Reported)]
+
+    try:
+        solver.tell([*orders_of(charuco)[:-1], Report()])
+        assert eventually(lambda: bool(reports() and reports()[-1].orders), timeout_s=60.0)
+    finally:
+        solver.close()
+    *on_the_way, answer = [item for item in found if isinstance(item, Reported)]
+    assert len(on_the_way) > 3
+    for report in on_the_way:
+        assert report.count < answer.count
+        assert report.results.network.located
+        assert not report.is_final
+
+
+def observation(session: Session) -> Observation:
+    return observed(session, most=1).entries[0].observation
+
+
+def taken(backlog: Backlog) -> list[Order]:
+    """All that waits."""
+    found = []
+    while (order := backlog.take(0.0)) is not None:
+        found.append(order)
+    return found
+
+
+def test_what_waits_before_a_finish_is_left_to_its_solution(charuco: Session) -> None:
+    look = TakeObservation(observation(charuco))
+    backlog = Backlog()
+    backlog.put([look, look])
+    assert backlog.take(0.0) is look
+    backlog.put([Finish(), look])
+    collected = TakeObservation(look.observation, is_collected=True)
+    second, finish, last = taken(backlog)
+    assert second == collected
+    assert isinstance(finish, Finish)
+    assert last is look
+
+
+def test_session_whose_end_is_left_to_the_finish_ends_where_batch_ends(
+    charuco: Session, charuco_results: Results
+) -> None:
+    orders, solving = orders_of(charuco), Solving(charuco.inputs.data_set(), time.perf_counter)
+    backlog, half = Backlog(), len(orders) // 2
+    backlog.put(orders[:half])
+    for order in taken(backlog):
+        list(solving.carry_out(order))
+    backlog.put(orders[half:])
+    news = [item for order in taken(backlog) for item in solving.carry_out(order)]
+    (report,) = [item for item in news if isinstance(item, Reported)]
+    assert report.is_final
+    for name, record in charuco_results.network.cameras.items():
+        mine = report.results.network.cameras[name]
+        assert mine.map_from_camera is not None
+        assert record.map_from_camera is not None
+        apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
+        sigma = np.sqrt(np.diagonal(record.covariance_matrix))
+        np.testing.assert_allclose(apart / sigma, 0.0, atol=0.1)

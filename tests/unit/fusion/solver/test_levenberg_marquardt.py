@@ -1,0 +1,181 @@
+"""Elimination against the dense matrix, and steps to the least cost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_problems import first_state, shaken, small_data, small_problem, unknowns, whole_matrix
+from small_problems import whole_gradient as gradient_of
+
+from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.fusion.solver import levenberg_marquardt
+from trigpoint.fusion.solver.levenberg_marquardt import covariance_of, reduce, solve
+from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.geometry.rotation import Array
+
+
+@pytest.fixture(scope="module", params=["map held by the first pose", "map held by known cameras"])
+def assembled(request: pytest.FixtureRequest) -> Assembled:
+    """Every kind of unknown with its prior, without noise."""
+    return small_problem(known="known" in request.param)
+
+
+def split(problem: Problem, state: State) -> tuple[Array, Array, Array, Array]:
+    """The dense matrix' parts A, B, C and where C begins."""
+    equations = linearise(problem, state)
+    matrix, inner = whole_matrix(problem, equations), len(unknowns(problem)) - problem.layout.size
+    gradient = gradient_of(problem, equations)
+    return matrix[:inner, :inner], matrix[:inner, inner:], matrix[inner:, inner:], gradient
+
+
+def test_reduced_information_is_the_schur_complement(assembled: Assembled) -> None:
+    state = shaken(assembled)
+    a, b, c, gradient = split(assembled.problem, state)
+    reduced = reduce(assembled.problem, linearise(assembled.problem, state))
+    solved = np.linalg.solve(a, np.column_stack([gradient[: len(a)], b]))
+    expected = c - b.T @ solved[:, 1:]
+    scale = 1 / np.sqrt(np.diagonal(expected))
+    # Numbers of sixteen digits over a matrix whose condition is the EXACT first pose's, 1e13,
+    # over what a sighting tells, 1e5 and more: eight digits are left.
+    np.testing.assert_allclose(
+        reduced.information * scale[:, None] * scale, expected * scale[:, None] * scale, atol=1e-7
+    )
+    slope = gradient[len(a) :] - b.T @ solved[:, 0]
+    np.testing.assert_allclose(reduced.gradient * scale, slope * scale, rtol=1e-7, atol=1e-6)
+
+
+def test_covariance_is_the_block_of_the_dense_inverse(assembled: Assembled) -> None:
+    a, b, c, _ = split(assembled.problem, assembled.start)
+    matrix = np.block([[a, b], [b.T, c]])
+    scale = 1 / np.sqrt(np.diagonal(matrix))
+    inverse = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    expected = inverse[len(a) :, len(a) :]
+    found = reduce(assembled.problem, linearise(assembled.problem, assembled.start)).covariance()
+    sigma = np.sqrt(np.diagonal(expected))
+    np.testing.assert_allclose(
+        found / sigma[:, None] / sigma, expected / sigma[:, None] / sigma, atol=1e-6
+    )
+
+
+def test_covariance_of_a_badly_scaled_matrix_is_its_inverse() -> None:
+    scale = np.array([1e-7, 1.0, 1e6])
+    information = scale[:, None] * np.array([[2.0, 0.5, 0], [0.5, 1, 0.1], [0, 0.1, 1]]) * scale
+    identity = (covariance_of(information) / scale[:, None] ** -1 / scale**-1) @ (
+        information / scale[:, None] / scale
+    )
+    np.testing.assert_allclose(identity, np.eye(3), atol=1e-12)
+
+
+def test_covariance_of_what_nothing_determines_is_refused() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        covariance_of(np.zeros((2, 2)))
+
+
+def solved_anew(assembled_of, state: State) -> tuple[State, list[levenberg_marquardt.Solution]]:
+    """Solve, and make the problem anew for the scales and offsets found, a few times."""
+    solutions = []
+    for _ in range(6):
+        assembled = assembled_of(state)
+        solutions.append(solve(assembled.problem, assembled.start, tolerance=1e-12))
+        state = solutions[-1].state
+    return state, solutions
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_data_without_noise_lead_back_to_the_truth(known: bool, seed: int) -> None:
+    data = small_data(known=known)
+    entries = list(range(len(data.entries)))
+    begun = assemble(data, first_state(data, off=1.0), entries)
+    start = shaken(begun, seed=seed, amount=2.0)
+    for index, node in begun.node_of.items():
+        entry = data.entries[index]
+        entry.map_from_base = start.robots[entry.observation.robot].map_from_base[node]
+    state, solutions = solved_anew(lambda s: assemble(data, s, entries), start)
+    truth = first_state(data)
+    assert all(solution.has_converged for solution in solutions)
+    assert solutions[-1].cost < 1e-6  # of χ²: a thousandth of a sigma in all
+    for name, camera in truth.cameras.items():
+        error = state.cameras[name].map_from_camera.difference(camera.map_from_camera)
+        np.testing.assert_allclose(error, 0.0, atol=1e-5)
+        assert state.cameras[name].time_offset_s == pytest.approx(0.0, abs=1e-5)
+    for name in data.site.robots:
+        np.testing.assert_allclose(state.robots[name].scales, 0.0, atol=1e-5)
+
+
+def test_no_step_raises_the_cost(assembled: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
+    costs: list[float] = []
+
+    def watched(problem: Problem, state: State, step: Array, chains: dict[str, Array]) -> State:
+        costs.append(linearise(problem, state).cost)  # that of the state a step starts from
+        return moved(problem, state, step, chains)
+
+    moved = levenberg_marquardt.moved_state
+    monkeypatch.setattr(levenberg_marquardt, "moved_state", watched)
+    solution = solve(assembled.problem, shaken(assembled, amount=10.0))
+    assert len(costs) > 3
+    assert all(
+        after <= before for before, after in zip(costs, [*costs[1:], solution.cost], strict=True)
+    )
+    assert solution.cost == linearise(assembled.problem, solution.state).cost
+
+
+def test_solution_ends_in_time_and_says_whether_it_came_to_rest(assembled: Assembled) -> None:
+    start = shaken(assembled)
+    hurried = solve(assembled.problem, start, most_iterations=1)
+    assert (hurried.iterations, hurried.has_converged) == (1, False)
+    patient = solve(assembled.problem, start)
+    assert patient.has_converged
+    assert patient.iterations < 50
+    assert patient.cost < hurried.cost < linearise(assembled.problem, start).cost
+
+
+def test_start_at_the_least_cost_ends_at_once(assembled: Assembled) -> None:
+    solution = solve(assembled.problem, assembled.start)
+    assert (solution.iterations, solution.has_converged) == (1, True)
+
+
+def test_robust_cost_leads_past_wild_corners() -> None:
+    data = small_data()
+    assembled = assemble(data, first_state(data), list(range(len(data.entries))))
+    batch = assembled.problem.batches[0]
+    pixels = batch.pixels.copy()
+    pixels[0, 0] += 100.0
+    problem = replace(
+        assembled.problem,
+        batches=(replace(batch, pixels=pixels), *assembled.problem.batches[1:]),
+    )
+    truth = assembled.start.cameras["c1"].map_from_camera
+    errors = [
+        np.abs(
+            solve(problem, assembled.start, huber=huber)
+            .state.cameras["c1"]
+            .map_from_camera.difference(truth)
+        ).max()
+        for huber in (np.inf, 4.0)
+    ]
+    assert errors[1] < 0.1 * errors[0]
+
+
+def unheld(assembled: Assembled) -> Problem:
+    """The problem without a fixed map: three directions of it are free."""
+    chains = {n: replace(c, is_anchored=False) for n, c in assembled.problem.chains.items()}
+    return replace(assembled.problem, chains=chains)
+
+
+def test_problem_that_leaves_the_map_free_ends_without_an_error() -> None:
+    assembled = small_problem()
+    problem, start = unheld(assembled), shaken(assembled)
+    solution = solve(problem, start, tolerance=1e-9)
+    assert np.all(np.isfinite(solution.reduced.information))
+    assert solution.cost < 1e-6 < linearise(problem, start).cost  # anywhere, it fits
+
+
+def test_camera_that_nothing_is_known_of_ends_without_an_error() -> None:
+    assembled = small_problem()
+    problem = replace(assembled.problem, batches=assembled.problem.batches[:1])
+    solution = solve(problem, assembled.start)
+    assert not solution.has_converged
+    with pytest.raises(np.linalg.LinAlgError):
+        solution.reduced.covariance()
