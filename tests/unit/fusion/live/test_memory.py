@@ -9,7 +9,7 @@ import pytest
 CODE = """
 import ctypes, sys
 import numpy as np
-from trigpoint.fusion.heap import give_back_large
+from trigpoint.fusion.live.memory import give_back_large
 
 class Counts(ctypes.Structure):
     _fields_ = [(name, ctypes.c_size_t) for name in "arena ordblks smblks hblks hblkhd".split()]
