@@ -81,21 +81,22 @@ class Key:
 class Site:
     """A running site; `action`s get it while it runs."""
 
-    def __init__(self, folder: Path, impairment: Impairment, stack: ExitStack, rate: float) -> None:
+    def __init__(self, folder: Path, scenario: "Scenario", stack: ExitStack) -> None:
         self._folder, self._stack = folder, stack
+        self._protocols = scenario.protocols
         self.spaces = {name: _entered(Namespace(), stack) for name in ("router", *_SEGMENTS)}
         self.links = {
             name: stack.enter_context(
                 Link(
                     (self.spaces["router"], self.spaces[name]),
                     (f"10.77.{number}.1", f"10.77.{number}.2"),
-                    impairment,
+                    scenario.impairment,
                     seed=number,
                 )
             )
             for number, name in enumerate(_SEGMENTS)
         }
-        self._write(rate)
+        self._write(scenario.picture_rate)
         self._router: subprocess.Popen[str] | None = None
 
     def _write(self, rate: float) -> None:
@@ -107,11 +108,15 @@ class Site:
         authority.issue(identity, 30, addresses_of(Kind.ROUTER, addresses))
         for kind, name in _PEOPLE:
             authority.issue(Identity("lab", kind, name), 30, ())
-        text = f'{_SITE}[bus]\nlisten = ["tls/0.0.0.0:{_PORT}"]\n[bus.tls]\n'
+        text = f"{_SITE}[bus]\nlisten = {self._endpoints('0.0.0.0')}\n[bus.tls]\n"
         (self._folder / "router.toml").write_text(f"{text}[router]\npicture_rate = {rate}\n")
         for address, name in zip(addresses, _SEGMENTS, strict=True):
-            text = f'{_SITE}[bus]\nconnect = ["tls/{address}:{_PORT}"]\n[bus.tls]\n'
+            text = f"{_SITE}[bus]\nconnect = {self._endpoints(address)}\n[bus.tls]\n"
             (self._folder / f"{name}.toml").write_text(text)
+
+    def _endpoints(self, host: str) -> str:
+        """One for each protocol, as site.toml has them."""
+        return json.dumps([f"{protocol}/{host}:{_PORT}" for protocol in self._protocols])
 
     def start_router(self) -> None:
         words = [sys.executable, "-m", "trigpoint", "router"]
@@ -158,13 +163,14 @@ class Scenario:
     picture_rate: float = 100.0
     late_router: bool = False
     linger_s: float = 12.0
+    protocols: tuple[str, ...] = ("tls",)
 
 
 def run(scenario: Scenario) -> dict[str, Key]:
     """What came of each key; raises NoNamespacesError where none can be made."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
-        site = Site(folder, scenario.impairment, stack, scenario.picture_rate)
+        site = Site(folder, scenario, stack)
         stack.callback(site.kill_router)
         if not scenario.late_router:
             site.start_router()
@@ -267,9 +273,20 @@ def line(name: str, key: Key) -> str:
     )
 
 
+def restarting(every_s: float, dead_s: float, times: int) -> Callable[[Site], None]:
+    """An action: the router's power is cut again and again."""
+
+    def act(site: Site) -> None:
+        for _ in range(times):
+            killing(every_s - dead_s, dead_s)(site)
+
+    return act
+
+
 BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
 """Of each of the two links between any two nodes."""
 FAIR = Impairment(delay_s=0.005, bits_per_s=100e6)
+DATAGRAMS = ("tls", "quic")
 WITH_VIEWER = ("camera", "robot", "fusion", "viewer")
 
 SCENARIOS: dict[str, Scenario] = {
@@ -280,6 +297,7 @@ SCENARIOS: dict[str, Scenario] = {
         Impairment(0.05, bits_per_s=20e6), seconds=20, roles=WITH_VIEWER, picture_rate=2.0
     ),
     "100 ms, 5 % lost": Scenario(BAD, seconds=30),
+    "100 ms, 5 % lost, datagrams": Scenario(BAD, seconds=30, protocols=DATAGRAMS),
     "100 ms, 5 % lost, router killed for 6 s": Scenario(BAD, seconds=30, action=killing(5, 6)),
     "router killed for 30 s": Scenario(FAIR, seconds=55, action=killing(5, 30)),
     "links flap every 3 s": Scenario(FAIR, seconds=30, action=flapping(4)),

@@ -8,14 +8,18 @@ broken, each kind in turn. Written are `soak.json` and one page, `soak.html`: me
 and threads of every program, latencies and losses over time, and how soon each was back.
 
 What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
+In the first third every kind comes in turn; after that what ends programs is left out, so that each
+lives long enough for its memory to say something.
 """
 
+import itertools
 import json
 import os
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -38,9 +42,10 @@ _PORT = 7447
 _DAYS = 90
 _SAMPLE_S = 2.0
 _UP_S = 40.0
-_DISK_MB = 256
+_LEAST_DISK_MB, _DISK_MB_A_MINUTE = 256, 12
 _BACK_MOST_S = 60.0
 _CAMERAS = ("c1", "c2")
+_ENDING_SHARE = 1 / 3
 _PAGE_BYTES = 4096
 
 
@@ -167,11 +172,16 @@ class Soak:
         self._stack.callback(space.close)
         return space
 
+    @property
+    def _disk_mb(self) -> int:
+        """Enough for the recording: about 100 kB a second, and as much for what is broken."""
+        return max(_LEAST_DISK_MB, round(_DISK_MB_A_MINUTE * self.record.seconds / 60))
+
     def _small_disk(self) -> Path:
         """A file system of its own for what the site writes, so that it can be full."""
         disk = self.folder / "session"
         disk.mkdir()
-        words = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_MB}m", "soak", str(disk)]
+        words = ["mount", "-t", "tmpfs", "-o", f"size={self._disk_mb}m", "soak", str(disk)]
         subprocess.run(words, check=True, timeout=10)
         self._stack.callback(subprocess.run, ["umount", str(disk)], check=True, timeout=10)
         return disk
@@ -264,15 +274,22 @@ class Soak:
         sampler.start()
         try:
             self._wait_until_up()
-            number = 0
-            while self.now_s + every_s < self.record.seconds:
+            for fault in self._in_turn():
                 time.sleep(every_s)
-                self._break(self._faults[number % len(self._faults)])
-                number += 1
+                if self.now_s > self.record.seconds:
+                    break
+                self._break(fault)
             time.sleep(max(0.0, self.record.seconds - self.now_s))
         finally:
             sampling.set()
             sampler.join()
+
+    def _in_turn(self) -> Iterator[Fault]:
+        """Every kind in turn; from a third of the time on without those that end programs."""
+        for fault in itertools.cycle(self._faults):
+            is_early = self.now_s < self.record.seconds * _ENDING_SHARE
+            if is_early or not fault.ends_program:
+                yield fault
 
     def _sample(self, stopping: threading.Event) -> None:
         while not stopping.wait(_SAMPLE_S):
@@ -316,12 +333,16 @@ def main(
     seconds = 3600 * hours
     with ExitStack() as stack:
         soak = Soak(out.absolute(), stack, seconds)
+        stack.callback(_write, soak.record, out)  # what was seen of a run that fails, too
         soak.run(every)
-    (out / "soak.json").write_text(json.dumps(asdict(soak.record)))
-    (out / "soak.html").write_text(page(soak.record), encoding="utf-8")
     maps = soak.record.heard[-1]["maps"] if soak.record.heard else []
     typer.echo(f"maps of fusion from begin to end: {', '.join(maps)}")
     typer.echo(f"written to {out / 'soak.html'}")
+
+
+def _write(record: Record, out: Path) -> None:
+    (out / "soak.json").write_text(json.dumps(asdict(record)))
+    (out / "soak.html").write_text(page(record), encoding="utf-8")
 
 
 if __name__ == "__main__":

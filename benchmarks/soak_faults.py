@@ -39,11 +39,12 @@ class Breakable(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """`act` breaks something, for a while, and mends it."""
+    """`act` breaks something, for a while, and mends it; `ends_program`: one begins anew by it."""
 
     kind: str
     key: str
     act: Callable[[], None]
+    ends_program: bool = False
 
 
 class Faults:
@@ -64,21 +65,21 @@ class Faults:
         """Every kind once, in the order of a round."""
         return [
             Fault("cameras' cable pulled", "sightings", lambda: self._cut("cameras")),
-            Fault("router killed", "odom", lambda: self._kill("router")),
-            Fault("cameras' agent killed", "sightings", lambda: self._kill("edge")),
+            Fault("router killed", "odom", lambda: self._kill("router"), True),
+            Fault("cameras' agent killed", "sightings", lambda: self._kill("edge"), True),
             Fault("robot's network bad", "odom", lambda: self._spoil("robot")),
             Fault("cameras' clock set by 2 s", "sightings", self._set_clock),
-            Fault("robot killed (its cable)", "odom", lambda: self._kill("firmware")),
+            Fault("robot killed (its cable)", "odom", lambda: self._kill("firmware"), True),
             Fault("disk full", RECORDING, self._fill),
-            Fault("bridge killed", "odom", lambda: self._kill("robot")),
+            Fault("bridge killed", "odom", lambda: self._kill("robot"), True),
             Fault("a camera floods the site", "odom", self._flood),
-            Fault("fusion killed", "robot_pose", lambda: self._kill("fusion")),
+            Fault("fusion killed", "robot_pose", lambda: self._kill("fusion"), True),
             Fault("cameras' agent frozen", "sightings", lambda: self._freeze("edge")),
-            Fault("recorder killed", RECORDING, lambda: self._kill("recorder")),
+            Fault("recorder killed", RECORDING, lambda: self._kill("recorder"), True),
             Fault("cameras' link flaps", "sightings", lambda: self._flap("cameras")),
             Fault("fusion frozen", "robot_pose", lambda: self._freeze("fusion")),
             Fault("robot's cable pulled", "odom", lambda: self._cut("robot")),
-            Fault("all restarted in turn", "robot_pose", self._roll),
+            Fault("all restarted in turn", "robot_pose", self._roll, True),
         ]
 
     def _kill(self, name: str) -> None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT, _LEFT, _FOOT = 860, 180, 70, 22
 _COLOURS = ("#0b6e99", "#b5482f", "#4c7a34", "#7a4c9e", "#a07d1c", "#555555")
 _SETTLED_S = 600.0
-"""Memory is held against what it was after ten minutes, or after a third of a shorter run."""
+"""Memory is held against what it was after ten minutes of a life, or a third of a shorter one."""
 
 Series = dict[str, list[tuple[float, float]]]
 
@@ -50,21 +50,40 @@ def _backs(record: "Record") -> str:
 
 def _memory_table(record: "Record") -> str:
     rows = []
-    for name, points in _of_programs(record, "resident", 1e-6).items():
-        settled, last = memory_ratio_parts(points, record.seconds)
-        rows.append(f"<tr><td>{name}<td>{settled:.1f}<td>{last:.1f}<td>{last / settled:.3f}")
+    for name, points in _longest_lives(record).items():
+        settled, last = memory_ratio_parts(points)
+        minutes = (points[-1][0] - points[0][0]) / 60
+        rows.append(
+            f"<tr><td>{name}<td>{minutes:.0f}<td>{settled:.1f}<td>{last:.1f}"
+            f"<td>{last / settled:.3f}"
+        )
     return (
-        "<h2>Memory</h2><p>A program that was killed began anew; its last life counts.</p><table>"
-        f"<tr><th>program<th>settled, MB<th>at the end, MB<th>ratio{''.join(rows)}</table>"
+        "<h2>Memory</h2><p>Of each program's longest life, after ten minutes of it (or a third of "
+        "a shorter one) and at its end.</p><table><tr><th>program<th>life, minutes"
+        f"<th>settled, MB<th>at the end, MB<th>ratio{''.join(rows)}</table>"
     )
 
 
-def memory_ratio_parts(points: list[tuple[float, float]], seconds: float) -> tuple[float, float]:
-    """(settled, at the end), each the median of a tenth of the time."""
-    settled_s, span_s = min(_SETTLED_S, seconds / 3), seconds / 10
-    early = [value for t_s, value in points if settled_s <= t_s < settled_s + span_s]
-    late = [value for t_s, value in points if t_s >= seconds - span_s]
-    return float(np.median(early or [np.nan])), float(np.median(late or [np.nan]))
+def _longest_lives(record: "Record") -> Series:
+    """Resident megabytes over time of each program, of that process which lived longest."""
+    lives: dict[str, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+    for sample in record.samples:
+        lives[sample.program][sample.process].append((sample.t_s, 1e-6 * sample.resident))
+    return {name: max(each.values(), key=_length_s) for name, each in lives.items()}
+
+
+def _length_s(points: list[tuple[float, float]]) -> float:
+    return points[-1][0] - points[0][0]
+
+
+def memory_ratio_parts(points: list[tuple[float, float]]) -> tuple[float, float]:
+    """(settled, at the end) of one life, each the median of a tenth of it."""
+    begin_s, end_s = points[0][0], points[-1][0]
+    settled_s, span_s = min(_SETTLED_S, (end_s - begin_s) / 3), (end_s - begin_s) / 10
+    from_s = begin_s + settled_s
+    early = [value for t_s, value in points if from_s <= t_s <= from_s + span_s]
+    late = [value for t_s, value in points if t_s >= end_s - span_s]
+    return float(np.median(early)), float(np.median(late))
 
 
 def _of_programs(record: "Record", what: str, scale: float) -> Series:

@@ -27,8 +27,10 @@ NODES = (
 class SecuredSite:
     """A site in a folder, with an authority that has admitted `NODES`."""
 
-    def __init__(self, folder: Path, port: int, *, name: str = "lab", bus: str = "") -> None:
-        self.folder, self.name, self.endpoint = folder, name, f"tls/127.0.0.1:{port}"
+    def __init__(
+        self, folder: Path, port: int, *, name: str = "lab", bus: str = "", protocol: str = "tls"
+    ) -> None:
+        self.folder, self.name, self.endpoint = folder, name, f"{protocol}/127.0.0.1:{port}"
         self.authority = Authority(name, folder / "authority", folder / "secure")
         self.authority.create()
         for kind, node in NODES:

@@ -26,7 +26,8 @@ from trigpoint.config import (
 from trigpoint.geometry import Pose
 
 COMMENTS: dict[tuple[type[Struct], str], str] = {
-    (BusConfig, "connect"): "a router or a peer elsewhere, like tls/192.168.1.10:7447",
+    (BusConfig, "connect"): "a router or a peer elsewhere, like tls/192.168.1.10:7447; "
+    "quic/… beside it: corrections by datagrams too",
     (BusConfig, "listen"): "what to open to the network; nothing unless it is written here",
     (BusConfig, "scouting"): "true: find peers on the link by multicast",
     (BusConfig, "insecure"): "true: no certificates, on a network of its own",

@@ -165,7 +165,9 @@ def access_control(identities: Iterable[Identity], *, sites: Iterable[str]) -> d
             f"{identity.common_name} {n}": rule for n, rule in enumerate(_rules(identity, sites))
         }
         name = identity.common_name
-        subjects.append({"id": name, "cert_common_names": [name], "link_protocols": ["tls"]})
+        subjects.append(
+            {"id": name, "cert_common_names": [name], "link_protocols": ["tls", "quic"]}
+        )
         policies.append({"rules": list(own), "subjects": [name]})
         rules |= own
     return {

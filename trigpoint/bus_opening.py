@@ -9,7 +9,7 @@ from typing import TypeVar
 from .access import Kind
 from .bus import Bus
 from .bus_settings import Door, Settings, TlsFiles
-from .config import Site
+from .config import Site, is_secured
 from .errors import BusError
 
 _log = logging.getLogger(__name__)
@@ -59,8 +59,8 @@ def means_of(
         return Means()
     from . import security  # needs the extra `secure`, which other sites do without
 
-    leaves = any(endpoint.startswith("tls/") for endpoint in site.bus.connect)
-    listens = any(endpoint.startswith("tls/") for endpoint in site.bus.listen)
+    leaves = any(map(is_secured, site.bus.connect))
+    listens = any(map(is_secured, site.bus.listen))
     shown = []
     if leaves and not is_router:
         shown.append(

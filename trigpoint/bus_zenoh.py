@@ -6,6 +6,7 @@ threads with their unbounded queues took 44 to 410 ms and kept the program from 
 """
 
 import json
+import logging
 import math
 import sys
 import threading
@@ -26,14 +27,25 @@ from .bus_outbox import Outbox
 from .bus_queue import SampleQueue
 from .bus_reunion import Reunion
 from .bus_server import Server
-from .bus_settings import Settings, router_settings, session_settings
+from .bus_settings import (
+    Settings,
+    datagram_settings,
+    has_datagrams,
+    router_settings,
+    session_settings,
+)
+from .bus_urgent import AGAIN_S, WAITING, Newest
 from .config import Site
 from .ending import ENDING
 from .errors import BusError
 from .topics import Delivery, Topic
 
+_log = logging.getLogger(__name__)
+
 _SWITCH_INTERVAL_S = 0.001
 _HEARTBEAT_S = 0.5
+_DATAGRAM_PATIENCE_S = 5.0
+"""How long opening tries to have datagrams; a firewall may let none through."""
 _ANNOUNCE_S = 0.05
 """A subscriber that meets a new publisher's live sample before its token takes that for the first
 one and never asks for those before (one of forty starts, when both begin in the same moment)."""
@@ -93,6 +105,7 @@ def open_bus(
             connect=settings.connect,
             gate=gate,
             warning=means.warning,
+            datagrams=_datagrams(site, settings, session),
         )
     except BaseException:
         session.close()
@@ -100,6 +113,21 @@ def open_bus(
     if settings.meets_others:
         settle(bus)
     return bus
+
+
+def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datagrams | None":
+    """What sends datagrams, by the given session or one beside it; None where nothing does."""
+    if not has_datagrams(site.bus):
+        return None
+    beside = datagram_settings(site.bus, settings)
+    if beside is None:
+        return Datagrams(session, is_beside=False)
+    try:
+        opened = open_patiently(lambda: open_session(beside), beside, _DATAGRAM_PATIENCE_S)
+        return Datagrams(opened, is_beside=True)
+    except BusError as reason:
+        _log.warning("%s; until the next start corrections go without datagrams", reason)
+        return None
 
 
 def open_router(site: Site, *others: Site) -> "ZenohBus":
@@ -161,6 +189,15 @@ def _share_of(arrival: _Arrival) -> str:
     return f"{arrival[1].key_expr} {stamp.get_id() if stamp is not None else ''}"
 
 
+def _is_new(newest: Newest, sample: zenoh.Sample) -> bool:
+    """Whether a sample is no copy of what came before."""
+    stamp = sample.timestamp
+    if stamp is None:
+        return True
+    sent_ns = stamp.get_time_as_ntp64().as_nanos()
+    return newest.is_new(str(sample.key_expr), str(stamp.get_id()), sent_ns)
+
+
 def _key_of(arrival: _Arrival) -> str:
     return str(arrival[1].key_expr)
 
@@ -170,16 +207,55 @@ def _has_link(session: zenoh.Session) -> bool:
     return bool(info.routers_zid() or info.peers_zid())
 
 
+class Datagrams:
+    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one."""
+
+    def __init__(self, session: zenoh.Session, *, is_beside: bool) -> None:
+        self.session, self.is_beside = session, is_beside
+        self._again = Outbox("bus sends again", WAITING)
+
+    def publisher(self, topic: Topic, key: str) -> zenoh.Publisher:
+        _, priority, express = _QOS[topic.delivery]
+        return self.session.declare_publisher(
+            key,
+            encoding=topic.encoding,
+            congestion_control=CongestionControl.DROP,
+            priority=priority,
+            express=express,
+            reliability=Reliability.BEST_EFFORT,
+        )
+
+    def put(self, send: Callable[[], None]) -> None:
+        """Send now, and soon again."""
+        send()
+        if not self._again.waiting:
+            self._again.hold(AGAIN_S)
+        self._again.put(send)
+
+    def close(self) -> None:
+        self._again.close(_FLUSH_S)
+        if self.is_beside:
+            self.session.close()
+
+
 class ZenohPublisher:
-    """Sends on one key with the topic's delivery."""
+    """Sends on one key with the topic's delivery; what is urgent by `datagrams` as well."""
 
     def __init__(
-        self, session: zenoh.Session, topic: Topic, key: str, outbox: Outbox, closed: "_Closed"
+        self,
+        session: zenoh.Session,
+        topic: Topic,
+        key: str,
+        outbox: Outbox,
+        closed: "_Closed",
+        datagrams: Datagrams | None = None,
     ) -> None:
         self._session, self._key, self._outbox, self._closed = session, key, outbox, closed
         self._matching: zenoh.Publisher | None = None
         self._reunion: Reunion | None = None
         self._is_closed = False
+        self._datagrams = datagrams if topic.delivery is Delivery.URGENT else None
+        self._copies = self._datagrams.publisher(topic, key) if self._datagrams else None
         congestion, priority, express = _QOS[topic.delivery]
         reliability = (
             Reliability.RELIABLE if topic.delivery.is_reliable else Reliability.BEST_EFFORT
@@ -219,11 +295,21 @@ class ZenohPublisher:
             raise BusError(f"nothing can be sent on {self._key}: its publisher is closed")
         if self._reunion is not None and (wait_s := self._reunion.wait_s) > 0:
             self._outbox.hold(wait_s)
-        self._outbox.put(partial(self._send, payload, attachment))
+        stamp = None
+        if self._datagrams is not None and self._copies is not None:
+            stamp = self._session.new_timestamp()  # by which the copies are known for one
+            self._datagrams.put(partial(self._send, self._copies, payload, attachment, stamp))
+        self._outbox.put(partial(self._send, self._publisher, payload, attachment, stamp))
 
-    def _send(self, payload: bytes, attachment: bytes) -> None:
+    def _send(
+        self,
+        publisher: "zenoh.Publisher | ext.AdvancedPublisher",
+        payload: bytes,
+        attachment: bytes,
+        stamp: zenoh.Timestamp | None,
+    ) -> None:
         try:
-            self._publisher.put(payload, attachment=attachment or None)
+            publisher.put(payload, attachment=attachment or None, timestamp=stamp)
         except zenoh.ZError as reason:
             raise BusError(f"nothing can be sent on {self._key}: {_plain(reason)}") from None
 
@@ -240,8 +326,31 @@ class ZenohPublisher:
         self._is_closed = True
         self._outbox.flush(_FLUSH_S)
         self._publisher.undeclare()
+        if self._copies is not None:
+            self._copies.undeclare()
         if self._matching is not None and self._matching is not self._publisher:
             self._matching.undeclare()
+
+
+def _subscribe_urgent(
+    sessions: list[zenoh.Session], expression: str, queue: SampleQueue[_Arrival]
+) -> Callable[[], None]:
+    """As `_subscribe`, for what comes by more than one way: the first copy counts."""
+    newest = Newest()
+
+    def receive(sample: zenoh.Sample) -> None:
+        received_ns = time.time_ns()
+        if _is_new(newest, sample):
+            queue.push((received_ns, sample))
+
+    arrived = zenoh.handlers.Callback(receive, indirect=False)
+    subscribers = [session.declare_subscriber(expression, arrived) for session in sessions]
+
+    def undeclare() -> None:
+        for subscriber in subscribers:
+            subscriber.undeclare()
+
+    return undeclare
 
 
 def _subscribe(
@@ -321,7 +430,9 @@ class ZenohBus:
         connect: tuple[str, ...] = (),
         gate: Gate | None = None,
         warning: Callable[[], str] = str,
+        datagrams: Datagrams | None = None,
     ) -> None:
+        self._datagrams = datagrams
         self._session, self._locators, self._gate = session, locators, gate
         self._warning = warning
         self._connect = connect
@@ -336,6 +447,13 @@ class ZenohBus:
         }
         self._lock = threading.Lock()
         self._declared: dict[int, Closable] = {}
+
+    @property
+    def _ways(self) -> list[zenoh.Session]:
+        """The sessions by which something urgent may come."""
+        if self._datagrams is None or not self._datagrams.is_beside:
+            return [self._session]
+        return [self._session, self._datagrams.session]
 
     @property
     def identity(self) -> str:
@@ -370,7 +488,10 @@ class ZenohBus:
     def publisher(self, topic: Topic, key: str) -> ZenohPublisher:
         outbox = self._outboxes[topic.delivery]
         return self._declare(
-            key, lambda: ZenohPublisher(self._session, topic, key, outbox, self._forget)
+            key,
+            lambda: ZenohPublisher(
+                self._session, topic, key, outbox, self._forget, self._datagrams
+            ),
         )
 
     def subscribe(
@@ -391,7 +512,10 @@ class ZenohBus:
                 wanted=wanted,
                 in_turns=in_turns,
             )
-            undeclare = _subscribe(self._session, topic, expression, queue)
+            if topic.delivery is Delivery.URGENT:
+                undeclare = _subscribe_urgent(self._ways, expression, queue)
+            else:
+                undeclare = _subscribe(self._session, topic, expression, queue)
             return queue
 
         return self._declare(expression, declare)
@@ -463,6 +587,8 @@ class ZenohBus:
                 declared.close()
             for outbox in self._outboxes.values():
                 outbox.close(_FLUSH_S)
+            if self._datagrams is not None:
+                self._datagrams.close()
         finally:
             if self._gate is not None:
                 self._gate.close()

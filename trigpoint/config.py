@@ -68,7 +68,7 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     def _check_plain(self) -> None:
         for endpoint in (*self.connect, *self.listen):
-            if endpoint.startswith(("tls/", "quic/")):
+            if is_secured(endpoint):
                 raise ValueError(f"«{endpoint}» needs certificates; write [bus.tls]")
         if self.open_doors and not self.insecure:
             raise ValueError(
@@ -81,8 +81,10 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
             key = "insecure" if self.insecure else "scouting"
             raise ValueError(f"{key} = true undoes [bus.tls]; take one of the two out")
         for endpoint in (*self.connect, *self.listen):
-            if not is_loopback(endpoint) and not endpoint.startswith("tls/"):
-                raise ValueError(f"«{endpoint}» leaves this machine in the clear; write tls/…")
+            if not is_loopback(endpoint) and not is_secured(endpoint):
+                raise ValueError(
+                    f"«{endpoint}» leaves this machine in the clear; write tls/… or quic/…"
+                )
             if "#" in endpoint or "?" in endpoint:
                 raise ValueError(f"«{endpoint}» sets rules of its own; end it with the port")
         for endpoint in self.listen:
@@ -399,6 +401,11 @@ def is_loopback(endpoint: str) -> bool:
     """Whether a checked endpoint stays on this machine."""
     host = endpoint_host(endpoint)
     return host in ("localhost", "[::1]") or host.startswith("127.")
+
+
+def is_secured(endpoint: str) -> bool:
+    """Whether certificates are shown on both ends of it."""
+    return endpoint.startswith(("tls/", "quic/"))
 
 
 def endpoint_port(endpoint: str) -> int:

@@ -4,12 +4,12 @@ The expected cells are written out here from the contract's table of keys; the r
 made from another one (`trigpoint.access`).
 """
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -98,20 +98,15 @@ _SETTLE_S = 0.4
 _ANSWER_S = 1.5
 
 
-@pytest.fixture(scope="module")
-def secured(tmp_path_factory: pytest.TempPathFactory) -> SecuredSite:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    return SecuredSite(tmp_path_factory.mktemp("site"), port)
-
-
-@pytest.fixture(params=["gate", "router"])
+@pytest.fixture(params=["gate, tls", "router, tls", "router, quic"])
 def sessions(
-    secured: SecuredSite, request: pytest.FixtureRequest
+    tmp_path: Path, free_port: Callable[[], int], request: pytest.FixtureRequest
 ) -> Iterator[tuple[zenoh.Session, dict[Kind, zenoh.Session]]]:
     """A process of the machine that listens, which may do all, and a client of every kind."""
+    door, protocol = request.param.split(", ")
+    secured = SecuredSite(tmp_path, free_port(), protocol=protocol)
     with ExitStack() as stack:
-        if request.param == "router":
+        if door == "router":
             stack.enter_context(open_router(secured.listening))
         else:
             me = (Kind.FUSION, "fusion")

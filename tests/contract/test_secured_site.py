@@ -1,10 +1,12 @@
 """A site with [bus.tls]: its own nodes work as ever, and nobody else gets in."""
 
+import json
 import logging
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -16,7 +18,8 @@ from secured import SecuredSite
 from trigpoint.access import Identity, Kind
 from trigpoint.bus import Bus
 from trigpoint.bus_settings import Multicast, Settings, TlsFiles
-from trigpoint.bus_zenoh import ZenohBus, open_bus, open_router, open_session
+from trigpoint.bus_urgent import AGAIN_S
+from trigpoint.bus_zenoh import Datagrams, ZenohBus, open_bus, open_router, open_session
 from trigpoint.errors import BusError, ConfigError
 from trigpoint.tools import authority as authority_module
 from trigpoint.topics import CAMERA_INFO, CORRECTION, DIAGNOSTICS, IMAGE, ODOMETRY, SIGHTINGS
@@ -119,6 +122,38 @@ def test_viewer_looks_at_pictures(buses: tuple[Bus, Bus, Bus], secured: SecuredS
     assert eventually(lambda: not pictures.has_listener)
 
 
+@pytest.mark.parametrize("streams", ["tls", "quic"])
+def test_correction_by_stream_and_datagrams_comes_once(
+    tmp_path: Path, free_port: Callable[[], int], stack: ExitStack, streams: str
+) -> None:
+    """Three copies a way of each: two datagrams, and a stream's."""
+    port = free_port()
+    endpoints = [f"{protocol}/127.0.0.1:{port}" for protocol in ("tls", "quic")]
+    site = SecuredSite(tmp_path, port, bus=f"listen = {json.dumps(endpoints)}", protocol=streams)
+    stack.enter_context(open_router(site.listening))
+    fusion, robot = (_with_datagrams(site, endpoints[1], *who, stack) for who in (FUSION, ROBOT))
+    key = CORRECTION.key("lab", "r1")
+    corrections, publisher = robot.subscribe(CORRECTION, key), fusion.publisher(CORRECTION, key)
+    assert eventually(lambda: publisher.has_listener)
+    sent = [str(number).encode() for number in range(20)]
+    for payload in sent:
+        publisher.put(payload, attachment=b"mark")
+    samples = [corrections.take(10.0) for _ in sent]
+    assert [sample.payload for sample in samples if sample] == sent
+    assert {sample.sender for sample in samples if sample} == {fusion.identity}
+    time.sleep(10 * AGAIN_S)
+    assert corrections.take(0.0) is None
+
+
+def _with_datagrams(
+    site: SecuredSite, quic: str, kind: Kind, name: str, stack: ExitStack
+) -> ZenohBus:
+    session = site.session(kind, name)
+    is_beside = not site.endpoint.startswith("quic/")
+    by = open_session(replace(site.settings(kind, name), connect=(quic,))) if is_beside else session
+    return stack.enter_context(ZenohBus(session, datagrams=Datagrams(by, is_beside=is_beside)))
+
+
 class Outsider:
     """Somebody who tries to get in by one way, and to hear and say something once inside."""
 
@@ -126,15 +161,15 @@ class Outsider:
         self._settings = settings
         self.heard: list[str] = []
 
-    def try_it(self, seconds: float = 2.0) -> bool:
-        """Whether a session came about."""
+    def try_it(self, site: set[str], seconds: float = 2.0) -> bool:
+        """Whether a session came about with one of these; others of this machine may scout too."""
         try:
             session = open_session(self._settings)
         except BusError:
             return False
         with session:
             session.declare_subscriber("**", zenoh.handlers.Callback(self._hear, indirect=False))
-            met = eventually(lambda: self._has_met(session), seconds)
+            met = eventually(lambda: bool(site & _met_by(session)), seconds)
             session.put("lab/robot/r1/correction", OUTSIDE)
             time.sleep(0.2)
             return met
@@ -143,8 +178,11 @@ class Outsider:
         if sample.payload.to_string() != OUTSIDE:  # its own
             self.heard.append(str(sample.key_expr))
 
-    def _has_met(self, session: zenoh.Session) -> bool:
-        return bool(session.info.peers_zid() or session.info.routers_zid())
+
+def _met_by(session: zenoh.Session) -> set[str]:
+    return {
+        str(zid).lstrip("0") for zid in (*session.info.peers_zid(), *session.info.routers_zid())
+    }
 
 
 def _files(secured: SecuredSite, folder: Path, stem: str) -> TlsFiles:
@@ -196,6 +234,35 @@ def scouting_neighbour(secured: SecuredSite, folder: Path) -> Settings:
     return Settings("peer", ("tcp/127.0.0.1:0",), multicast=Multicast("auto", "224.0.0.224:7446"))
 
 
+def _attempt(
+    secured: SecuredSite, outsider: "Outsider", door: str, stack: ExitStack
+) -> tuple[bool, bool]:
+    """Whether a session came about, and whether what it said reached a robot."""
+    opened = (
+        open_bus(secured.listening, FUSION) if door == "gate" else open_router(secured.listening)
+    )
+    inside = stack.enter_context(opened)
+    robot = stack.enter_context(ZenohBus(secured.session(*ROBOT)))
+    corrections = robot.subscribe(CORRECTION, CORRECTION.key("lab", "r1"))
+    odometry = robot.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
+    odometry.put(b"secret")
+    site = {inside.identity, robot.identity, *robot.peers}
+    return outsider.try_it(site), corrections.take(0.1) is not None
+
+
+@pytest.mark.parametrize("way", [wrong_authority, expired, revoked, no_certificate])
+def test_stranger_gets_nothing_over_quic(
+    tmp_path: Path,
+    free_port: Callable[[], int],
+    stack: ExitStack,
+    way: Callable[[SecuredSite, Path], Settings],
+) -> None:
+    secured = SecuredSite(tmp_path, free_port(), protocol="quic")
+    outsider = Outsider(way(secured, tmp_path))
+    assert _attempt(secured, outsider, "router", stack) == (False, False)
+    assert outsider.heard == []
+
+
 @pytest.mark.parametrize("door", ["gate", "router"])
 @pytest.mark.parametrize(
     "way",
@@ -210,17 +277,8 @@ def test_stranger_gets_neither_session_nor_byte(
     way: Callable[[SecuredSite, Path], Settings],
 ) -> None:
     outsider = Outsider(way(secured, tmp_path))
-    if door == "gate":
-        stack.enter_context(open_bus(secured.listening, FUSION))
-    else:
-        stack.enter_context(open_router(secured.listening))
-    robot = stack.enter_context(ZenohBus(secured.session(*ROBOT)))
-    corrections = robot.subscribe(CORRECTION, CORRECTION.key("lab", "r1"))
-    odometry = robot.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
-    odometry.put(b"secret")
-    assert not outsider.try_it()
+    assert _attempt(secured, outsider, door, stack) == (False, False)
     assert outsider.heard == []
-    assert corrections.take(0.1) is None
 
 
 def test_client_does_not_take_a_camera_for_the_router(secured: SecuredSite) -> None:

@@ -8,7 +8,7 @@ from benchmarks.soak_page import memory_ratio_parts, page
 
 def test_memory_is_held_against_what_it_was_once_settled() -> None:
     points = [(t_s, 50.0 if t_s < 100 else 100.0 + t_s / 100) for t_s in range(0, 1000, 5)]
-    settled, last = memory_ratio_parts([(float(t), m) for t, m in points], 1000.0)
+    settled, last = memory_ratio_parts([(float(t), m) for t, m in points])
     assert settled == pytest.approx(100.0 + 3.83, abs=0.2)
     assert last == pytest.approx(100.0 + 9.47, abs=0.2)
 

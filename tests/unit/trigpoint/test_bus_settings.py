@@ -1,7 +1,15 @@
 import pytest
 from builders import make_odometry
 
-from trigpoint.bus_settings import LOOPBACK, QUEUE_BATCHES, Door, TlsFiles, session_settings
+from trigpoint.bus_settings import (
+    LOOPBACK,
+    QUEUE_BATCHES,
+    Door,
+    TlsFiles,
+    datagram_settings,
+    has_datagrams,
+    session_settings,
+)
 from trigpoint.cdr import encode
 from trigpoint.config import BusConfig, TlsConfig, endpoint_port
 from trigpoint.topics import ODOMETRY
@@ -65,6 +73,36 @@ def test_what_a_link_may_hold_is_as_much_as_a_publisher_keeps() -> None:
     batch = 65_535
     odometry = len(encode(make_odometry(10**18)))
     assert QUEUE_BATCHES * batch >= ODOMETRY.cache * odometry
+
+
+def test_datagrams_leave_by_a_client_of_their_own_where_there_is_a_stream_too() -> None:
+    tls, quic = "tls/10.0.0.1:7447", "quic/10.0.0.1:7447"
+    bus = BusConfig(connect=(quic, tls), tls=TlsConfig())
+    files = TlsFiles("trust.pem", "own.pem", "own.key")
+    settings = session_settings("lab", bus, files)
+    beside = datagram_settings(bus, settings)
+    assert has_datagrams(bus)
+    assert settings.connect == (tls,)
+    assert beside is not None
+    assert (beside.mode, beside.connect, beside.files) == ("client", (quic,), files)
+    assert beside.values()["connect/endpoints"] == [f"{quic}?multistream=1;mixed_rel=1"]
+
+
+QUIC = ("quic/10.0.0.1:7447",)
+
+
+@pytest.mark.parametrize(
+    "bus", [BusConfig(connect=QUIC, tls=TlsConfig()), BusConfig(listen=QUIC, tls=TlsConfig())]
+)
+def test_quic_alone_carries_both(bus: BusConfig) -> None:
+    settings = session_settings("lab", bus)
+    assert has_datagrams(bus)
+    assert datagram_settings(bus, settings) is None
+    assert (settings.connect or settings.gate) == QUIC
+
+
+def test_without_quic_there_are_no_datagrams() -> None:
+    assert not has_datagrams(BusConfig(connect=("tls/10.0.0.1:7447",), tls=TlsConfig()))
 
 
 def test_certificates_are_shown_where_a_link_leaves_and_where_one_ends() -> None:

@@ -65,6 +65,8 @@ def test_unknown_key_of_a_camera_names_the_camera() -> None:
         (site_text(bus="scouting = true"), "scouting can move the robots"),
         (site_text(bus='connect = ["tls/10.0.0.1:7447"]'), "write [bus.tls]"),
         (site_text(bus='connect = ["tcp/10.0.0.1:7447"]\n[bus.tls]'), "in the clear; write tls/"),
+        (site_text(bus='connect = ["udp/10.0.0.1:7447"]\n[bus.tls]'), "write tls/… or quic/…"),
+        (site_text(bus='connect = ["quic/10.0.0.1:7447"]'), "write [bus.tls]"),
         (site_text(bus='listen = ["tls/10.0.0.1:0"]\n[bus.tls]'), "write one"),
         (site_text(bus="insecure = true\n[bus.tls]"), "insecure = true undoes"),
         (site_text(bus="scouting = true\n[bus.tls]"), "scouting = true undoes"),
