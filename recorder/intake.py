@@ -1,5 +1,7 @@
 """From the bus to whoever records or draws: every sound sample of a site, and no other."""
 
+import logging
+import threading
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
@@ -7,7 +9,8 @@ from functools import partial
 from trigpoint import cdr
 from trigpoint.bus import Bus, Sample, Subscription
 from trigpoint.config import Site
-from trigpoint.errors import MessageError
+from trigpoint.ending import ENDING
+from trigpoint.errors import BusError, MessageError
 from trigpoint.messages import Message
 from trigpoint.node import Node
 from trigpoint.topics import IMAGE, TOPICS, Topic, key_matches, topic_of
@@ -16,7 +19,13 @@ from trigpoint.watchdog import Pulse
 Take = Callable[[Topic, Sample, Message], None]
 Lose = Callable[[str, int], None]
 
+_log = logging.getLogger(__name__)
+
 _PATIENCE_S = 0.2
+_CATCH_UP_S = 0.4
+_REST_S = 1.5
+"""How long a stop may wait for what is on its way (an answer takes milliseconds where nobody
+hangs), and what is kept of its time for what follows."""
 _LEAST_QUEUE = 64
 """The topics' own queues are for those who want the newest; here every sample is wanted."""
 
@@ -38,7 +47,7 @@ class Intake:
     """Subscribes topics, each with a thread of its own, and hands their sound samples to `take`.
 
     A sample that is not sound is rejected, counted, and its sender named in the diagnostics. What
-    has arrived when the node stops is still handed on.
+    was sent when the node stops is still waited for and handed on.
     """
 
     def __init__(
@@ -51,17 +60,19 @@ class Intake:
         lose: Lose = lambda _key, _count: None,
     ) -> None:
         """`lose` is told how many more samples of a key the bus's full queue has dropped."""
-        self._node, self._site, self._take, self._lose = node, site, take, lose
+        self._bus, self._node, self._site, self._take, self._lose = bus, node, site, take, lose
+        self._is_caught_up = threading.Event()
         cdr.warm_up()
         for topic in topics:
             deep = replace(topic, queue=max(topic.queue, _LEAST_QUEUE))
             subscription = bus.subscribe(deep, topic.expression(site.name))
             node.health.watch(topic.name, subscription)
             node.work(topic.name, partial(self._run, topic, subscription))
+        node.thread("catches up", self._catch_up)
 
     def _run(self, topic: Topic, subscription: Subscription, pulse: Pulse) -> None:
         told: dict[str, int] = {}
-        while not self._node.stopping.is_set():
+        while not self._is_caught_up.is_set():
             pulse.beat()
             if sample := subscription.take(_PATIENCE_S):
                 self._hand_on(topic, sample)
@@ -70,6 +81,18 @@ class Intake:
         while sample := subscription.take(0.0):
             self._hand_on(topic, sample)
         self._tell_losses(subscription, told)
+
+    def _catch_up(self) -> None:
+        """After the node's stop, have the topics' threads go on until all came that was sent."""
+        self._node.stopping.wait()
+        within_s = min(_CATCH_UP_S, ENDING.left_s(_REST_S))
+        try:
+            if not self._bus.catch_up(self._site.name, within_s):
+                _log.warning("somebody did not say in %.1f s that all it sent is here", within_s)
+        except BusError as reason:
+            _log.warning("what is still on its way may be missing: %s", reason)
+        finally:
+            self._is_caught_up.set()
 
     def _tell_losses(self, subscription: Subscription, told: dict[str, int]) -> None:
         if subscription.dropped == 0:

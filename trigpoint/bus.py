@@ -129,6 +129,11 @@ class Bus(Protocol):
         """Wait until all that was put is sent; whether it is in time."""
         ...
 
+    def catch_up(self, site: str, timeout_s: float) -> bool:
+        """Wait until what the others of a site have sent before has come, as far as every sample of
+        it must arrive; whether all of them answered in time."""
+        ...
+
     def publisher(self, topic: Topic, key: str) -> Publisher:
         """Declare a publisher with the topic's delivery."""
         ...

@@ -143,6 +143,10 @@ class MemoryBus:
         del timeout_s  # nothing waits
         return True
 
+    def catch_up(self, site: str, timeout_s: float) -> bool:
+        del site, timeout_s  # nothing is ever on its way
+        return True
+
     def publisher(self, topic: Topic, key: str) -> MemoryPublisher:
         publisher = MemoryPublisher(self._broker, topic, key, self._identity)
         self._declared.append(publisher)

@@ -38,7 +38,7 @@ from .bus_urgent import AGAIN_S, WAITING, Newest
 from .config import Site
 from .ending import ENDING
 from .errors import BusError
-from .topics import Delivery, Topic
+from .topics import Delivery, Topic, sent_key
 
 _log = logging.getLogger(__name__)
 
@@ -447,6 +447,7 @@ class ZenohBus:
         }
         self._lock = threading.Lock()
         self._declared: dict[int, Closable] = {}
+        self._answers_for: set[str] = set()
 
     @property
     def _ways(self) -> list[zenoh.Session]:
@@ -487,12 +488,29 @@ class ZenohBus:
 
     def publisher(self, topic: Topic, key: str) -> ZenohPublisher:
         outbox = self._outboxes[topic.delivery]
+        if topic.delivery.is_reliable:
+            self._answer_what_is_sent(key.partition("/")[0])
         return self._declare(
             key,
             lambda: ZenohPublisher(
                 self._session, topic, key, outbox, self._forget, self._datagrams
             ),
         )
+
+    def _answer_what_is_sent(self, site: str) -> None:
+        """Serve what `catch_up` asks for: an answer takes the way of the samples, behind them."""
+        with self._lock:
+            is_new = site not in self._answers_for
+            self._answers_for.add(site)
+        if is_new:
+            self.serve(sent_key(site, self.identity), lambda _request: b"")
+
+    def catch_up(self, site: str, timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        # Answers have the priority of the least urgent sample that must arrive; on a link nothing
+        # overtakes what is as urgent. Where one does not come, Zenoh waits until the time is over.
+        self.query(sent_key(site, "*"), timeout_s=timeout_s)
+        return time.monotonic() < deadline
 
     def subscribe(
         self,

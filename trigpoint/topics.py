@@ -184,6 +184,11 @@ def alive_key(site: str, kind: str, node: str) -> str:
     return f"{site}/alive/{kind}/{node}"
 
 
+def sent_key(site: str, session: str) -> str:
+    """The queryable of a session that sends: its answer comes after all that it sent before."""
+    return f"{site}/sent/{session}"
+
+
 def command_key(site: str, path: str) -> str:
     """The queryable of a command: `camera/c1/snapshot`, `fusion/network`, `clock` …"""
     return f"{site}/{path}"

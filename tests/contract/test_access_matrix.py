@@ -31,12 +31,13 @@ KEYS = (
     *("fusion/network", "fusion/map", "fusion/reset", "recorder/stop"),
     "alive/edge/c1",
     "alive/robot/r1",
+    "sent/1",
     "anything/else",
 )
 DATA = tuple(
     key
     for key in KEYS
-    if not key.startswith(("fusion/", "recorder/", "alive/", "anything/"))
+    if not key.startswith(("fusion/", "recorder/", "alive/", "sent/", "anything/"))
     and not key.endswith(("snapshot", "calibrate", "clock"))
 )
 OWN_CAMERA = ("camera/c1/image/compressed", "camera/c1/camera_info", "camera/c1/sightings")
@@ -71,26 +72,32 @@ EXPECTED = {
     Kind.CAMERA: May(
         put=(*OWN_CAMERA, "diagnostics"),
         subscribe=("diagnostics",),
-        get=("clock",),
-        reply=("camera/c1/snapshot", "camera/c1/calibrate"),
+        get=("clock", "sent/1"),
+        reply=("camera/c1/snapshot", "camera/c1/calibrate", "sent/1"),
     ),
     Kind.ROBOT: May(
         put=(*(f"robot/r1/{key}" for key in ROBOTS_OWN), "diagnostics"),
         subscribe=("robot/r1/correction", "robot/r1/pose", "robot/r1/suggestion", "diagnostics"),
-        get=("clock", "fusion/map"),
+        get=("clock", "fusion/map", "sent/1"),
+        reply=("sent/1",),
     ),
     Kind.FUSION: May(
         put=(*ESTIMATES, "diagnostics"),
         subscribe=(*SEEN, "robot/r1/odom", "robot/r2/odom", "diagnostics"),
-        reply=(*FUSION_COMMANDS, "clock"),
+        get=("sent/1",),
+        reply=(*FUSION_COMMANDS, "clock", "sent/1"),
     ),
     Kind.RECORDER: May(
-        put=("diagnostics",), subscribe=DATA, get=("fusion/network",), reply=("recorder/stop",)
+        put=("diagnostics",),
+        subscribe=DATA,
+        get=("fusion/network", "sent/1"),
+        reply=("recorder/stop", "sent/1"),
     ),
     Kind.OPERATOR: May(
-        subscribe=DATA, get=(*CAMERA_COMMANDS, *FUSION_COMMANDS, "recorder/stop", "clock")
+        subscribe=DATA,
+        get=(*CAMERA_COMMANDS, *FUSION_COMMANDS, "recorder/stop", "clock", "sent/1"),
     ),
-    Kind.VIEWER: May(subscribe=DATA),
+    Kind.VIEWER: May(subscribe=DATA, get=("sent/1",)),
 }
 PEOPLE = tuple((kind, name) for kind, name in NODES if kind is not Kind.ROUTER)
 _SETTLE_S = 0.4

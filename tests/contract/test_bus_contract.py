@@ -82,6 +82,20 @@ def test_samples_of_one_sender_arrive_in_order(pair: tuple[Bus, Bus]) -> None:
     assert (subscription.received, subscription.dropped) == (500, 0)
 
 
+def test_who_catches_up_has_what_was_sent_before(pair: tuple[Bus, Bus]) -> None:
+    sender, receiver = pair
+    subscription = receiver.subscribe(ODOMETRY, ODOMETRY.expression("lab"))
+    publisher = sender.publisher(ODOMETRY, ODOM_KEY)
+    publisher.put(b"first")
+    assert payloads(take(subscription, 1)) == [b"first"]
+    for count in range(1, 6):
+        for _ in range(500):
+            publisher.put(b"more")
+        publisher.close() if count == 5 else None
+        assert receiver.catch_up("lab", 10.0)
+        assert subscription.received == 1 + 500 * count
+
+
 def test_own_samples_arrive_too(session: Session) -> None:
     bus = session()
     subscription = bus.subscribe(TF, TF.key("lab"))

@@ -2,13 +2,14 @@
 
 import threading
 from collections import Counter
+from collections.abc import Callable
 
 import pytest
 from builders import eventually, make_odometry, make_site
 
 from trigpoint import cdr
 from trigpoint.bus import Sample
-from trigpoint.bus_memory import MemoryBroker
+from trigpoint.bus_memory import MemoryBroker, MemoryBus
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry, PoseStamped
@@ -95,6 +96,37 @@ def test_what_has_arrived_when_the_node_stops_is_handed_on() -> None:
         for _ in range(50):
             publisher.put(PAYLOAD)
         Intake(bus, node, SITE, [ODOMETRY], take)
+    assert len(taken) == 50
+
+
+class Way(MemoryBus):
+    """A bus on which what was sent comes when it is waited for."""
+
+    def __init__(self, broker: MemoryBroker, arrive: Callable[[], None]) -> None:
+        super().__init__(broker, "1")
+        self._arrive = arrive
+
+    def catch_up(self, site: str, timeout_s: float) -> bool:
+        assert (site, timeout_s > 0) == ("lab", True)
+        self._arrive()
+        return True
+
+
+def test_what_is_on_its_way_when_the_node_stops_is_handed_on() -> None:
+    broker, taken = MemoryBroker(), []
+
+    def arrive() -> None:
+        for _ in range(50):
+            publisher.put(PAYLOAD)
+
+    with (
+        Way(broker, arrive) as bus,
+        broker.session() as sender,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        publisher = sender.publisher(ODOMETRY, KEY)
+        Intake(bus, node, SITE, [ODOMETRY], lambda *received: taken.append(received))
+        node.stop()
     assert len(taken) == 50
 
 
