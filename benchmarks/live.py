@@ -19,7 +19,7 @@ import typer
 
 from trigpoint import cdr
 from trigpoint.clock import to_ns, to_seconds
-from trigpoint.fusion.live.memory import give_back_large
+from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.messages import Odometry, Sightings
@@ -113,7 +113,7 @@ def measured(corridor: Corridor, *, resumed_s: float = 0.0, tells: bool = False)
 
 
 def _driven(corridor: Corridor, resumed_s: float, tells: bool) -> Live:
-    give_back_large()  # as the command does it
+    return_large_arrays()  # as the command does it
     solver = SolverProcess(corridor.inputs.data_set())
     try:
         drive = _Drive(corridor, solver, tells=tells)

@@ -17,7 +17,7 @@ from trigpoint.errors import OperationError
 from trigpoint.node import Node, stopped_by_signals
 
 from .inputs import load_inputs
-from .live.memory import give_back_large
+from .live.memory import return_large_arrays
 from .live.solver_messages import Solver
 from .live.solver_process import START_S, SolverProcess
 from .node import KIND, NAME, FusionNode
@@ -49,7 +49,7 @@ def main(
     folder = out if out is not None else loaded.path("network")
     clock = SteadyClock()
     cdr.warm_up()
-    give_back_large()
+    return_large_arrays()
     with open_bus(loaded, (Kind.FUSION, NAME)) as bus, ExitStack() as stack:
         node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
         with stopped_by_signals(node):

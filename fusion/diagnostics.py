@@ -19,7 +19,7 @@ _TOLD_NS = to_ns(5.0)
 """For how long something is told after the last message that was left out for it."""
 
 
-class Troubles:
+class Diagnostics:
     """One site's. Not thread-safe. Times are monotonic, ns."""
 
     def __init__(self, site: Site, admission: Admission) -> None:

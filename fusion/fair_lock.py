@@ -9,7 +9,7 @@ from collections import deque
 from types import TracebackType
 
 
-class Turns:
+class FairLock:
     """Used by `with`; `acquire` with a time limit. Not reentrant. Any thread."""
 
     def __init__(self) -> None:

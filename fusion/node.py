@@ -20,10 +20,10 @@ from trigpoint.topics import Topic, command_key
 from trigpoint.watchdog import Pulse
 
 from .checkpoint import Checkpoint
-from .diagnostics import Troubles
-from .fair_lock import Turns
+from .diagnostics import Diagnostics
+from .fair_lock import FairLock
 from .intake.admission import AHEAD_NS, Admission
-from .live.guidance_thread import Guide
+from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .pipeline import Inputs, Output, Pipeline
 from .solver.snapshot import GuidanceWorld
@@ -73,7 +73,7 @@ class FusionNode:
         self._site, self._out = inputs.site, out
         self._signer = correction_signer(inputs.site, clock)
         self._make_solver, self._solver = solver, solver() if solver is not None else None
-        self._lock = Turns()
+        self._lock = FairLock()
         self._admission = Admission(inputs.site)
         self._pipeline = Pipeline(inputs, is_live=False, solver=self._solver)
         self._announced: dict[str, bytes] = {}
@@ -85,7 +85,7 @@ class FusionNode:
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
         self._problem = ""
-        self._troubles = Troubles(inputs.site, self._admission)
+        self._diagnostics = Diagnostics(inputs.site, self._admission)
 
     def start(self) -> None:
         """Subscribe, serve the commands, and start the working thread."""
@@ -108,7 +108,7 @@ class FusionNode:
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
         if self._solver is None:  # who solves also says where to go
-            guide = Guide(self._bus, self._node, name, self._guidance_world)
+            guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
@@ -231,7 +231,7 @@ class FusionNode:
         at_ns, set_by_ns = self._clock.elapsed_ns(), self._node.clock_set_by_ns
         if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
             return None
-        self._troubles.heard(sample.key, at_ns)
+        self._diagnostics.heard(sample.key, at_ns)
         self._node.health.count(f"received {sample.key}")
         if topic is topics.CAMERA_INFO:
             self._announced[sample.key] = sample.payload
@@ -256,9 +256,9 @@ class FusionNode:
     def _report(self) -> None:
         """Bring what was left out, and what is or went wrong, into the diagnostics."""
         now_ns, health = self._clock.elapsed_ns(), self._node.health
-        for reason, more in self._troubles.left_out(self._pipeline, now_ns):
+        for reason, more in self._diagnostics.left_out(self._pipeline, now_ns):
             health.count(f"left_out.{reason}", more)
-        troubles = self._troubles.now(self._pipeline, now_ns)
+        troubles = self._diagnostics.now(self._pipeline, now_ns)
         if trouble := self._open_checkpoint.trouble:
             troubles["checkpoint"] = trouble
         health.hold_only("input", troubles)
@@ -402,7 +402,7 @@ class FusionNode:
             if self._make_solver is not None:
                 self._solver = self._make_solver()
             self._pipeline = Pipeline(self._inputs, solver=self._solver)
-            self._troubles.restart()
+            self._diagnostics.restart()
             for key, payload in self._announced.items():  # a camera says it once
                 self._open_checkpoint.write(key, payload)
                 message = cdr.decode(topics.CAMERA_INFO.type_name, payload)

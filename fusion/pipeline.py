@@ -35,7 +35,7 @@ from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of, results_of
 from .intake.message_intake import Intake
-from .intake.robot_identity import SharedLooks
+from .intake.robot_identity import RobotIdentification
 from .live.follower import Follower
 from .live.solver_messages import Solver, Suggested
 from .model.dataset import DataSet, Event, KnownCameras
@@ -84,7 +84,7 @@ class Pipeline:
         data = self._data = inputs.data_set()
         self._follower = Follower(data, solver) if solver is not None else None
         self._estimator: Live = self._follower or make_estimator(data)
-        self._intake = Intake(inputs.site, inputs.targets, shared=SharedLooks(data))
+        self._intake = Intake(inputs.site, inputs.targets, shared=RobotIdentification(data))
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []
         self._sequence: Counter[str] = Counter()

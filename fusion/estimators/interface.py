@@ -71,7 +71,7 @@ class Live(Protocol):
         ...
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        """The robot at its last odometry message; None while it is not tied to the map."""
+        """The robot at its last odometry message; None while it is not located in the map."""
         ...
 
     def cameras(self) -> dict[str, CameraEstimate]:

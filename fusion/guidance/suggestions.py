@@ -54,7 +54,7 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class JointCovariance:
     """The joint covariance over the dense part, each robot's last pose included."""
 
     layout: Layout
@@ -79,7 +79,7 @@ class Belief:
         every = np.arange(self.layout.size)
         return every[self.layout.last[robot]], every[self.layout.scales.get(robot, slice(0, 0))]
 
-    def moved(self, robot: str, motion: ExpectedMotion) -> "Belief":
+    def moved(self, robot: str, motion: ExpectedMotion) -> "JointCovariance":
         """After the robot went on by odometry."""
         last, scales = self.columns(robot)
         change = np.eye(self.layout.size)
@@ -87,38 +87,38 @@ class Belief:
         change[np.ix_(last, scales)] = motion.by_scale[:, : len(scales)]
         covariance = change @ self.covariance @ change.T
         covariance[np.ix_(last, last)] += motion.covariance
-        return Belief(self.layout, covariance)
+        return JointCovariance(self.layout, covariance)
 
-    def seen(self, visit: Visit) -> "Belief":
+    def seen(self, visit: Visit) -> "JointCovariance":
         """After a visit, the robot being there."""
         rows = visit.columns
         gain = _gain(visit.information, self.covariance[np.ix_(rows, rows)])
         across = self.covariance[:, rows]
-        return Belief(self.layout, self.covariance - across @ gain @ across.T)
+        return JointCovariance(self.layout, self.covariance - across @ gain @ across.T)
 
 
 def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Suggestion]:
     """The next poses for a robot, each after the one before; fewer where nothing helps.
 
-    Empty where nothing is known yet: no located camera, or a robot that is not tied to the map.
+    Empty where nothing is known yet: no located camera, or a robot that is not located in the map.
     """
     place = world.robots.get(robot)
     if place is None or robot not in world.layout.last:
         return []
     try:
-        belief = Belief(world.layout, covariance_of(world.information))
+        joint = JointCovariance(world.layout, covariance_of(world.information))
     except LinAlgError:
         return []
-    belief = belief.moved(robot, place.since)
+    joint = joint.moved(robot, place.since)
     found, ground = [], Ground.of(world)
     here = place.map_from_base
     for _ in range(count):
-        best = _best(world, ground, belief, place, here)
+        best = _best(world, ground, joint, place, here)
         if best is None:
             break
         suggestion, visit, motion = best
         found.append(suggestion)
-        belief = belief.moved(robot, motion).seen(visit)
+        joint = joint.moved(robot, motion).seen(visit)
         here = suggestion.map_from_base
     return found
 
@@ -153,31 +153,31 @@ class Options:
 
 
 def options(
-    world: GuidanceWorld, ground: Ground, belief: Belief, place: RobotPlace, here: Pose
+    world: GuidanceWorld, ground: Ground, joint: JointCovariance, place: RobotPlace, here: Pose
 ) -> Options | None:
     """What every visit that can be thought of from `here` is expected to do for the worst camera;
     None where there is none."""
-    worst = belief.worst(world.views)
+    worst = joint.worst(world.views)
     if worst is None:
         return None
     reach = ground.paths_from(here)
     cameras = [worst, *nearest_cameras(world, ground, reach, without=worst, most=_OTHER_CAMERAS)]
     chosen = candidates(world, ground, reach, place, cameras)
-    chosen, found = visits(world, belief.layout, place, chosen, cameras)
+    chosen, found = visits(world, joint.layout, place, chosen, cameras)
     if not found:
         return None
     motions = [
         expected_motion(place, here, chosen.map_from_base[i], float(chosen.path_m[i]))
         for i in range(len(found))
     ]
-    after = [_after(belief, place, m, v, worst) for m, v in zip(motions, found, strict=True)]
-    return Options(worst, belief.sigma_m(worst), chosen, motions, found, np.array(after))
+    after = [_after(joint, place, m, v, worst) for m, v in zip(motions, found, strict=True)]
+    return Options(worst, joint.sigma_m(worst), chosen, motions, found, np.array(after))
 
 
 def _best(
-    world: GuidanceWorld, ground: Ground, belief: Belief, place: RobotPlace, here: Pose
+    world: GuidanceWorld, ground: Ground, joint: JointCovariance, place: RobotPlace, here: Pose
 ) -> tuple[Suggestion, Visit, ExpectedMotion] | None:
-    found = options(world, ground, belief, place, here)
+    found = options(world, ground, joint, place, here)
     if found is None:
         return None
     index = int(np.argmin(found.expected_sigma_m))
@@ -186,18 +186,18 @@ def _best(
 
 
 def _after(
-    belief: Belief, place: RobotPlace, motion: ExpectedMotion, visit: Visit, camera: str
+    joint: JointCovariance, place: RobotPlace, motion: ExpectedMotion, visit: Visit, camera: str
 ) -> float:
     """A camera's position sigma after going somewhere and being seen there.
 
     Only what the visit touches is worked out, so a candidate costs the same in any network.
     """
-    mine = belief.position_rows(camera)
-    last, scales = belief.columns(place.robot)
+    mine = joint.position_rows(camera)
+    last, scales = joint.columns(place.robot)
     rows = np.concatenate([visit.columns, mine])
-    covariance = belief.covariance[np.ix_(rows, rows)]
+    covariance = joint.covariance[np.ix_(rows, rows)]
     by_scale = motion.by_scale[:, : len(scales)]
-    arrived = motion.by_start @ belief.covariance[last] + by_scale @ belief.covariance[scales]
+    arrived = motion.by_start @ joint.covariance[last] + by_scale @ joint.covariance[scales]
     own = arrived[:, last] @ motion.by_start.T + arrived[:, scales] @ by_scale.T
     d = len(last)  # the robot's own columns are a visit's first ones
     covariance[:d] = arrived[:, rows]

@@ -12,7 +12,7 @@ from trigpoint.fusion.model.observations import Reading, Verdict
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.reading import faces
-from trigpoint.fusion.reading.unambiguous import are_possible, is_plain
+from trigpoint.fusion.reading.unambiguous import are_visible, is_unambiguous
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
@@ -117,13 +117,13 @@ def _possible(data: DataSet, camera_from_map: Pose, poses: dict[int, Pose]) -> d
     by_robot: dict[str, list[int]] = {}
     for index in poses:
         observation = data.entries[index].observation
-        if is_plain(observation):
+        if is_unambiguous(observation):
             by_robot.setdefault(observation.robot, []).append(index)
     found: dict[int, bool] = {}
     for robot, indices in by_robot.items():
         observations = [data.entries[index].observation for index in indices]
         camera_from_base = camera_from_map @ Pose.stack([poses[index] for index in indices])
-        are = are_possible(observations, data.targets[robot], camera_from_base)
+        are = are_visible(observations, data.targets[robot], camera_from_base)
         found |= dict(zip(indices, are.tolist(), strict=True))
     return found
 

@@ -31,7 +31,7 @@ def locate(data: DataSet, state: State, camera: str) -> Located | Undetermined:
     By one robot after the other, since how two robots stand to each other is not known here; what
     the others saw of it is fitted in once it is located.
     """
-    result = Undetermined(("the robot that it saw is not tied to the map yet",))
+    result = Undetermined(("the robot that it saw is not located in the map yet",))
     for indices in _by_robot(data, camera):
         found = _locate(data, state, camera, indices)
         if isinstance(found, Located):

@@ -1,4 +1,4 @@
-"""How a robot that nothing ties to the map yet stands in it, by what located cameras see of it.
+"""How a robot that nothing locates in the map yet stands in it, by what located cameras see of it.
 
 One picture of a face that others look like allows several places, and so does a robot that turns on
 the spot. So every place that single pictures of a visit to a camera allow is worked out over the
@@ -36,8 +36,8 @@ _MOST_HYPOTHESES = 8
 # As in `start_poses`: a start whose mean-square error, pixels², is this much above the best is
 # none.
 _FAR_PX2 = 100.0
-_MOST_LOOKS = 24
-_LEAST_LOOKS = 4
+_MOST_PICTURES = 24
+_LEAST_PICTURES = 4
 _MOST_STARTS = 3
 _MOST_ROUNDS = 3
 _HUBER = 4.0
@@ -52,7 +52,7 @@ _FLOOR = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
-class Tie:
+class RobotLocation:
     """One way in which a robot may stand in the map: where it stood at observations, and how they
     are read; `cost`: χ² with the odometry's; `rms`: of a coordinate, sigmas."""
 
@@ -61,11 +61,11 @@ class Tie:
     cost: float
     rms: float
 
-    def lead(self, other: "Tie") -> float:
+    def lead(self, other: "RobotLocation") -> float:
         """χ² by which the other one is worse, in units of what this one leaves over."""
         return (other.cost - self.cost) / max(1.0, self.rms**2)
 
-    def is_like(self, other: "Tie") -> bool:
+    def is_like(self, other: "RobotLocation") -> bool:
         """Whether it is the same place."""
         index = next(iter(self.map_from_base))
         there = other.map_from_base.get(index)
@@ -73,23 +73,25 @@ class Tie:
 
 
 @dataclass(frozen=True, slots=True)
-class Untied:
-    """Why a robot could not be tied to the map, in words."""
+class RobotUndetermined:
+    """Why a robot could not be located in the map, in words."""
 
     reason: str
 
 
-def tie(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Tie | Untied:
-    """Tie a robot to the map by those of these entries of the data set that are of located
+def locate_robot(
+    data: DataSet, known: Filter, robot: str, indices: list[int]
+) -> RobotLocation | RobotUndetermined:
+    """Locate a robot in the map by those of these entries of the data set that are of located
     cameras."""
     seen = [i for i in indices if known.has_camera(data.entries[i].observation.camera)]
     if not seen:
-        return Untied("it has met no located camera yet; drive it past one")
+        return RobotUndetermined("it has met no located camera yet; drive it past one")
     search = _Search(data, known, robot, seen)
     result = None
     for first in range(min(len(search.visits), _MOST_STARTS)):
         found = search.since(first)
-        if isinstance(found, Tie):
+        if isinstance(found, RobotLocation):
             return found
         result = result or found
     assert result is not None  # there is a visit where something was seen
@@ -97,7 +99,7 @@ def tie(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Tie | U
 
 
 class _Search:
-    """One `tie`. `visits`: the entries of each visit to a camera, in order of time."""
+    """One `locate_robot`. `visits`: the entries of each visit to a camera, in order of time."""
 
     def __init__(self, data: DataSet, known: Filter, robot: str, seen: list[int]) -> None:
         self.data, self.known, self.robot = data, known, robot
@@ -131,37 +133,39 @@ class _Search:
     def _stamp_ns(self, index: int) -> int:
         return self.data.entries[index].observation.stamp_ns
 
-    def since(self, first: int) -> Tie | Untied:
-        """Tie the robot by its visits from this one on."""
+    def since(self, first: int) -> RobotLocation | RobotUndetermined:
+        """Locate the robot by its visits from this one on."""
         window = [self.visits[first]]
         alive = _distinct(
-            self._refined(start, self._looks(window)) for start in self._starts(self.visits[first])
+            self._refined(start, self._chosen(window)) for start in self._starts(self.visits[first])
         )
         for visit in self.visits[first + 1 :]:
             if not self._is_open(alive):
                 break
             window.append(visit)
-            looks = self._looks(window)
-            alive = _distinct(self._refined(start.map_from_base, looks) for start in alive)
+            chosen = self._chosen(window)
+            alive = _distinct(self._refined(start.map_from_base, chosen) for start in alive)
         return self._decided(alive)
 
-    def _is_open(self, alive: list[Tie]) -> bool:
+    def _is_open(self, alive: list[RobotLocation]) -> bool:
         """Whether more is needed to decide, and may help."""
         return len(alive) > 1 and alive[0].rms <= _ACCEPTABLE_RMS
 
-    def _decided(self, alive: list[Tie]) -> Tie | Untied:
+    def _decided(self, alive: list[RobotLocation]) -> RobotLocation | RobotUndetermined:
         if not alive or alive[0].rms > _ACCEPTABLE_RMS:
-            return Untied("what located cameras saw of it contradicts them or its odometry")
+            return RobotUndetermined(
+                "what located cameras saw of it contradicts them or its odometry"
+            )
         if len(alive) > 1 and alive[0].lead(alive[1]) < DECISIVE:
-            return Untied(
+            return RobotUndetermined(
                 f"{len(alive)} places fit alike, since its faces look alike; drive it past a "
                 "located camera"
             )
         return alive[0]
 
-    def _looks(self, window: list[list[int]]) -> list[int]:
+    def _chosen(self, window: list[list[int]]) -> list[int]:
         """Some of the entries of every visit."""
-        most = max(_LEAST_LOOKS, _MOST_LOOKS // len(window))
+        most = max(_LEAST_PICTURES, _MOST_PICTURES // len(window))
         return [index for visit in window for index in spread(visit, most)]
 
     def _starts(self, visit: list[int]) -> list[dict[int, Pose]]:
@@ -193,11 +197,11 @@ class _Search:
                 kept.append(int(i))
         return [dict(starts[i : i + 1]) for i in kept]
 
-    def _mean_cost(self, first: int, here: Pose, looks: list[int]) -> Array:
+    def _mean_cost(self, first: int, here: Pose, chosen: list[int]) -> Array:
         """How badly looks fit where the robot stands at one of them (n): the mean over their views
         of the least mean-square error, pixels², each capped, (n,)."""
         total, views = np.zeros(len(here)), 0
-        for index in looks:
+        for index in chosen:
             observation = self.data.entries[index].observation
             camera = self.known.state.cameras[observation.camera]
             between = self.path[self.rows[first]].inverse() @ self.path[self.rows[index]]
@@ -219,10 +223,10 @@ class _Search:
         between = self.path[self.rows[nearest]].inverse() @ self.path[self.rows[index]]
         return where[nearest] @ between
 
-    def _refined(self, where: dict[int, Pose], looks: list[int]) -> Tie | None:
+    def _refined(self, where: dict[int, Pose], chosen: list[int]) -> RobotLocation | None:
         """The best near a start; each look is read as it fits best, again whenever the solution
         has moved; None where nothing fits."""
-        poses = {index: self._carried(where, index) for index in looks}
+        poses = {index: self._carried(where, index) for index in chosen}
         before, found = None, None
         for _ in range(_MOST_ROUNDS):
             readings = self._readings(poses)
@@ -252,7 +256,7 @@ class _Search:
 
     def _solved(
         self, readings: dict[int, tuple[Reading, ...]], poses: dict[int, Pose]
-    ) -> Tie | None:
+    ) -> RobotLocation | None:
         order = list(readings)
         entries = [
             Entry(
@@ -284,7 +288,7 @@ class _Search:
         )
         rms = _rms(assembled.problem, solution.state)
         rms = rms if len(where) >= _SHARE * len(poses) else np.inf
-        return Tie(where, readings, solution.cost + missing, rms)
+        return RobotLocation(where, readings, solution.cost + missing, rms)
 
     def _known(self, cameras: list[str]) -> KnownCameras:
         """These cameras as they are known by now."""
@@ -295,9 +299,9 @@ class _Search:
         return KnownCameras(poses, np.linalg.inv(covariance + _FLOOR * np.eye(len(columns))))
 
 
-def _distinct(found: Iterable[Tie | None]) -> list[Tie]:
+def _distinct(found: Iterable[RobotLocation | None]) -> list[RobotLocation]:
     """The different ones that the best does not rule out, best first."""
-    kept: list[Tie] = []
+    kept: list[RobotLocation] = []
     for one in sorted((one for one in found if one is not None), key=lambda one: one.cost):
         if kept and kept[0].lead(one) > _HOPELESS:
             break

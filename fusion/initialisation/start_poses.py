@@ -13,15 +13,15 @@ from trigpoint.geometry.rotation import Array
 from .camera_hypotheses import placed
 
 _MOST_SEEDS = 10
-_FEW_LOOKS = 6
-_MOST_LOOKS = 16
+_FEW_PICTURES = 6
+_MOST_PICTURES = 16
 _MOST_KEPT = 40
 # A start whose mean-square error, pixels², is this much above the best one's cannot be what it is:
 # odometry between two pictures gives way by centimetres, which are up to ten pixels.
 _HOPELESS_PX2 = 100.0
 # Costs that differ by less than this share are equal but for rounding, as those of equal faces are
 # where there is a single picture.
-_TIE = 1e-6
+_EQUAL_SHARE = 1e-6
 
 
 def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> list[Pose]:
@@ -34,20 +34,20 @@ def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> l
     if poses is None:
         return []
     lens = data.lenses[camera]
-    each = [_looks(data, index) for index in spread(indices, _MOST_LOOKS)]
+    each = [_view_batches(data, index) for index in spread(indices, _MOST_PICTURES)]
     seen = list(chain.from_iterable(each))
-    few = [each[i] for i in spread(list(range(len(each))), _FEW_LOOKS)]
+    few = [each[i] for i in spread(list(range(len(each))), _FEW_PICTURES)]
     costs = coarse_fit.mean_cost(poses, list(chain.from_iterable(few)), lens)
     ordered = poses[np.argsort(costs, kind="stable")]
     kept = ordered[_distinct(ordered, _MOST_KEPT)]
-    drawn = coarse_fit.drawn(kept, seen, lens)
-    costs = coarse_fit.mean_cost(drawn, seen, lens)
+    refined = coarse_fit.coarsely_refined(kept, seen, lens)
+    costs = coarse_fit.mean_cost(refined, seen, lens)
     order = np.argsort(costs, kind="stable")
     order = order[costs[order] < costs[order[0]] + _HOPELESS_PX2]
-    chosen = order[_distinct(drawn[order], _MOST_KEPT)]
+    chosen = order[_distinct(refined[order], _MOST_KEPT)]
     if len(chosen) > most:
-        chosen = chosen[costs[chosen] <= costs[chosen[most - 1]] * (1 + _TIE)]
-    return [drawn[i] for i in chosen]
+        chosen = chosen[costs[chosen] <= costs[chosen[most - 1]] * (1 + _EQUAL_SHARE)]
+    return [refined[i] for i in chosen]
 
 
 def spread(indices: list[int], most: int) -> list[int]:
@@ -69,10 +69,10 @@ def _of_single_pictures(data: DataSet, camera: str, indices: list[int]) -> Pose 
     return Pose.stack(poses) if poses else None
 
 
-def _looks(data: DataSet, index: int) -> list[coarse_fit.Looks]:
+def _view_batches(data: DataSet, index: int) -> list[coarse_fit.ViewBatch]:
     entry = data.entries[index]
     target = data.targets[entry.observation.robot]
-    return coarse_fit.looks_of(entry.observation, target, placed(entry))
+    return coarse_fit.view_batches(entry.observation, target, placed(entry))
 
 
 def _distinct(poses: Pose, most: int) -> np.ndarray:

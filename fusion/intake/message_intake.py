@@ -16,7 +16,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
-from .robot_identity import SharedLooks
+from .robot_identity import RobotIdentification
 
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
@@ -43,7 +43,7 @@ class Intake:
     """
 
     def __init__(
-        self, site: Site, targets: dict[str, Target], *, shared: SharedLooks | None = None
+        self, site: Site, targets: dict[str, Target], *, shared: RobotIdentification | None = None
     ) -> None:
         self._site, self._targets, self._shared = site, targets, shared
         self.counts: Counter[str] = Counter()
@@ -151,7 +151,7 @@ class Intake:
         self._count_untold(self._shared)
         return bool(found)
 
-    def _count_untold(self, shared: SharedLooks) -> None:
+    def _count_untold(self, shared: RobotIdentification) -> None:
         if shared.untold > self.counts["untold_robot"]:
             self.last_problem = self.problems["untold_robot"] = shared.problem
         elif not shared.untold and self.last_problem == shared.problem:

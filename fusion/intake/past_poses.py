@@ -17,7 +17,7 @@ from trigpoint.geometry import Pose
 _FLOOR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
 
 
-class Whereabouts:
+class PastPoses:
     """As of when it is made; whoever asks again later makes another one."""
 
     def __init__(self, data: DataSet, estimator: Live) -> None:

@@ -26,7 +26,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .joint_motion import added_chi2
-from .past_poses import Whereabouts
+from .past_poses import PastPoses
 
 _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
@@ -62,7 +62,7 @@ class _Fit:
     every: dict[str, Hypothesis]
 
 
-class SharedLooks:
+class RobotIdentification:
     """Pictures of targets that several robots carry, until it is clear whose. Not thread-safe.
 
     `untold`: how many pictures it is unclear for; `problem`: why, in words.
@@ -113,10 +113,10 @@ class SharedLooks:
         if not estimator.located_count or (looked == self._looked and not is_end):
             return []
         self._looked = looked
-        places = Whereabouts(self._data, estimator)
-        return self._shown_by_cameras(places) + self._told_in_company(places)
+        places = PastPoses(self._data, estimator)
+        return self._shown_by_cameras(places) + self._told_by_other_cameras(places)
 
-    def _shown_by_cameras(self, places: Whereabouts) -> list[Observation]:
+    def _shown_by_cameras(self, places: PastPoses) -> list[Observation]:
         """What located cameras show where one robot alone stood."""
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
@@ -140,7 +140,7 @@ class SharedLooks:
         return found
 
     def _stood_there(
-        self, places: Whereabouts, camera: str, stamp_ns: int, face: dict[str, View]
+        self, places: PastPoses, camera: str, stamp_ns: int, face: dict[str, View]
     ) -> str | None:
         """Which robot stood where a located camera shows the face, while every other one that may
         carry it was elsewhere; None where that is not known."""
@@ -154,7 +154,7 @@ class SharedLooks:
         return best if all(apart[o] - apart[best] >= DECISIVE for o in others) else None
 
     def _apart(
-        self, places: Whereabouts, camera: str, robot: str, stamp_ns: int, view: View
+        self, places: PastPoses, camera: str, robot: str, stamp_ns: int, view: View
     ) -> float:
         """χ² by which a robot was elsewhere than a camera shows it; -1 where that is not known, so
         that it may have been there."""
@@ -176,7 +176,7 @@ class SharedLooks:
         differences = [pose.difference(stood.map_from_base)[tangent] for pose in shown]
         return min((float(d @ np.linalg.solve(inner, d)) for d in differences), default=np.inf)
 
-    def _told_in_company(self, places: Whereabouts) -> list[Observation]:
+    def _told_by_other_cameras(self, places: PastPoses) -> list[Observation]:
         """Visits to cameras that are not located, which one robot alone explains by how other
         cameras saw it drive at the time."""
         found: list[Observation] = []
@@ -193,7 +193,7 @@ class SharedLooks:
         return found
 
     def _alone(
-        self, places: Whereabouts, camera: str, visit: list[_Picture]
+        self, places: PastPoses, camera: str, visit: list[_Picture]
     ) -> tuple[str, Hypothesis] | None:
         """The robot to which a visit adds so little χ² that every other one is out of the
         question; None where there is none, or it does not fit."""
@@ -215,7 +215,7 @@ class SharedLooks:
 
     def _added(
         self,
-        places: Whereabouts,
+        places: PastPoses,
         camera: str,
         robot: str,
         fit: Hypothesis,

@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError
 from trigpoint.clock import to_ns
 from trigpoint.fusion.estimators.interface import CameraEstimate, Update
 from trigpoint.fusion.estimators.smoother.camera_relocation import of_its_time
-from trigpoint.fusion.estimators.smoother.current_filter import Present
+from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
@@ -57,7 +57,7 @@ class _Recent:
 class _Coming:
     """A solution's filter on its way to now, and what it lacks, in order."""
 
-    present: Present
+    current: CurrentFilter
     missing: deque[Observation]
 
 
@@ -66,7 +66,7 @@ class Follower:
 
     def __init__(self, data: DataSet, solver: Solver) -> None:
         self.data, self._solver = data, solver
-        self._present = Present(data)
+        self._current = CurrentFilter(data)
         self._coming: _Coming | None = None
         self._orders: list[Order] = []
         self._recent: list[_Recent] = []
@@ -86,12 +86,12 @@ class Follower:
         added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
         if added is not Added.STALE:
             self._orders.append(TakeOdometry(robot, stamp_ns, odom_from_base))
-        self._present.begin(robot)
+        self._current.begin(robot)
         return added
 
     def add_observation(self, observation: Observation) -> Update:
         try:
-            correction = self._use(self._present, observation)
+            correction = self._use(self._current, observation)
         except (LinAlgError, ValueError) as reason:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
         self._came += 1
@@ -103,18 +103,18 @@ class Follower:
     def collect(self, observation: Observation) -> None:
         self._tell(observation, is_collected=True)
 
-    def _use(self, present: Present, observation: Observation) -> RobotEstimate | None:
+    def _use(self, current: CurrentFilter, observation: Observation) -> RobotEstimate | None:
         """Bring a filter on by an observation; it is as before where that fails."""
         entry = Entry(of_its_time(self.data.moves, observation))
-        known = present.known
+        known = current.known
         if known is None or not known.has_robot(observation.robot):
             return None
         if not known.has_camera(entry.observation.camera):
             return None
         try:
-            return present.use(entry, known.state)
+            return current.use(entry, known.state)
         except (LinAlgError, ValueError):
-            present.go_on_from(known)
+            current.go_on_from(known)
             raise
 
     # -- the solver -------------------------------------------------------------------------------
@@ -145,11 +145,11 @@ class Follower:
         self.longest_solution_s = max(self.longest_solution_s, solved.took_s)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
-        present = Present(self.data)
-        present.go_on_from(solved.known)
-        present.take_shares(solved.shares)
+        current = CurrentFilter(self.data)
+        current.go_on_from(solved.known)
+        current.take_shares(solved.shares)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
-        self._coming = _Coming(present, deque(missing))
+        self._coming = _Coming(current, deque(missing))
 
     def _catch_up(self) -> None:
         """Bring a new filter on; it is taken once it lacks nothing."""
@@ -157,17 +157,17 @@ class Follower:
         self._came, self._came_before = 0, came
         coming = self._coming
         if not came:
-            (self._present if coming is None else coming.present).settle()
+            (self._current if coming is None else coming.current).settle()
         if coming is None:
             return
         for _ in range(min(len(coming.missing), catching_up(came, before))):
             try:
-                self._use(coming.present, coming.missing.popleft())
+                self._use(coming.current, coming.missing.popleft())
             except (LinAlgError, ValueError):
                 continue  # the old filter could use it; the solver says what it makes of it
         if not coming.missing:
-            old, self._present, self._coming = self._present, coming.present, None
-            self.has_new_camera |= bool(_cameras(coming.present) - _cameras(old))
+            old, self._current, self._coming = self._current, coming.current, None
+            self.has_new_camera |= bool(_cameras(coming.current) - _cameras(old))
 
     def _hand_over(self, *, is_all: bool) -> None:
         """Tell the solver what is old enough, in order of time."""
@@ -224,10 +224,10 @@ class Follower:
     # -- output -----------------------------------------------------------------------------------
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        return self._present.robot(robot)
+        return self._current.robot(robot)
 
     def cameras(self) -> dict[str, CameraEstimate]:
-        return self._present.cameras()
+        return self._current.cameras()
 
     @property
     def located_count(self) -> int:
@@ -245,5 +245,5 @@ def catching_up(came: int, before: int) -> int:
     return came + 1 if before else came - 1
 
 
-def _cameras(present: Present) -> set[str]:
-    return set(present.known.layout.pose) if present.known is not None else set()
+def _cameras(current: CurrentFilter) -> set[str]:
+    return set(current.known.layout.pose) if current.known is not None else set()

@@ -12,7 +12,7 @@ from trigpoint.topics import SUGGESTION
 from trigpoint.watchdog import Pulse
 
 
-class Guide:
+class GuidanceThread:
     """Works out where each robot should go next, every few seconds.
 
     `world`: gives a copy of what is known now, under whatever lock that needs.

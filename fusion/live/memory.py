@@ -12,7 +12,7 @@ LARGE = 1 << 20
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 
 
-def give_back_large() -> None:
+def return_large_arrays() -> None:
     """Fix glibc's limit for this process; where there is another C library, nothing happens."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):

@@ -25,9 +25,9 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.watchdog import Pulse
 
-from .memory import give_back_large
+from .memory import return_large_arrays
 from .solver_messages import Finish, News, Order, Suggested, TakeObservation
-from .solver_worker import Solving
+from .solver_worker import SolverWorker
 
 START_S = 60.0
 """How long the process may take to begin, also on a small machine that is busy."""
@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class AtWork:
+class Alive:
     """A sign of life of the thread that solves; the next comes within this time."""
 
     within_s: float
@@ -127,7 +127,7 @@ class SolverProcess:
         try:
             while True:
                 item = pickle.loads(self._news.recv_bytes())
-                if isinstance(item, AtWork):
+                if isinstance(item, Alive):
                     self._beat(item.within_s)
                 else:
                     self._inbox.put(item)
@@ -156,28 +156,28 @@ def _serve(orders: Connection, news: Connection) -> None:
     """Take the data set and carry out orders, until the pipe ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    give_back_large()
+    return_large_arrays()
     try:
         data: DataSet = orders.recv()
     except (EOFError, OSError):
         return  # whoever would have sent it is gone
     backlog = Backlog()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
-    solving, lock = Solving(data, time.perf_counter), threading.Lock()
-    say = _Voice(news).say
+    worker, lock = SolverWorker(data, time.perf_counter), threading.Lock()
+    say = _NewsPipe(news).say
 
     def world() -> GuidanceWorld | None:
         with lock:
-            return solving.guidance_world()
+            return worker.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
-    sign = LifeSign(say, time.monotonic)
+    sign = Heartbeat(say, time.monotonic)
     while True:
         order = backlog.take(_SIGN_PERIOD_S)
         sign.give()
         if order is not None:
             with lock:
-                for item in solving.carry_out(order):
+                for item in worker.carry_out(order):
                     say(item)
 
 
@@ -218,11 +218,11 @@ class Backlog:
         return order
 
 
-class LifeSign:
+class Heartbeat:
     """Says that the work goes on, once a second at most. What may be waited for grows with the
     longest time between two calls, since solutions take longer as a session grows."""
 
-    def __init__(self, say: Callable[[AtWork], None], seconds: Callable[[], float]) -> None:
+    def __init__(self, say: Callable[[Alive], None], seconds: Callable[[], float]) -> None:
         self._say, self._seconds = say, seconds
         self._called_s, self._said_s, self._longest_s = seconds(), -math.inf, 0.0
 
@@ -232,16 +232,16 @@ class LifeSign:
         self._called_s = now_s
         if now_s - self._said_s >= _SIGN_PERIOD_S:
             self._said_s = now_s
-            self._say(AtWork(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
+            self._say(Alive(max(_PATIENCE_S, _TIMES_THE_LONGEST * self._longest_s)))
 
 
-class _Voice:
+class _NewsPipe:
     """Says news and signs of life, one at a time."""
 
     def __init__(self, news: Connection) -> None:
         self._news, self._lock = news, threading.Lock()
 
-    def say(self, news: News | AtWork) -> None:
+    def say(self, news: News | Alive) -> None:
         with self._lock:
             self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
 

@@ -26,7 +26,7 @@ from .solver_messages import (
 )
 
 
-class Solving:
+class SolverWorker:
     """A smoother that takes orders. Not thread-safe.
 
     `seconds`: the processor's or anyone's time, by which solutions are measured.
@@ -70,7 +70,7 @@ class Solving:
             yield Happened(Event("unusable", update.problem))
 
     def _solved(self, took_s: float) -> Iterator[News]:
-        known = self._smoother.present.known
+        known = self._smoother.current.known
         try:
             known = known.settled() if known is not None else None
         except LinAlgError:
@@ -81,7 +81,7 @@ class Solving:
         yield Solved(
             self._count,
             known,
-            self._smoother.present.shares,
+            self._smoother.current.shares,
             tuple(self._data.moves),
             jumps,
             tuple(self._smoother.located),

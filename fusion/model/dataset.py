@@ -65,7 +65,7 @@ class Lift:
 
 
 @dataclass(frozen=True, slots=True)
-class Knock:
+class CameraMove:
     """A camera was moved between its last sighting from its old place and the first from the
     new one."""
 
@@ -74,7 +74,7 @@ class Knock:
     since_ns: int
 
 
-Upheaval = Lift | Knock
+SiteChange = Lift | CameraMove
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class DataSet:
     """The estimator's inputs so far. Not thread-safe.
 
     `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
-    of time; `events`: what nobody has been told yet; `happened`: lifts and moves that sightings
+    of time; `events`: what nobody has been told yet; `changes`: lifts and moves that sightings
     show, for each those that explain them alike; `jitter`: by robot the variances (6,) of how it
     stands otherwise in a picture than its odometry's plane says (see `picture_jitter`), where it
     does; `odometry_scale`: by robot what the stated sigmas of its odometry, and its slip, are
@@ -105,7 +105,7 @@ class DataSet:
     entries: list[Entry] = field(default_factory=list)
     moves: list[Move] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    happened: list[tuple[Upheaval, ...]] = field(default_factory=list)
+    changes: list[tuple[SiteChange, ...]] = field(default_factory=list)
     jitter: dict[str, Array] = field(default_factory=dict)
     odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)

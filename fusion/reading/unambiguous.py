@@ -14,16 +14,16 @@ from .visibility import are_seen, body_of, corners_in_base
 _NEAREST_M = 1e-3
 
 
-def is_plain(observation: Observation) -> bool:
+def is_unambiguous(observation: Observation) -> bool:
     """Whether each of its views has one reading."""
     return all(len(view.readings) == 1 for view in observation.views)
 
 
-def are_possible(
+def are_visible(
     observations: list[Observation], target: Target, camera_from_base: Pose
 ) -> np.ndarray:
-    """Whether plain observations (n) of one robot, each from its own pose (n), show faces that lie
-    before the camera, from in front and past all others, (n,) bool.
+    """Whether unambiguous observations (n) of one robot, each from its own pose (n), show faces
+    that lie before the camera, from in front and past all others, (n,) bool.
 
     It is what `faces.best_reading` asks of a reading beyond how well it fits.
     """

@@ -33,7 +33,7 @@ from .gaussian import Gaussian
 from .levenberg_marquardt import Reduced, covariance_of
 from .normal_equations import EXACT
 
-# A pose with a larger sigma is none: behind a jump of the odometry nothing ties it to the map.
+# A pose with a larger sigma is none: behind a jump of the odometry nothing connects it to the map.
 _LOOSE_M = 20.0
 _LOOSE_RAD = 1.0
 
@@ -122,7 +122,7 @@ class Filter:
         return cls(State(state.cameras, robots), stamps, reduced.layout, reduced)
 
     def has_robot(self, robot: str) -> bool:
-        """Whether the robot is tied to the map."""
+        """Whether the robot is located in the map."""
         return robot in self.stamps_ns
 
     def has_camera(self, camera: str) -> bool:
@@ -172,7 +172,7 @@ class Filter:
         pose = self._columns(self.layout.pose[camera])
         eye = self.state.cameras[camera].map_from_camera.disturbed(ahead.known.mean_of(pose))
         place = ahead.robot(data, robot).map_from_base
-        taken_along = _carry(place.translation - eye.translation)
+        taken_along = _lever(place.translation - eye.translation)
         apart = np.concatenate([np.eye(6)[:, data.tracks[robot].tangent], -taken_along], axis=1)
         return apart @ ahead.known.covariance_of(np.concatenate([last, pose])) @ apart.T
 
@@ -268,18 +268,18 @@ def carried_on(
     start = estimate.map_from_base
     end = start @ motion.earlier_from_later[0]
     arm = end.translation - start.translation
-    carry = _carry(arm)
+    lever = _lever(arm)
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = start.rotation
-    covariance = carry @ estimate.covariance @ carry.T + turn @ motion.covariance[0] @ turn.T
+    covariance = lever @ estimate.covariance @ lever.T + turn @ motion.covariance[0] @ turn.T
     return RobotEstimate(stamp_ns, end, covariance)
 
 
-def _carry(arm: Array) -> Array:
+def _lever(arm: Array) -> Array:
     """How a disturbance of a pose disturbs what is fixed to it, an arm (3,) away: (6, 6)."""
-    carry = np.eye(6)
-    carry[:3, 3:] = -hat(arm)
-    return carry
+    lever = np.eye(6)
+    lever[:3, 3:] = -hat(arm)
+    return lever
 
 
 def _one(pose: Pose) -> Pose:

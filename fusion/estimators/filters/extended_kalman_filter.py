@@ -23,7 +23,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
-from .filter_state import Sight, Surprise, carry, velocity
+from .filter_state import Innovation, ReadSighting, odometry_step, velocity
 from .kalman_state import KalmanState, Part
 from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
 from .relative_pose import RelativeView, relative_jacobians, relative_view
@@ -36,32 +36,34 @@ _SETTLED = 0.02
 
 def extended_kalman_filter(data: DataSet) -> SequentialEstimator:
     """The estimator «ekf»."""
-    return SequentialEstimator(data, KalmanBelief.at_origin)
+    return SequentialEstimator(data, KalmanFilterState.at_origin)
 
 
 @dataclass(frozen=True, slots=True)
-class KalmanBelief(KalmanState):
-    """See `Belief`."""
+class KalmanFilterState(KalmanState):
+    """See `FilterState`."""
 
     @classmethod
-    def at_origin(cls, data: DataSet) -> "KalmanBelief":
+    def at_origin(cls, data: DataSet) -> "KalmanFilterState":
         """Before any sighting: the first robot where its odometry begins, or the known cameras."""
-        belief = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
+        filter_state = cls({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
         if data.known.poses:
-            return belief.with_known_cameras(data)
+            return filter_state.with_known_cameras(data)
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
-        belief = belief.with_robot_priors(data, robot, track.odom_from_base[0], track.first_ns)
+        filter_state = filter_state.with_robot_priors(
+            data, robot, track.odom_from_base[0], track.first_ns
+        )
         d = len(track.tangent)
-        return belief.with_part(("last", robot), np.zeros((d, d)))
+        return filter_state.with_part(("last", robot), np.zeros((d, d)))
 
-    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "KalmanBelief":
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "KalmanFilterState":
         if stamp_ns <= self.stamps_ns[robot]:
             return self
         moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
         motion = data.tracks[robot].motion(moments_ns, self.scales(robot))
-        step = carry(self.poses[robot], motion)
+        step = odometry_step(self.poses[robot], motion)
         part, tangent = self.columns["last", robot], self.tangents[robot]
         # The start's twist is the end's; only what the motion itself does wrong is added.
         by_end = twist_by_disturbance(step.end)[np.ix_(tangent, tangent)]
@@ -82,21 +84,23 @@ class KalmanBelief(KalmanState):
 
     # -- sightings --------------------------------------------------------------------------------
 
-    def updated(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
+    def updated(
+        self, data: DataSet, sighting: ReadSighting
+    ) -> tuple["KalmanFilterState", Innovation] | None:
         """Iterated over what the sighting bears on; all the rest follows by its covariance."""
-        if sight.is_tie:
-            return self._tied(data, sight)
-        parts = _parts_of(sight)
+        if sighting.places_robot:
+            return self._with_robot(data, sighting)
+        parts = _parts_of(sighting)
         near = self.only(parts)
         # The first linearisation is where the sighting puts the robot, not where odometry does.
-        error = near._error_at(sight)
+        error = near._error_at(sighting)
         kalman = view = jacobian = None
         for _ in range(_MOST_ITERATIONS):
             there = near.moved(error)
-            view = there._view(data, sight)
+            view = there._view(data, sighting)
             if view is None:
                 return None
-            jacobian = there._jacobian(data, sight, view)
+            jacobian = there._jacobian(data, sighting, view)
             kalman = _kalman(near.covariance, jacobian, view.residual - jacobian @ error)
             step, error = kalman.x - error, kalman.x
             if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.abs(np.diagonal(kalman.P))) + 1e-9):
@@ -106,11 +110,11 @@ class KalmanBelief(KalmanState):
         assert jacobian is not None
         after = self._followed(kalman, jacobian, self.of(parts))
         chi2 = float(kalman.mahalanobis) ** 2
-        return after, _surprise(after._view(data, sight), view, chi2, len(view.residual))
+        return after, _innovation(after._view(data, sighting), view, chi2, len(view.residual))
 
     def _followed(
         self, kalman: ExtendedKalmanFilter, jacobian: Array, columns: np.ndarray
-    ) -> "KalmanBelief":
+    ) -> "KalmanFilterState":
         """All of the state after an update (k equations) of some of its columns."""
         gain = self.covariance[:, columns] @ jacobian.T @ kalman.SI
         # A product with its own transpose is half the work, and symmetric to the last bit.
@@ -119,34 +123,36 @@ class KalmanBelief(KalmanState):
         np.subtract(self.covariance, covariance, out=covariance)
         return replace(self.moved(gain @ kalman.y), covariance=covariance)
 
-    def _error_at(self, sight: Sight) -> Array:
+    def _error_at(self, sighting: ReadSighting) -> Array:
         """The error (n,) that puts the robot where the sighting does."""
-        robot = sight.observation.robot
+        robot = sighting.observation.robot
         error = np.zeros(len(self.covariance))
-        twist = twist_between(self.poses[robot], sight.map_from_base)
+        twist = twist_between(self.poses[robot], sighting.map_from_base)
         error[self.columns["last", robot]] = twist[self.tangents[robot]]
         return error
 
-    def _tied(self, data: DataSet, sight: Sight) -> tuple["KalmanBelief", Surprise] | None:
+    def _with_robot(
+        self, data: DataSet, sighting: ReadSighting
+    ) -> tuple["KalmanFilterState", Innovation] | None:
         """A robot enters by its first sighting by a camera of the state."""
-        robot, camera = sight.observation.robot, sight.observation.camera
-        stamp_ns = sight.observation.stamp_ns - to_ns(self.states[camera].time_offset_s)
-        ready = self.with_robot_priors(data, robot, sight.map_from_base, stamp_ns)
-        return ready._entered(data, sight, ("last", robot))
+        robot, camera = sighting.observation.robot, sighting.observation.camera
+        stamp_ns = sighting.observation.stamp_ns - to_ns(self.states[camera].time_offset_s)
+        ready = self.with_robot_priors(data, robot, sighting.map_from_base, stamp_ns)
+        return ready._entered(data, sighting, ("last", robot))
 
     def with_camera(
-        self, data: DataSet, sight: Sight, camera: CameraState
-    ) -> "tuple[KalmanBelief, Surprise] | None":
-        name, robot = sight.observation.camera, sight.observation.robot
-        camera_from_base = camera.map_from_camera.inverse() @ sight.map_from_base
+        self, data: DataSet, sighting: ReadSighting, camera: CameraState
+    ) -> "tuple[KalmanFilterState, Innovation] | None":
+        name, robot = sighting.observation.camera, sighting.observation.robot
+        camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
         # What is known of its time offset before any sighting is that it is about nothing.
         map_from_camera = self.poses[robot] @ camera_from_base.inverse()
         placed = CameraState(map_from_camera, data.lenses[name])
-        return self.with_camera_priors(data, name, placed)._entered(data, sight, ("pose", name))
+        return self.with_camera_priors(data, name, placed)._entered(data, sighting, ("pose", name))
 
     def _entered(
-        self, data: DataSet, sight: Sight, part: Part
-    ) -> tuple["KalmanBelief", Surprise] | None:
+        self, data: DataSet, sighting: ReadSighting, part: Part
+    ) -> tuple["KalmanFilterState", Innovation] | None:
         """With a new part that this sighting alone determines, given everything else.
 
         The sighting's equations ρ + A δ + B ν = noise are turned by B's full factorisation: the
@@ -154,12 +160,12 @@ class KalmanBelief(KalmanState):
         """
         count = len(self.tangents[part[1]]) if part[0] == "last" else 6
         ready = self.with_part(part, np.zeros((count, count)))
-        view = ready._view(data, sight)
+        view = ready._view(data, sighting)
         if view is None or not view.determines_pose:
             return None
-        rest = ready.of([other for other in _parts_of(sight) if other != part])
-        near = ready.only(_parts_of(sight))
-        jacobian = near._jacobian(data, sight, view)
+        rest = ready.of([other for other in _parts_of(sighting) if other != part])
+        near = ready.only(_parts_of(sighting))
+        jacobian = near._jacobian(data, sighting, view)
         new = near.columns[part]
         basis, root = np.linalg.qr(jacobian[:, new], mode="complete")
         turned = basis.T @ np.delete(jacobian, new, axis=1)
@@ -168,14 +174,16 @@ class KalmanBelief(KalmanState):
         placed.covariance[ready.columns[part], ready.columns[part]] += inverse @ inverse.T
         lower = len(residual) - count
         if lower == 0:
-            return placed, _surprise(placed._view(data, sight), view, 0.0, 0)
+            return placed, _innovation(placed._view(data, sighting), view, 0.0, 0)
         prior = placed.covariance[np.ix_(rest, rest)]
         kalman = _kalman(prior, turned[count:], residual[count:])
         after = placed._followed(kalman, turned[count:], rest)
         chi2 = float(kalman.mahalanobis) ** 2
-        return after, _surprise(after._view(data, sight), view, chi2, lower)
+        return after, _innovation(after._view(data, sighting), view, chi2, lower)
 
-    def _placed(self, part: Part, rest: np.ndarray, by_rest: Array, error: Array) -> "KalmanBelief":
+    def _placed(
+        self, part: Part, rest: np.ndarray, by_rest: Array, error: Array
+    ) -> "KalmanFilterState":
         """A part whose error is `error` (k,) and by_rest (k, m) times that of some columns (m,)."""
         columns, covariance = self.columns[part], self.covariance.copy()
         whole = np.zeros(len(covariance))
@@ -187,30 +195,32 @@ class KalmanBelief(KalmanState):
 
     # -- how a sighting follows the state ---------------------------------------------------------
 
-    def _seen(self, data: DataSet, sight: Sight) -> tuple[Pose, Array]:
+    def _seen(self, data: DataSet, sighting: ReadSighting) -> tuple[Pose, Array]:
         """Where the robot was when it was seen, and its disturbance per second then, (6,).
 
         Its node stands where an earlier estimate of the camera's time offset put it.
         """
-        camera, robot = sight.observation.camera, sight.observation.robot
+        camera, robot = sighting.observation.camera, sighting.observation.robot
         pose, node_ns = self.poses[robot], self.stamps_ns[robot]
         if ("offset", camera) not in self.columns:
             return pose, np.zeros(6)
         moving = velocity(data.tracks[robot], pose, node_ns, self.scales(robot))
-        after_s = to_seconds(sight.observation.stamp_ns - node_ns)
+        after_s = to_seconds(sighting.observation.stamp_ns - node_ns)
         return pose.disturbed(moving * (after_s - self.states[camera].time_offset_s)), moving
 
-    def _view(self, data: DataSet, sight: Sight) -> RelativeView | None:
-        camera, robot = self.states[sight.observation.camera], sight.observation.robot
-        pose, _ = self._seen(data, sight)
+    def _view(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
+        camera, robot = self.states[sighting.observation.camera], sighting.observation.robot
+        pose, _ = self._seen(data, sighting)
         camera_from_base = camera.map_from_camera.inverse() @ pose
-        return relative_view(sight.observation, data.targets[robot], camera.lens, camera_from_base)
+        return relative_view(
+            sighting.observation, data.targets[robot], camera.lens, camera_from_base
+        )
 
-    def _jacobian(self, data: DataSet, sight: Sight, view: RelativeView) -> Array:
+    def _jacobian(self, data: DataSet, sighting: ReadSighting, view: RelativeView) -> Array:
         """The compressed residual by the whole error, (k, n)."""
-        camera, robot = sight.observation.camera, sight.observation.robot
+        camera, robot = sighting.observation.camera, sighting.observation.robot
         map_from_camera = self.states[camera].map_from_camera
-        pose, moving = self._seen(data, sight)
+        pose, moving = self._seen(data, sighting)
         by_camera, by_base = relative_jacobians(map_from_camera, pose)
         by_camera, by_base = view.root @ by_camera, view.root @ by_base
         jacobian = np.zeros((len(view.residual), len(self.covariance)))
@@ -226,9 +236,9 @@ class KalmanBelief(KalmanState):
         return jacobian
 
 
-def _parts_of(sight: Sight) -> list[Part]:
+def _parts_of(sighting: ReadSighting) -> list[Part]:
     """The parts of the error that a sighting bears on."""
-    camera, robot = sight.observation.camera, sight.observation.robot
+    camera, robot = sighting.observation.camera, sighting.observation.robot
     return [("last", robot), ("pose", camera), ("offset", camera)]
 
 
@@ -244,8 +254,8 @@ def _kalman(covariance: Array, jacobian: Array, residual: Array) -> ExtendedKalm
     return kalman
 
 
-def _surprise(
+def _innovation(
     after: RelativeView | None, view: RelativeView, chi2: float, freedom: int
-) -> Surprise:
+) -> Innovation:
     rms_px = after.rms_px if after is not None else view.rms_px
-    return Surprise(chi2, freedom, chi2 + view.left_over, freedom + view.freedom, rms_px)
+    return Innovation(chi2, freedom, chi2 + view.left_over, freedom + view.freedom, rms_px)

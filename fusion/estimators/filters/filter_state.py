@@ -19,17 +19,17 @@ _VELOCITY_WINDOW_NS = to_ns(0.02)
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class ReadSighting:
     """An observation made ready for a filter: read, its wild corners marked, and about where it
-    puts the robot, `map_from_base`. `is_tie`: nothing else says where the robot is."""
+    puts the robot, `map_from_base`. `places_robot`: nothing else says where the robot is."""
 
     observation: Observation
     map_from_base: Pose
-    is_tie: bool = False
+    places_robot: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Surprise:
+class Innovation:
     """How far an observation lay from what was expected.
 
     `chi2` over `freedom`: of the innovation; `total`, `total_freedom`: with what no pose explains;
@@ -43,12 +43,12 @@ class Surprise:
     rms_px: float
 
 
-class Belief(Protocol):
+class FilterState(Protocol):
     """Robots at their last nodes and the located cameras, with what is known of them together."""
 
     @property
     def stamps_ns(self) -> dict[str, int]:
-        """Of the last node of each robot that is tied to the map."""
+        """Of the last node of each robot that is located in the map."""
         ...
 
     @property
@@ -72,14 +72,14 @@ class Belief(Protocol):
         """The robot moved on to a later time by its odometry."""
         ...
 
-    def updated(self, data: DataSet, sight: Sight) -> tuple[Self, Surprise] | None:
-        """With a sighting of the robot at its last node, or one that ties it, by a camera that is
-        part of this; None where it says nothing."""
+    def updated(self, data: DataSet, sighting: ReadSighting) -> tuple[Self, Innovation] | None:
+        """With a sighting of the robot at its last node, or one that locates it, by a camera that
+        is part of this; None where it says nothing."""
         ...
 
     def with_camera(
-        self, data: DataSet, sight: Sight, camera: CameraState
-    ) -> tuple[Self, Surprise] | None:
+        self, data: DataSet, sighting: ReadSighting, camera: CameraState
+    ) -> tuple[Self, Innovation] | None:
         """With a new camera by its first sighting; `camera`: about where it is. None where the
         sighting does not determine it."""
         ...
@@ -98,7 +98,7 @@ class Belief(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Carry:
+class OdometryStep:
     """A robot's step by odometry; leading dimensions as its pose has.
 
     `end`: where it leads; a disturbance of the start moves the end by `by_start` (…, 6, 6), one of
@@ -111,7 +111,7 @@ class Carry:
     by_scales: Array
 
 
-def carry(start: Pose, motion: Motion) -> Carry:
+def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
     """t' = t + R Δt, R' = R ΔR of one motion: a turn of the start swings the end about it."""
     end = start @ motion.earlier_from_later[0]
     arm = end.translation - start.translation
@@ -120,7 +120,7 @@ def carry(start: Pose, motion: Motion) -> Carry:
     by_start[..., :3, 3:] = -hat(arm)
     by_motion = np.zeros_like(by_start)
     by_motion[..., :3, :3] = by_motion[..., 3:, 3:] = start.rotation
-    return Carry(end, by_start, by_motion, by_motion @ motion.by_scale[0])
+    return OdometryStep(end, by_start, by_motion, by_motion @ motion.by_scale[0])
 
 
 def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:

@@ -11,7 +11,7 @@ from trigpoint.fusion.model.problem import Chain
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
 
-from .filter_state import Belief, Surprise
+from .filter_state import FilterState, Innovation
 
 # One wrong reading in twenty makes so many in a row once in 160,000 times.
 _IN_A_ROW = 4
@@ -19,14 +19,14 @@ _IN_A_ROW = 4
 
 @dataclass(slots=True)
 class Step:
-    """What became of one sighting. `before`: the belief before it, None where that is too long ago;
-    `map_from_base`: afterwards; `surprise`: None where it was set aside."""
+    """What became of one sighting. `before`: the filter state before it, None where that is too
+    long ago; `map_from_base`: afterwards; `innovation`: None where it was set aside."""
 
     time_ns: int
     entry: int
-    before: Belief | None
+    before: FilterState | None
     map_from_base: Pose | None
-    surprise: Surprise | None
+    innovation: Innovation | None
 
 
 def nodes_of(data: DataSet, steps: list[Step], robot: str) -> dict[int, Pose]:
@@ -43,7 +43,11 @@ def nodes_of(data: DataSet, steps: list[Step], robot: str) -> dict[int, Pose]:
 
 
 def poses_at(
-    data: DataSet, belief: Belief, robot: str, nodes: dict[int, Pose], stamps_ns: np.ndarray
+    data: DataSet,
+    filter_state: FilterState,
+    robot: str,
+    nodes: dict[int, Pose],
+    stamps_ns: np.ndarray,
 ) -> Pose:
     """The robot at moments (m,) that odometry covers, by its nodes and its odometry."""
     track = data.tracks[robot]
@@ -52,14 +56,14 @@ def poses_at(
         stamps_ns=np.array(list(nodes)),
         motion=None,
         track=track,
-        scales=belief.scales(robot),
+        scales=filter_state.scales(robot),
         planar=track.planar,
         is_anchored=False,
     )
     return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
 
 
-def place(data: DataSet, belief: Belief, steps: list[Step], indices: list[int]) -> None:
+def place(data: DataSet, filter_state: FilterState, steps: list[Step], indices: list[int]) -> None:
     """Put where the robots stood, as far as it is known now, into entries of the data set."""
     for robot, track in data.tracks.items():
         mine = [data.entries[i] for i in indices if data.entries[i].observation.robot == robot]
@@ -68,7 +72,7 @@ def place(data: DataSet, belief: Belief, steps: list[Step], indices: list[int]) 
         nodes = nodes_of(data, steps, robot)
         stamps_ns = np.array([entry.observation.stamp_ns for entry in mine])
         moments_ns = np.clip(stamps_ns, track.first_ns, track.last_ns)
-        poses = poses_at(data, belief, robot, nodes, moments_ns) if nodes else None
+        poses = poses_at(data, filter_state, robot, nodes, moments_ns) if nodes else None
         for row, entry in enumerate(mine):
             entry.map_from_base = poses[row] if poses is not None else None
 
@@ -79,18 +83,18 @@ def place(data: DataSet, belief: Belief, steps: list[Step], indices: list[int]) 
 def rms_px(data: DataSet, steps: list[Step], camera: str) -> float | None:
     """Of a coordinate of what a camera's used sightings leave over; None where it has none."""
     squares = [
-        step.surprise.rms_px**2
+        step.innovation.rms_px**2
         for step in steps
-        if step.surprise is not None and data.entries[step.entry].observation.camera == camera
+        if step.innovation is not None and data.entries[step.entry].observation.camera == camera
     ]
     return float(np.sqrt(np.mean(squares))) if squares else None
 
 
 def chi2_per_dof(steps: list[Step]) -> float | None:
     """χ² of all used sightings over its degrees of freedom; None where there are none."""
-    used = [step.surprise for step in steps if step.surprise is not None]
-    freedom = sum(surprise.total_freedom for surprise in used)
-    return sum(surprise.total for surprise in used) / freedom if freedom > 0 else None
+    used = [step.innovation for step in steps if step.innovation is not None]
+    freedom = sum(innovation.total_freedom for innovation in used)
+    return sum(innovation.total for innovation in used) / freedom if freedom > 0 else None
 
 
 @dataclass(frozen=True, slots=True)

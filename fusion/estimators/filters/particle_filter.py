@@ -23,7 +23,7 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .filter_state import Sight, Surprise, carry
+from .filter_state import Innovation, ReadSighting, odometry_step
 from .particle_resampling import effective_sample_size, largest_share, normalised
 from .particles import PARTICLES, Particles, many, mean_pose, transposed
 from .relative_pose import RelativeView, relative_jacobians, relative_view
@@ -37,7 +37,7 @@ _ALIKE = 0.9999
 
 def particle_filter(data: DataSet) -> SequentialEstimator:
     """The estimator «particle»."""
-    return SequentialEstimator(data, ParticleBelief.at_origin)
+    return SequentialEstimator(data, ParticleFilterState.at_origin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +60,24 @@ class _Terms:
 
 
 @dataclass(frozen=True, slots=True)
-class ParticleBelief(Particles):
-    """See `Belief`."""
+class ParticleFilterState(Particles):
+    """See `FilterState`."""
 
     @classmethod
-    def at_origin(cls, data: DataSet) -> "ParticleBelief":
+    def at_origin(cls, data: DataSet) -> "ParticleFilterState":
         """Before any sighting: the first robot where its odometry begins, or the known cameras."""
-        belief = cls(data.site.fusion.seed, 0, *({} for _ in range(10)))
+        filter_state = cls(data.site.fusion.seed, 0, *({} for _ in range(10)))
         if data.known.poses:
-            return belief._with_known(data)
+            return filter_state._with_known(data)
         robot = data.anchored_robot
         assert robot is not None  # no camera is known
         track = data.tracks[robot]
-        belief = belief.with_robot(data, robot, track.odom_from_base[0], track.first_ns)
+        filter_state = filter_state.with_robot(data, robot, track.odom_from_base[0], track.first_ns)
         d = len(track.tangent)
         nothing = np.zeros((PARTICLES, d, d))
-        return replace(belief, spreads=belief.spreads | {robot: nothing})
+        return replace(filter_state, spreads=filter_state.spreads | {robot: nothing})
 
-    def _with_known(self, data: DataSet) -> "ParticleBelief":
+    def _with_known(self, data: DataSet) -> "ParticleFilterState":
         joint = np.linalg.inv(data.known.information)
         random = self.random()
         drawn = random.standard_normal((PARTICLES, len(joint))) @ np.linalg.cholesky(joint).T
@@ -94,14 +94,14 @@ class ParticleBelief(Particles):
 
     # -- odometry ---------------------------------------------------------------------------------
 
-    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "ParticleBelief":
+    def advanced(self, data: DataSet, robot: str, stamp_ns: int) -> "ParticleFilterState":
         """Each particle moved on by odometry; its noise is drawn when the next sighting comes."""
         if stamp_ns <= self.stamps_ns[robot]:
             return self
         mean_scales = self.scales(robot)
         moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
         motion = data.tracks[robot].motion(moments_ns, mean_scales)
-        step = carry(self.poses[robot], motion)
+        step = odometry_step(self.poses[robot], motion)
         tangent = self.tangents[robot]
         free = np.ix_(range(PARTICLES), tangent, tangent)
         noise = (step.by_motion @ motion.covariance[0] @ transposed(step.by_motion))[free]
@@ -121,65 +121,72 @@ class ParticleBelief(Particles):
 
     # -- sightings --------------------------------------------------------------------------------
 
-    def updated(self, data: DataSet, sight: Sight) -> tuple["ParticleBelief", Surprise] | None:
-        robot, camera = sight.observation.robot, sight.observation.camera
-        belief = self.with_drawn(
+    def updated(
+        self, data: DataSet, sighting: ReadSighting
+    ) -> tuple["ParticleFilterState", Innovation] | None:
+        robot, camera = sighting.observation.robot, sighting.observation.camera
+        filter_state = self.with_drawn(
             n for n, c in self.companions.items() if c == camera and n != robot
         )
-        if sight.is_tie:
-            stamp_ns = sight.observation.stamp_ns
-            belief = belief.with_robot(data, robot, sight.map_from_base, stamp_ns)
-        view = belief._linearised(data, sight)
+        if sighting.places_robot:
+            stamp_ns = sighting.observation.stamp_ns
+            filter_state = filter_state.with_robot(data, robot, sighting.map_from_base, stamp_ns)
+        view = filter_state._linearised(data, sighting)
         if view is None:
             return None
-        chi2 = belief._innovation(view, robot, camera)
-        freedom = len(view.residual) - (len(belief.tangents[robot]) if sight.is_tie else 0)
-        belief = belief._weighted(view, robot, camera)._improved(view, robot, camera)
-        after = belief._view(data, sight, belief._relative(robot, camera))
+        chi2 = filter_state._innovation_chi2(view, robot, camera)
+        freedom = len(view.residual) - (
+            len(filter_state.tangents[robot]) if sighting.places_robot else 0
+        )
+        filter_state = filter_state._weighted(view, robot, camera)._improved(view, robot, camera)
+        after = filter_state._view(data, sighting, filter_state._relative(robot, camera))
         rms_px = after.rms_px if after is not None else view.rms_px
         total = chi2 + view.left_over
-        return belief, Surprise(chi2, freedom, total, freedom + view.freedom, rms_px)
+        return filter_state, Innovation(chi2, freedom, total, freedom + view.freedom, rms_px)
 
     def with_camera(
-        self, data: DataSet, sight: Sight, camera: CameraState
-    ) -> tuple["ParticleBelief", Surprise] | None:
+        self, data: DataSet, sighting: ReadSighting, camera: CameraState
+    ) -> tuple["ParticleFilterState", Innovation] | None:
         """Each particle's pose is drawn, and the camera placed by it, with the sighting's error."""
-        robot, name = sight.observation.robot, sight.observation.camera
-        camera_from_base = camera.map_from_camera.inverse() @ sight.map_from_base
+        robot, name = sighting.observation.robot, sighting.observation.camera
+        camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
         target = data.targets[robot]
-        view = relative_view(sight.observation, target, camera.lens, camera_from_base)
+        view = relative_view(sighting.observation, target, camera.lens, camera_from_base)
         if view is None or not view.determines_pose:
             return None
-        belief = self.with_drawn([robot])
-        pose = belief.poses[robot]
+        filter_state = self.with_drawn([robot])
+        pose = filter_state.poses[robot]
         place = pose @ camera_from_base.inverse()
         by_camera, _ = relative_jacobians(place, pose)
         inverse = np.linalg.inv(view.root @ by_camera)
-        belief = replace(
-            belief,
-            places=belief.places | {name: place.disturbed(-inverse @ view.residual)},
-            covariances=belief.covariances | {name: inverse @ transposed(inverse)},
-            lenses=belief.lenses | {name: camera.lens},
-            companions=belief.companions | {robot: name},
-            crossed=belief.crossed | {robot: np.zeros((PARTICLES, len(belief.tangents[robot]), 6))},
+        filter_state = replace(
+            filter_state,
+            places=filter_state.places | {name: place.disturbed(-inverse @ view.residual)},
+            covariances=filter_state.covariances | {name: inverse @ transposed(inverse)},
+            lenses=filter_state.lenses | {name: camera.lens},
+            companions=filter_state.companions | {robot: name},
+            crossed=filter_state.crossed
+            | {robot: np.zeros((PARTICLES, len(filter_state.tangents[robot]), 6))},
         )
-        return belief, Surprise(0.0, 0, view.left_over, view.freedom, view.rms_px)
+        return filter_state, Innovation(0.0, 0, view.left_over, view.freedom, view.rms_px)
 
     def _relative(self, robot: str, camera: str) -> Pose:
         """camera_from_base by the mean camera and robot."""
         map_from_camera = mean_pose(self.places[camera])
         return map_from_camera.inverse() @ mean_pose(self.poses[robot])
 
-    def _view(self, data: DataSet, sight: Sight, camera_from_base: Pose) -> RelativeView | None:
-        observation = sight.observation
+    def _view(
+        self, data: DataSet, sighting: ReadSighting, camera_from_base: Pose
+    ) -> RelativeView | None:
+        observation = sighting.observation
         lens = self.lenses[observation.camera]
         return relative_view(observation, data.targets[observation.robot], lens, camera_from_base)
 
-    def _linearised(self, data: DataSet, sight: Sight) -> RelativeView | None:
+    def _linearised(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
         """The sighting about the camera_from_base that it and the particles say together."""
-        robot, camera = sight.observation.robot, sight.observation.camera
+        robot, camera = sighting.observation.robot, sighting.observation.camera
         place = mean_pose(self.places[camera])
-        view = self._view(data, sight, place.inverse() @ sight.map_from_base)
+        view = self._view(data, sighting, place.inverse() @ sighting.map_from_base)
         for _ in range(_MOST_LINEARISATIONS - 1):
             if view is None or len(view.root) < 6:
                 return None
@@ -188,7 +195,7 @@ class ParticleBelief(Particles):
             gain = covariance @ view.root.T
             gain = gain @ np.linalg.inv(view.root @ gain + np.eye(len(view.root)))
             best = mean - gain @ (view.residual + view.root @ mean)
-            view = self._view(data, sight, view.camera_from_base.disturbed(best))
+            view = self._view(data, sighting, view.camera_from_base.disturbed(best))
         return view
 
     def _expected(self, view: RelativeView, robot: str, camera: str) -> tuple[Array, Array]:
@@ -213,7 +220,7 @@ class ParticleBelief(Particles):
         parts += [np.zeros((PARTICLES, len(root), 6))] * (len(self._group(robot, camera)) - 1)
         return np.concatenate([*parts, root @ by_camera], axis=-1)
 
-    def _innovation(self, view: RelativeView, robot: str, camera: str) -> float:
+    def _innovation_chi2(self, view: RelativeView, robot: str, camera: str) -> float:
         """χ² of the innovation, for all particles together as one Gaussian."""
         mean, covariance = self._expected(view, robot, camera)
         residual = view.residual + view.root @ mean
@@ -228,22 +235,22 @@ class ParticleBelief(Particles):
         total = jacobian @ covariance @ transposed(jacobian) + np.eye(len(view.residual))
         return _Terms(view.residual + apart @ view.root.T, jacobian, covariance, total)
 
-    def _weighted(self, view: RelativeView, robot: str, camera: str) -> "ParticleBelief":
+    def _weighted(self, view: RelativeView, robot: str, camera: str) -> "ParticleFilterState":
         """Particles by how well they expect the sighting, in shares that keep half effective."""
-        belief, left = self, 1.0
+        filter_state, left = self, 1.0
         for _ in range(_MOST_SHARES):
-            terms = belief._terms(view, robot, camera)
+            terms = filter_state._terms(view, robot, camera)
             log_likelihood = terms.log_likelihood
             share = largest_share(log_likelihood, left)
             weights = normalised(share * log_likelihood)
             if effective_sample_size(weights) < _ALIKE * PARTICLES:
-                belief = belief.resampled(terms.residual, weights)
+                filter_state = filter_state.resampled(terms.residual, weights)
             left -= share
             if left <= 0:
-                return belief
+                return filter_state
         raise ValueError("no particle is near what is seen")
 
-    def _improved(self, view: RelativeView, robot: str, camera: str) -> "ParticleBelief":
+    def _improved(self, view: RelativeView, robot: str, camera: str) -> "ParticleFilterState":
         """Each particle's Gaussians by the sighting; where another camera saw the robot before,
         its pose is drawn, after which the two know nothing of each other."""
         terms, group = self._terms(view, robot, camera), self._group(robot, camera)
@@ -251,5 +258,5 @@ class ParticleBelief(Particles):
         step = -(gain @ terms.residual[..., None])[..., 0]
         keep = np.eye(gain.shape[1]) - gain @ terms.jacobian
         better = keep @ terms.covariance @ transposed(keep) + gain @ transposed(gain)
-        belief = self.moved(robot, group, step, better)
-        return belief.drawn_from(robot, group, better) if len(group) > 1 else belief
+        filter_state = self.moved(robot, group, step, better)
+        return filter_state.drawn_from(robot, group, better) if len(group) > 1 else filter_state

@@ -106,7 +106,7 @@ class Particles:
         wide = np.broadcast_to(
             _UNKNOWN_VARIANCE * np.eye(len(tangent)), (PARTICLES, *[len(tangent)] * 2)
         )
-        belief = replace(
+        filter_state = replace(
             self,
             stamps_ns=self.stamps_ns | {robot: stamp_ns},
             tangents=self.tangents | {robot: tangent},
@@ -116,19 +116,21 @@ class Particles:
         noise = data.site.robots[robot].odometry
         sigmas = np.array([noise.distance_scale, noise.heading_scale])
         if robot in self.scale_errors or not np.any(sigmas > 0):
-            return belief
+            return filter_state
         drawn = self.random().standard_normal((PARTICLES, 2)) * sigmas
         scales = self.scale_errors | {robot: drawn}
-        return replace(belief, draws=self.draws + 1, scale_errors=scales)
+        return replace(filter_state, draws=self.draws + 1, scale_errors=scales)
 
     def with_drawn(self, robots: Iterable[str]) -> Self:
         """With the poses of some robots drawn from what is left open of them."""
-        belief = self
+        filter_state = self
         for robot in robots:
-            companion = belief.companions.get(robot)
+            companion = filter_state.companions.get(robot)
             names = [companion] if companion is not None else []
-            belief = belief.drawn_from(robot, names, belief.together(robot, names))
-        return belief
+            filter_state = filter_state.drawn_from(
+                robot, names, filter_state.together(robot, names)
+            )
+        return filter_state
 
     def together(self, robot: str, cameras: list[str]) -> Array:
         """Covariance (n, m, m) of a robot's pose and some cameras in each particle."""
@@ -154,8 +156,8 @@ class Particles:
         whole = np.zeros_like(covariance)
         whole[:, d:, d:] = left
         step = np.concatenate([drawn, follows], axis=1)
-        belief = replace(self, draws=self.draws + 1)
-        return belief.moved(robot, cameras, step, whole)
+        filter_state = replace(self, draws=self.draws + 1)
+        return filter_state.moved(robot, cameras, step, whole)
 
     def _drawn(self, covariances: Array) -> Array:
         """A normal draw (n, d) from each covariance (n, d, d), independent of all that is drawn."""

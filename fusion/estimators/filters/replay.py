@@ -1,8 +1,8 @@
 """The walk of a filter through its sightings, in order of time.
 
-Beliefs are immutable: a late sighting goes back to the belief before it and takes what followed
-again, as far as the last 64 sightings reach; an older one enters when the session is worked out to
-the end. A camera that is located goes back to its first sighting alike.
+Filter states are immutable: a late sighting goes back to the filter state before it and takes what
+followed again, as far as the last 64 sightings reach; an older one enters when the session is
+worked out to the end. A camera that is located goes back to its first sighting alike.
 """
 
 import bisect
@@ -19,9 +19,9 @@ from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 
-from .filter_state import Belief, Surprise
+from .filter_state import FilterState, Innovation
 from .history import Step
-from .sighting_update import first_sight, is_expected, predicted_at, sight_of
+from .sighting_update import first_sighting, is_expected, predicted_at, read_sighting
 
 _HISTORY = 64
 # A camera's pictures wait for it to be located while so many others are used.
@@ -31,18 +31,19 @@ _MOST_REPLAYED = 256
 _CARRIED = 4
 
 
-class Walk:
-    """`belief`: after all of the `steps`; `located`: cameras, by all of their sightings."""
+class Replay:
+    """`filter_state`: after all of the `steps`; `located`: cameras, by all of their sightings."""
 
-    def __init__(self, data: DataSet, origin: Callable[[DataSet], Belief]) -> None:
+    def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self._data, self._origin = data, origin
-        self.belief = origin(data)
+        self.filter_state = origin(data)
         self.steps: list[Step] = []
         self.located: dict[str, Located] = {}
-        # The step before which each camera that is not located was first seen, and the belief then.
-        self._first_seen: dict[str, tuple[int, Belief]] = {}
+        # The step before which each camera that is not located was first seen, and the filter state
+        # then.
+        self._first_seen: dict[str, tuple[int, FilterState]] = {}
 
-    def copy(self) -> "Walk":
+    def copy(self) -> "Replay":
         """What it is now, to go on from if what comes next is unusable."""
         other = copy(self)
         other.steps, other.located = list(self.steps), dict(self.located)
@@ -54,10 +55,11 @@ class Walk:
 
     def state(self) -> State:
         """What is believed, as `locate` takes it."""
-        first, belief = self._data.first_state(), self.belief
-        cameras = {name: belief.camera(name) for name in belief.cameras}
+        first, filter_state = self._data.first_state(), self.filter_state
+        cameras = {name: filter_state.camera(name) for name in filter_state.cameras}
         robots = {
-            name: replace(robot, scales=belief.scales(name)) for name, robot in first.robots.items()
+            name: replace(robot, scales=filter_state.scales(name))
+            for name, robot in first.robots.items()
         }
         return State(cameras, robots)
 
@@ -78,7 +80,7 @@ class Walk:
         """Remember when a camera that is not located was first seen."""
         first = self._first_seen.get(camera)
         if first is None or len(self.steps) - first[0] > _MOST_REPLAYED:
-            self._first_seen[camera] = (len(self.steps), self.belief)
+            self._first_seen[camera] = (len(self.steps), self.filter_state)
 
     def enter(self, camera: str, indices: Iterable[int]) -> bool:
         """Go back to where a located camera was first seen and take its sightings too; whether it
@@ -87,7 +89,7 @@ class Walk:
         later = [step.entry for step in self._back_to(*first)]
         since_ns = self.steps[-1].time_ns if self.steps else 0
         self._take_all([*later, *(i for i in indices if self._time_ns(i) >= since_ns)])
-        if camera in self.belief.cameras:
+        if camera in self.filter_state.cameras:
             return True
         self._first_seen[camera] = first
         return False
@@ -95,7 +97,7 @@ class Walk:
     def restart(self) -> None:
         """Take every sighting of the located cameras anew, from the beginning."""
         chosen = self._usable()
-        self.belief, self.steps, self._first_seen = self._origin(self._data), [], {}
+        self.filter_state, self.steps, self._first_seen = self._origin(self._data), [], {}
         self._take_all(chosen)
 
     def is_complete(self) -> bool:
@@ -113,8 +115,8 @@ class Walk:
     def _time_ns(self, index: int) -> int:
         """When the robot stood as it was seen: stamp minus the camera's time offset."""
         observation, offset_s = self._data.entries[index].observation, 0.0
-        if observation.camera in self.belief.cameras:
-            offset_s = self.belief.camera(observation.camera).time_offset_s
+        if observation.camera in self.filter_state.cameras:
+            offset_s = self.filter_state.camera(observation.camera).time_offset_s
         track = self._data.tracks[observation.robot]
         return int(np.clip(observation.stamp_ns - to_ns(offset_s), track.first_ns, track.last_ns))
 
@@ -125,19 +127,19 @@ class Walk:
         before = self.steps[place].before
         return None if before is None else self._back_to(place, before)
 
-    def _back_to(self, place: int, belief: Belief) -> list[Step]:
+    def _back_to(self, place: int, filter_state: FilterState) -> list[Step]:
         later, self.steps = self.steps[place:], self.steps[:place]
-        self.belief = belief
+        self.filter_state = filter_state
         for camera, (first, _) in self._first_seen.items():
             if first > place:
-                self._first_seen[camera] = (place, belief)
+                self._first_seen[camera] = (place, filter_state)
         return later
 
     # -- one sighting -----------------------------------------------------------------------------
 
     def _take(self, index: int) -> RobotEstimate | None:
         """Go on by one sighting; where the robot is then, None where it makes no correction."""
-        before, entry = self.belief, self._data.entries[index]
+        before, entry = self.filter_state, self._data.entries[index]
         robot, camera = entry.observation.robot, entry.observation.camera
         time_ns = max(self._time_ns(index), before.stamps_ns.get(robot, 0))
         is_new = camera not in before.cameras
@@ -149,64 +151,68 @@ class Walk:
         if after is None:
             verdict = Verdict.REJECTED if self._is_used(before, index) else Verdict.PENDING
             entry.observation = entry.observation.judged(verdict)
-            self.belief = self._unless_carried(before, robot)
+            self.filter_state = self._unless_carried(before, robot)
             return None
-        self.belief, step.surprise = after
-        estimate = self.belief.robot(robot)
+        self.filter_state, step.innovation = after
+        estimate = self.filter_state.robot(robot)
         entry.observation = entry.observation.judged(Verdict.ACCEPTED)
         entry.map_from_base = step.map_from_base = estimate.map_from_base
         return estimate if not is_new and is_placed(estimate.covariance) else None
 
-    def _is_used(self, belief: Belief, index: int) -> bool:
+    def _is_used(self, filter_state: FilterState, index: int) -> bool:
         """Whether a sighting could have been used: what comes before its camera's first sighting,
         or while the robot may be anywhere, says nothing yet."""
         observation = self._data.entries[index].observation
-        if observation.camera in belief.cameras:
+        if observation.camera in filter_state.cameras:
             return True
         read = self.located[observation.camera].readings
         robots = {self._data.entries[i].observation.robot for i in read}
-        return observation.robot in robots and observation.robot in belief.stamps_ns
+        return observation.robot in robots and observation.robot in filter_state.stamps_ns
 
-    def _used(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
-        """With a sighting by a camera of the belief, where it does not contradict it."""
+    def _used(
+        self, before: FilterState, index: int, time_ns: int
+    ) -> tuple[FilterState, Innovation] | None:
+        """With a sighting by a camera of the filter state, where it does not contradict it."""
         entry = self._data.entries[index]
-        belief, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
+        filter_state, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
         if predicted is not None:
             entry.map_from_base = predicted.map_from_base
-        scales = belief.scales(entry.observation.robot)
+        scales = filter_state.scales(entry.observation.robot)
         entry.observation = self._data.moving(entry.observation, time_ns, scales)
-        sight = sight_of(self._data, belief, entry.observation, predicted)
-        if sight is None:
+        sighting = read_sighting(self._data, filter_state, entry.observation, predicted)
+        if sighting is None:
             return None
-        entry.observation = sight.observation
-        updated = belief.updated(self._data, sight)
+        entry.observation = sighting.observation
+        updated = filter_state.updated(self._data, sighting)
         if updated is None or not is_expected(updated[1]):
             return None
         return updated
 
-    def _begun(self, before: Belief, index: int, time_ns: int) -> tuple[Belief, Surprise] | None:
+    def _begun(
+        self, before: FilterState, index: int, time_ns: int
+    ) -> tuple[FilterState, Innovation] | None:
         """With the first sighting of a camera that was located by all of its sightings."""
         entry = self._data.entries[index]
         observation = entry.observation
         found = self.located[observation.camera]
-        belief, predicted = predicted_at(self._data, before, observation.robot, time_ns)
+        filter_state, predicted = predicted_at(self._data, before, observation.robot, time_ns)
         if predicted is None or index not in found.map_from_base or observation.chosen is None:
             return None
-        sight = first_sight(self._data, observation, found, found.map_from_base[index])
-        if sight is None:
+        sighting = first_sighting(self._data, observation, found, found.map_from_base[index])
+        if sighting is None:
             return None
-        entry.observation = sight.observation
-        return belief.with_camera(self._data, sight, found.camera)
+        entry.observation = sighting.observation
+        return filter_state.with_camera(self._data, sighting, found.camera)
 
-    def _unless_carried(self, belief: Belief, robot: str) -> Belief:
+    def _unless_carried(self, filter_state: FilterState, robot: str) -> FilterState:
         """Without the robot, where its last sightings say that it is somewhere else."""
         cameras: list[str] = []
         for step in reversed(self.steps[-_HISTORY:]):
             observation = self._data.entries[step.entry].observation
             if observation.robot == robot:
-                if step.surprise is not None:
+                if step.innovation is not None:
                     break
                 cameras.append(observation.camera)
-        if len(cameras) < _CARRIED or len(set(cameras)) < 2 or robot not in belief.stamps_ns:
-            return belief
-        return belief.without_robot(robot)
+        if len(cameras) < _CARRIED or len(set(cameras)) < 2 or robot not in filter_state.stamps_ns:
+            return filter_state
+        return filter_state.without_robot(robot)

@@ -19,107 +19,107 @@ from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .filter_state import Belief
+from .filter_state import FilterState
 from .history import Step, chi2_per_dof, contradictions, nodes_of, place, poses_at, rms_px
-from .replay import Walk
+from .replay import Replay
 
 _LEAST_PICTURES_LIVE = 3
 _LEAST_TO_DROP = 4
 # Among so many sightings contradictions are looked for on the way.
 _RECENT = 64
 _LOOSE = (
-    "position and orientation in the map: the robot was not tied to it any more when it came here, "
-    "since its odometry jumped or it was carried; drive there without a break"
+    "position and orientation in the map: the robot was not located in it any more when it "
+    "came here, since its odometry jumped or it was carried; drive there without a break"
 )
 
 
 class SequentialEstimator:
-    """See `Estimator`. `origin`: the belief before any sighting."""
+    """See `Estimator`. `origin`: the filter state before any sighting."""
 
-    def __init__(self, data: DataSet, origin: Callable[[DataSet], Belief]) -> None:
+    def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self.data, self._origin = data, origin
         # None before the odometry that fixes the map begins.
-        self._walk: Walk | None = None
+        self._replay: Replay | None = None
         self._undetermined: dict[str, tuple[str, ...]] = {}
         self._tries: dict[str, int] = {}
         # Until when contradictions were told, by what they are of.
         self._told_ns: dict[str, int] = {}
-        self._carried: dict[str, tuple[Belief, RobotEstimate]] = {}
+        self._carried: dict[str, tuple[FilterState, RobotEstimate]] = {}
         self.iterations = 0
 
     # -- input ------------------------------------------------------------------------------------
 
     def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
         added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
-        if self._walk is None and (robot == self.data.anchored_robot or self.data.known.poses):
-            self._walk = Walk(self.data, self._origin)
+        if self._replay is None and (robot == self.data.anchored_robot or self.data.known.poses):
+            self._replay = Replay(self.data, self._origin)
         return added
 
     def add_observation(self, observation: Observation) -> Update:
         index = len(self.data.entries)
         self.data.entries.append(Entry(observation))
-        if self._walk is None:
+        if self._replay is None:
             return Update()
-        before = self._walk.copy()
+        before = self._replay.copy()
         try:
-            return self._use(self._walk, index)
+            return self._use(self._replay, index)
         except (LinAlgError, ValueError) as reason:
             # Numbers that no arithmetic survives: the rest goes on as if they had not come.
             self.data.forget_from(index)
-            self._walk = before
+            self._replay = before
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
-    def _use(self, walk: Walk, index: int) -> Update:
+    def _use(self, replay: Replay, index: int) -> Update:
         camera = self.data.entries[index].observation.camera
-        if not walk.is_located(camera):
-            place(self.data, walk.belief, walk.steps, [index])
-            walk.wait(camera)
-            return self._try_to_locate(walk, camera)
-        correction = walk.insert(index)
+        if not replay.is_located(camera):
+            place(self.data, replay.filter_state, replay.steps, [index])
+            replay.wait(camera)
+            return self._try_to_locate(replay, camera)
+        correction = replay.insert(index)
         if self.data.entries[index].observation.verdict is Verdict.REJECTED:
-            self._drop_misplaced(walk, camera)
-            self._tell(walk.steps[-_RECENT:])
+            self._drop_misplaced(replay, camera)
+            self._tell(replay.steps[-_RECENT:])
         return Update(correction=correction)
 
     # -- cameras that are not located -------------------------------------------------------------
 
-    def _try_to_locate(self, walk: Walk, camera: str) -> Update:
+    def _try_to_locate(self, replay: Replay, camera: str) -> Update:
         """Try again whenever a camera's pictures have grown by half since the last try."""
         pictures = len(self.data.of_camera(camera))
         if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._tries.get(camera, 0)):
             return Update()
         self._tries[camera] = pictures
-        if not self._locate(walk, camera):
+        if not self._locate(replay, camera):
             return Update()
-        if not walk.enter(camera, self._entries_of(camera)):
-            self._forget(walk, camera, _LOOSE)
+        if not replay.enter(camera, self._entries_of(camera)):
+            self._forget(replay, camera, _LOOSE)
             return Update()
         return Update(located=(camera,))
 
     def _entries_of(self, camera: str) -> list[int]:
         return [i for i, e in enumerate(self.data.entries) if e.observation.camera == camera]
 
-    def _locate(self, walk: Walk, camera: str) -> bool:
+    def _locate(self, replay: Replay, camera: str) -> bool:
         """Find a camera by all of its sightings, from where the robot is believed to have been."""
-        place(self.data, walk.belief, walk.steps, self._entries_of(camera))
-        result = locate(self.data, walk.state(), camera)
+        place(self.data, replay.filter_state, replay.steps, self._entries_of(camera))
+        result = locate(self.data, replay.state(), camera)
         if isinstance(result, Undetermined):
             self._undetermined[camera] = result.reasons
             return False
         self._undetermined.pop(camera, None)
-        walk.located[camera] = result
+        replay.located[camera] = result
         for index, readings in result.readings.items():
             entry = self.data.entries[index]
             entry.observation = entry.observation.read_as(readings)
         return True
 
-    def _forget(self, walk: Walk, camera: str, reason: str) -> None:
-        walk.located.pop(camera, None)
+    def _forget(self, replay: Replay, camera: str, reason: str) -> None:
+        replay.located.pop(camera, None)
         self._undetermined[camera] = (reason,)
         for entry in self.data.of_camera(camera):
             entry.observation = entry.observation.judged(Verdict.PENDING)
 
-    def _drop_misplaced(self, walk: Walk, camera: str) -> None:
+    def _drop_misplaced(self, replay: Replay, camera: str) -> None:
         """A camera most of whose sightings contradict its place loses it, and starts anew."""
         if camera in self.data.known.poses:
             return
@@ -127,10 +127,10 @@ class SequentialEstimator:
         rejected = sum(entry.observation.verdict is Verdict.REJECTED for entry in entries)
         if len(entries) < _LEAST_TO_DROP or rejected * 2 <= len(entries):
             return
-        self._forget(walk, camera, "its pictures contradict each other")
+        self._forget(replay, camera, "its pictures contradict each other")
         self._tries[camera] = len(entries)
         self.solve()
-        walk.wait(camera)
+        replay.wait(camera)
 
     def _tell(self, steps: list[Step]) -> None:
         """Have people told, once, of sightings in a row among these that contradict the rest."""
@@ -143,64 +143,64 @@ class SequentialEstimator:
 
     def solve(self) -> None:
         """Go through everything from the beginning, in order of time."""
-        if self._walk is not None:
+        if self._replay is not None:
             self.iterations += 1
-            self._walk.restart()
+            self._replay.restart()
 
     def finish(self) -> None:
         """Locate every camera that can be located, and take every sighting that came too late."""
-        walk = self._walk
-        if walk is None:
+        replay = self._replay
+        if replay is None:
             return
         while True:
-            missing = [n for n in self.data.site.cameras if not walk.is_located(n)]
-            found = [n for n in missing if self.data.of_camera(n) and self._locate(walk, n)]
-            if found or not walk.is_complete():
+            missing = [n for n in self.data.site.cameras if not replay.is_located(n)]
+            found = [n for n in missing if self.data.of_camera(n) and self._locate(replay, n)]
+            if found or not replay.is_complete():
                 self.solve()
-            loose = [name for name in found if name not in walk.belief.cameras]
+            loose = [name for name in found if name not in replay.filter_state.cameras]
             for name in loose:
-                self._forget(walk, name, _LOOSE)
+                self._forget(replay, name, _LOOSE)
             if len(found) == len(loose):
                 break
-        self._tell(walk.steps)
+        self._tell(replay.steps)
 
     # -- output -----------------------------------------------------------------------------------
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        if self._walk is None or robot not in self._walk.belief.stamps_ns:
+        if self._replay is None or robot not in self._replay.filter_state.stamps_ns:
             return None
-        belief, known = self._walk.belief, self._carried.get(robot)
-        estimate = known[1] if known and known[0] is belief else belief.robot(robot)
+        filter_state, known = self._replay.filter_state, self._carried.get(robot)
+        estimate = known[1] if known and known[0] is filter_state else filter_state.robot(robot)
         last_ns = self.data.tracks[robot].last_ns
-        estimate = carried_on(self.data, robot, estimate, last_ns, belief.scales(robot))
-        self._carried[robot] = (belief, estimate)
+        estimate = carried_on(self.data, robot, estimate, last_ns, filter_state.scales(robot))
+        self._carried[robot] = (filter_state, estimate)
         return estimate
 
     def particles(self, robot: str) -> Pose | None:
         """Places where the robot may be at its last odometry message, all equally likely."""
-        if self._walk is None or robot not in self._walk.belief.stamps_ns:
+        if self._replay is None or robot not in self._replay.filter_state.stamps_ns:
             return None
-        now = self._walk.belief.advanced(self.data, robot, self.data.tracks[robot].last_ns)
+        now = self._replay.filter_state.advanced(self.data, robot, self.data.tracks[robot].last_ns)
         return now.particles(robot)
 
     def cameras(self) -> dict[str, CameraEstimate]:
-        """The located cameras that are tied to the map, in the site's order."""
-        if self._walk is None:
+        """The located cameras that are located in the map, in the site's order."""
+        if self._replay is None:
             return {}
-        belief = self._walk.belief
-        here = [name for name in self.data.site.cameras if name in belief.cameras]
-        estimates = {name: belief.estimate(name) for name in here}
+        filter_state = self._replay.filter_state
+        here = [name for name in self.data.site.cameras if name in filter_state.cameras]
+        estimates = {name: filter_state.estimate(name) for name in here}
         return {name: e for name, e in estimates.items() if is_placed(e.covariance)}
 
     @property
     def located_count(self) -> int:
-        return len(self._walk.belief.cameras) if self._walk is not None else 0
+        return len(self._replay.filter_state.cameras) if self._replay is not None else 0
 
     def joint_covariance(self) -> Array:
         placed = list(self.cameras())
-        if self._walk is None or not placed:
+        if self._replay is None or not placed:
             return np.zeros((0, 0))
-        return self._walk.belief.joint_covariance(placed)
+        return self._replay.filter_state.joint_covariance(placed)
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         placed = self.cameras()
@@ -212,7 +212,7 @@ class SequentialEstimator:
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         assert camera in self.data.site.cameras
-        return ()  # a filter keeps one belief
+        return ()  # a filter keeps one filter state
 
     def is_confirmed(self, camera: str) -> bool:
         counted = self.count(camera)
@@ -221,28 +221,28 @@ class SequentialEstimator:
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)
         sightings = sum(len(entry.observation.views) for entry in entries)
-        if self._walk is None:
+        if self._replay is None:
             return CameraCount(sightings, 0, None)
         used = sum(entry.observation.used_views for entry in entries)
-        rejected = sightings - used if self._walk.is_located(camera) else 0
-        return CameraCount(sightings, rejected, rms_px(self.data, self._walk.steps, camera))
+        rejected = sightings - used if self._replay.is_located(camera) else 0
+        return CameraCount(sightings, rejected, rms_px(self.data, self._replay.steps, camera))
 
     def trajectory(self, robot: str) -> Trajectory | None:
-        if self._walk is None:
+        if self._replay is None:
             return None
         stamps_ns = self.data.tracks[robot].stamps_ns
-        nodes = nodes_of(self.data, self._walk.steps, robot)
+        nodes = nodes_of(self.data, self._replay.steps, robot)
         if not nodes:
             return None
-        poses = poses_at(self.data, self._walk.belief, robot, nodes, stamps_ns)
+        poses = poses_at(self.data, self._replay.filter_state, robot, nodes, stamps_ns)
         return Trajectory(stamps_ns.copy(), poses)
 
     def scales(self, robot: str) -> Array:
-        return self._walk.belief.scales(robot) if self._walk is not None else np.zeros(2)
+        return self._replay.filter_state.scales(robot) if self._replay is not None else np.zeros(2)
 
     def base_from_faces(self, robot: str) -> Pose:
         return base_from_faces(self.data.targets[robot])
 
     @property
     def chi2_per_dof(self) -> float | None:
-        return chi2_per_dof(self._walk.steps) if self._walk is not None else None
+        return chi2_per_dof(self._replay.steps) if self._replay is not None else None

@@ -12,7 +12,7 @@ from trigpoint.fusion.reading.alignment import PosePrior, align
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry import Pose
 
-from .filter_state import Belief, Sight, Surprise
+from .filter_state import FilterState, Innovation, ReadSighting
 from .relative_pose import relative_view, without_wild_corners
 
 # A good sighting lies beyond the gate once in 100,000 times.
@@ -20,23 +20,26 @@ _GATE = 1e-5
 
 
 def predicted_at(
-    data: DataSet, before: Belief, robot: str, time_ns: int
-) -> tuple[Belief, RobotEstimate | None]:
-    """The belief at a later time, and the robot there; None where it may be anywhere."""
+    data: DataSet, before: FilterState, robot: str, time_ns: int
+) -> tuple[FilterState, RobotEstimate | None]:
+    """The filter state at a later time, and the robot there; None where it may be anywhere."""
     if robot not in before.stamps_ns:
         return before, None
-    belief = before.advanced(data, robot, time_ns)
-    predicted = belief.robot(robot)
+    filter_state = before.advanced(data, robot, time_ns)
+    predicted = filter_state.robot(robot)
     if not is_placed(predicted.covariance):
         return before.without_robot(robot), None
-    return belief, predicted
+    return filter_state, predicted
 
 
-def sight_of(
-    data: DataSet, belief: Belief, observation: Observation, predicted: RobotEstimate | None
-) -> Sight | None:
+def read_sighting(
+    data: DataSet,
+    filter_state: FilterState,
+    observation: Observation,
+    predicted: RobotEstimate | None,
+) -> ReadSighting | None:
     """The observation as it is read best; None where that is not clear or nothing fits."""
-    estimate = belief.estimate(observation.camera)
+    estimate = filter_state.estimate(observation.camera)
     lens, map_from_camera = estimate.lens, estimate.map_from_camera
     target = data.targets[observation.robot]
     prior, distance = None, 3.0
@@ -60,12 +63,12 @@ def sight_of(
     sound = without_wild_corners(read, target, lens, pose)
     if sound is None:
         return None
-    return Sight(sound, alignment.map_from_base, is_tie=predicted is None)
+    return ReadSighting(sound, alignment.map_from_base, places_robot=predicted is None)
 
 
-def first_sight(
+def first_sighting(
     data: DataSet, observation: Observation, located: Located, map_from_base: Pose
-) -> Sight | None:
+) -> ReadSighting | None:
     """The sighting that places a camera which all of its sightings located; None where those
     contradict it."""
     lens, target = located.camera.lens, data.targets[observation.robot]
@@ -76,12 +79,12 @@ def first_sight(
         return None
     if not _is_noise(float(view.residual @ view.residual), len(view.residual)):
         return None
-    return Sight(sound, map_from_base)
+    return ReadSighting(sound, map_from_base)
 
 
-def is_expected(surprise: Surprise) -> bool:
+def is_expected(innovation: Innovation) -> bool:
     """Whether an innovation is one that noise makes (normalised innovation squared)."""
-    return surprise.freedom == 0 or _is_noise(surprise.chi2, surprise.freedom)
+    return innovation.freedom == 0 or _is_noise(innovation.chi2, innovation.freedom)
 
 
 def _is_noise(chi2: float, freedom: int) -> bool:

@@ -34,9 +34,9 @@ from trigpoint.fusion.solver.levenberg_marquardt import Solution
 from trigpoint.fusion.solver.relinearisation import solve_consistently
 from trigpoint.geometry import Pose
 
-from .change_reports import why_untied
+from .change_reports import why_undetermined
 from .contradicting_sightings import leave_out_contradicting
-from .explained_data import take
+from .explained_data import apply_explanation
 from .placement import place
 from .readmission import Readmission
 
@@ -56,7 +56,7 @@ _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
 FINAL_TOLERANCE = 1e-4
 _LEAST_PICTURES = 3
-_GROWTH_TO_TIE = 1.2
+_GROWTH_TO_RETRY = 1.2
 
 
 class BatchSolution:
@@ -69,11 +69,11 @@ class BatchSolution:
         self.assembled: Assembled | None = None
         self.undetermined: dict[str, tuple[str, ...]] = {}
         # How many pictures each camera had when it was last tried to locate it, and by how many
-        # each robot when it was last tried in vain to tie it to the map.
+        # each robot when it was last tried in vain to locate it in the map.
         self.tries: dict[str, int] = {}
-        self._tie_tries: dict[str, int] = {}
-        # By robot that is not tied to the map: why.
-        self._untied: dict[str, str] = {}
+        self._robot_tries: dict[str, int] = {}
+        # By robot that is not located in the map: why.
+        self._robot_reasons: dict[str, str] = {}
         self.tolerance = LIVE_TOLERANCE
         self.iterations = 0
         # What was collected without an estimate, and is not in the data set yet.
@@ -96,7 +96,7 @@ class BatchSolution:
         if not observations:
             return known
         self.explanation = explanation = explain(self.data, observations, memory=self._memory)
-        self.state = take(self.data, explanation)
+        self.state = apply_explanation(self.data, explanation)
         self.undetermined = {
             camera: (finding.reason,)
             for camera, finding in explanation.findings.items()
@@ -126,7 +126,7 @@ class BatchSolution:
         found: Counter[str] = Counter()
         for _ in range(len(self.data.camera_names) + len(self.data.site.robots) + 1):
             known = self.solve(known)
-            tied = [robot for robot in self.data.site.robots if self.tie(robot, known)]
+            located = [robot for robot in self.data.site.robots if self.locate_robot(robot, known)]
             missing = [
                 name
                 for name in self.data.camera_names
@@ -135,7 +135,7 @@ class BatchSolution:
             # One that is located and dropped again and again would go on so.
             again = [n for n in missing if found[n] < _MOST_LOCATED and self.locate(n)]
             found.update(again)
-            if not again and not tied:
+            if not again and not located:
                 break
         return self._settle(known)
 
@@ -158,13 +158,13 @@ class BatchSolution:
         """Take in what was collected without an estimate, in ever larger stretches of time."""
         while known is not None:
             has_grown = self._extend()
-            homeless = self._homeless()
-            for robot, indices in homeless.items():
+            without_place = self._without_place()
+            for robot, indices in without_place.items():
                 if known.has_robot(robot):
                     place(self.data, known, robot, indices)
                 else:
-                    self.tie(robot, known)
-            if not has_grown and self._homeless() == homeless:
+                    self.locate_robot(robot, known)
+            if not has_grown and self._without_place() == without_place:
                 break
             for camera in self.data.camera_names:
                 if camera not in self.state.cameras and self.is_due(camera):
@@ -219,7 +219,7 @@ class BatchSolution:
         ]
         return sorted(found, key=lambda observation: observation.stamp_ns)
 
-    def _homeless(self) -> dict[str, list[int]]:
+    def _without_place(self) -> dict[str, list[int]]:
         """By robot the entries without a place, in the order in which they came."""
         found: dict[str, list[int]] = {}
         for index, entry in enumerate(self.data.entries):
@@ -236,22 +236,23 @@ class BatchSolution:
         """How many of a camera's pictures show a robot whose place is known."""
         return sum(entry.map_from_base is not None for entry in self.data.of_camera(camera))
 
-    def tie(self, robot: str, known: Filter | None) -> bool:
-        """Try to tie a robot to the map, or what hangs loose of its way, where more of it was seen
-        by located cameras than at the last try; whether that succeeded. The next solution uses it.
+    def locate_robot(self, robot: str, known: Filter | None) -> bool:
+        """Try to locate a robot in the map, or what hangs loose of its way, where more of it was
+        seen by located cameras than at the last try; whether that succeeded. The next solution uses
+        it.
         """
         if known is None:
             return False
-        indices = self._homeless().get(robot, [])
+        indices = self._without_place().get(robot, [])
         seen = sum(known.has_camera(self.data.entries[i].observation.camera) for i in indices)
-        if not seen or seen < _GROWTH_TO_TIE * self._tie_tries.get(robot, 0):
+        if not seen or seen < _GROWTH_TO_RETRY * self._robot_tries.get(robot, 0):
             return False
-        untied = place(self.data, known, robot, indices)
-        if untied is not None:
-            self._tie_tries[robot], self._untied[robot] = seen, untied.reason
+        robot_reasons = place(self.data, known, robot, indices)
+        if robot_reasons is not None:
+            self._robot_tries[robot], self._robot_reasons[robot] = seen, robot_reasons.reason
             return False
-        self._tie_tries.pop(robot, None)
-        self._untied.pop(robot, None)
+        self._robot_tries.pop(robot, None)
+        self._robot_reasons.pop(robot, None)
         return True
 
     def solve(self, known: Filter | None, *, is_rough: bool = False) -> Filter | None:
@@ -350,10 +351,10 @@ class BatchSolution:
         nodes = self.state.robots[robot].map_from_base
         moments = np.clip(stamps, track.first_ns, track.last_ns)
         poses = interpolated(track, chain, nodes, moments)
-        is_tied = self._is_tied(robot, moments)
-        return [poses[i] if is_tied[i] else None for i in range(len(entries))]
+        is_reached = self._is_reached(robot, moments)
+        return [poses[i] if is_reached[i] else None for i in range(len(entries))]
 
-    def _is_tied(self, robot: str, moments: np.ndarray) -> np.ndarray:
+    def _is_reached(self, robot: str, moments: np.ndarray) -> np.ndarray:
         """Whether a robot's odometry leads to moments (n,) from where a used sighting, or the map's
         origin, says where it is: across a jump or a break it leads nowhere."""
         assert self.assembled is not None
@@ -375,7 +376,7 @@ class BatchSolution:
             return known.robot(self.data, robot, stamp_ns).map_from_base
         if self.assembled is not None and robot in self.assembled.problem.chains:
             chain = self.assembled.problem.chains[robot]
-            if not self._is_tied(robot, moment)[0]:
+            if not self._is_reached(robot, moment)[0]:
                 return None
             nodes = self.state.robots[robot].map_from_base
             return interpolated(track, chain, nodes, moment)[0]
@@ -388,7 +389,9 @@ class BatchSolution:
         self.tries[camera] = self._placed_count(camera)
         if not self.tries[camera]:
             chains = self.assembled.problem.chains if self.assembled else {}
-            self.undetermined[camera] = why_untied(self.data, camera, chains, self._untied)
+            self.undetermined[camera] = why_undetermined(
+                self.data, camera, chains, self._robot_reasons
+            )
             return False
         result = locate(self.data, self.state, camera)
         if isinstance(result, Undetermined):
@@ -411,7 +414,7 @@ class BatchSolution:
         for camera in list(self.state.cameras):
             if camera in self.data.known.poses:
                 continue
-            # What it saw of a robot that is not tied yet contradicts nothing.
+            # What it saw of a robot that is not located yet contradicts nothing.
             entries = [e for e in self.data.of_camera(camera) if e.map_from_base is not None]
             accepted = sum(e.observation.verdict is Verdict.ACCEPTED for e in entries)
             if accepted * 2 >= len(entries) or outlier_rejection.may_have_moved(entries):

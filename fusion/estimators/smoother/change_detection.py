@@ -20,7 +20,7 @@ _LEAST_WRONG = 3
 _GROWTH = 1.5
 
 
-class Contradictions:
+class ChangeDetector:
     """The contradicting sightings since the last ones that agreed. Not thread-safe."""
 
     def __init__(self, batch: BatchSolution) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from trigpoint.clock import NANOSECONDS
-from trigpoint.fusion.model.dataset import DataSet, Knock, Lift, Upheaval
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift, SiteChange
 from trigpoint.fusion.model.problem import State
 
 _UNMET = "it has met no located camera yet; drive it past one"
@@ -15,15 +15,15 @@ _BEHIND_A_JUMP = (
 )
 
 
-def say(data: DataSet, state: State) -> None:
+def report_changes(data: DataSet, state: State) -> None:
     """Have people told what happened to the site."""
-    for alike in data.happened:
+    for alike in data.changes:
         lifts = [event for event in alike if isinstance(event, Lift)]
-        knocks = [event for event in alike if isinstance(event, Knock)]
-        if lifts and not knocks:
+        moves = [event for event in alike if isinstance(event, CameraMove)]
+        if lifts and not moves:
             data.note("robot_lifted", _of_robot(data, lifts))
-        elif len(knocks) == len(alike) == 1:
-            data.note("camera_moved", _of_camera(data, state, knocks[0]))
+        elif len(moves) == len(alike) == 1:
+            data.note("camera_moved", _of_camera(data, state, moves[0]))
         else:
             data.note("undecided", _of_either(data, alike))
 
@@ -39,23 +39,21 @@ def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
     return text
 
 
-def _of_camera(data: DataSet, state: State, knock: Knock) -> str:
-    (name,) = [
-        m.name for m in data.moves if (m.camera, m.since_ns) == (knock.camera, knock.since_ns)
-    ]
-    places = data.places_of(knock.camera)
+def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
+    (name,) = [m.name for m in data.moves if (m.camera, m.since_ns) == (move.camera, move.since_ns)]
+    places = data.places_of(move.camera)
     after = places[places.index(name) + 1]
     by = ""
     if name in state.cameras and after in state.cameras:
         old, new = (state.cameras[place].map_from_camera for place in (name, after))
         by = f" by {np.linalg.norm(new.translation - old.translation):.2f} m"
     return (
-        f"camera {knock.camera} was moved{by}; it is located anew, and what it saw before stays "
+        f"camera {move.camera} was moved{by}; it is located anew, and what it saw before stays "
         "with its earlier place"
     )
 
 
-def _of_either(data: DataSet, alike: tuple[Upheaval, ...]) -> str:
+def _of_either(data: DataSet, alike: tuple[SiteChange, ...]) -> str:
     what = dict.fromkeys(
         f"robot {event.robot} was put down elsewhere"
         if isinstance(event, Lift)
@@ -68,31 +66,32 @@ def _of_either(data: DataSet, alike: tuple[Upheaval, ...]) -> str:
     )
 
 
-def why_untied(
-    data: DataSet, camera: str, chains: Collection[str], untied: Mapping[str, str]
+def why_undetermined(
+    data: DataSet, camera: str, chains: Collection[str], robot_reasons: Mapping[str, str]
 ) -> tuple[str, ...]:
     """In words, why nothing is known of where the robots stood that a camera saw.
 
-    `chains`: the robots that the last solution has; `untied`: by robot, why it could not be tied to
-    the map.
+    `chains`: the robots that the last solution has; `robot_reasons`: by robot, why it could not be
+    located in the map.
     """
-    if (reason := _behind_an_upheaval(data, camera)) is not None:
+    if (reason := _behind_a_change(data, camera)) is not None:
         return (reason,)
     robots = dict.fromkeys(entry.observation.robot for entry in data.of_camera(camera))
     if any(robot in chains for robot in robots):
         return (_BEHIND_A_JUMP,)
     return tuple(
-        f"the robot {robot} that it saw is not tied to the map: {untied.get(robot, _UNMET)}"
+        f"the robot {robot} that it saw is not located in the map: "
+        f"{robot_reasons.get(robot, _UNMET)}"
         for robot in robots
     )
 
 
-def _behind_an_upheaval(data: DataSet, camera: str) -> str | None:
+def _behind_a_change(data: DataSet, camera: str) -> str | None:
     """In words, why a camera before which a robot's way hangs loose has no place; None where that
     is not why."""
     entries = [entry.observation for entry in data.of_camera(camera) if entry.map_from_base is None]
     robots = {observation.robot for observation in entries}
-    for alike in data.happened:
+    for alike in data.changes:
         if any(isinstance(event, Lift) and event.robot in robots for event in alike):
             what = dict.fromkeys(
                 f"robot {event.robot} was moved by hand"
@@ -108,7 +107,7 @@ def _behind_an_upheaval(data: DataSet, camera: str) -> str | None:
     return None
 
 
-def _between(data: DataSet, events: list[Lift] | tuple[Upheaval, ...]) -> str:
+def _between(data: DataSet, events: list[Lift] | tuple[SiteChange, ...]) -> str:
     """Between which times of the session."""
     first = min(e.after_ns if isinstance(e, Lift) else e.until_ns for e in events) - data.epoch_ns
     last = max(e.before_ns if isinstance(e, Lift) else e.since_ns for e in events) - data.epoch_ns

@@ -32,7 +32,7 @@ class _Step:
     entry: Entry
 
 
-class Present:
+class CurrentFilter:
     """The filter of one moment. Not thread-safe.
 
     `known`: None before the first odometry message.
@@ -75,7 +75,8 @@ class Present:
         """Go on from the shares of another."""
         self._shares = dict(shares)
 
-    # -- an observation of a located camera by a robot that is tied to the map --------------------
+    # -- an observation of a located camera by a robot that is located in the map
+    # --------------------
 
     def use(self, entry: Entry, state: State) -> RobotEstimate | None:
         """Update by an observation; None where it was rejected or came too late.
@@ -152,7 +153,7 @@ class Present:
     # -- where a robot is -------------------------------------------------------------------------
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        """At its last odometry message; None while it is not tied to the map."""
+        """At its last odometry message; None while it is not located in the map."""
         if self.known is None or not self.known.has_robot(robot):
             return None
         carried = self._carried.get(robot)

@@ -5,13 +5,13 @@ import numpy as np
 
 from trigpoint.fusion.association.explanation import Explanation, Read
 from trigpoint.fusion.association.session_noise import PARTS
-from trigpoint.fusion.model.dataset import DataSet, Entry, Knock, KnownCameras, Lift, Move
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, KnownCameras, Lift, Move
 from trigpoint.fusion.model.observations import Observation, Verdict, observation_of
 from trigpoint.fusion.model.odometry import SLIP
 from trigpoint.fusion.model.problem import State
 
 
-def take(data: DataSet, explanation: Explanation) -> State:
+def apply_explanation(data: DataSet, explanation: Explanation) -> State:
     """Make a data set one in which this happened, and nothing else; the state to solve from.
 
     Its entries are the explanation's observations, in their order.
@@ -44,13 +44,13 @@ def _take_noise(data: DataSet, explanation: Explanation) -> None:
 
 
 def _take_lifts(data: DataSet, explanation: Explanation) -> None:
-    data.happened = []
+    data.changes = []
     for track in data.tracks.values():
         track.mend()
     for lift in explanation.lifts:
         data.tracks[lift.robot].break_between(lift.after_ns, lift.before_ns)
         spans = [(lift.after_ns, lift.before_ns), *lift.or_between]
-        data.happened.append(tuple(Lift(lift.robot, *span) for span in spans))
+        data.changes.append(tuple(Lift(lift.robot, *span) for span in spans))
 
 
 def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int], str]:
@@ -66,7 +66,7 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
             names[camera, number + 1] = camera
             data.lenses[name] = data.lenses[camera]
             data.moves.append(Move(camera, name, move.since_ns, move.until_ns))
-            data.happened.append((Knock(camera, move.until_ns, move.since_ns),))
+            data.changes.append((CameraMove(camera, move.until_ns, move.since_ns),))
     data.moves.sort(key=lambda move: move.since_ns)
     poses = {names[camera, 0]: pose for camera, pose in first.items()}
     data.known = KnownCameras(poses, data.known.information)

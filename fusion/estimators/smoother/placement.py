@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.estimators.outlier_rejection import DECISIVE
-from trigpoint.fusion.initialisation.robots import Tie, Untied, tie
+from trigpoint.fusion.initialisation.robots import RobotLocation, RobotUndetermined, locate_robot
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import composed
@@ -45,13 +45,13 @@ class _Anchor:
     map_from_base: Pose
 
 
-def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Untied | None:
+def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> RobotUndetermined | None:
     """Put into these entries of the data set, in the order of their times, where the robot stood;
     those of located cameras are read and accepted where they fit.
 
-    What nothing ties to the map yet, the whole way of a robot or a stretch of it between jumps and
-    breaks of its odometry, is tied by them; where that fails they are left without a place, and why
-    is returned.
+    What nothing locates in the map yet, the whole way of a robot or a stretch of it between jumps
+    and breaks of its odometry, is located by them; where that fails they are left without a place,
+    and why is returned.
     """
     track = data.tracks[robot]
     start_ns = known.stamps_ns.get(robot)
@@ -62,14 +62,14 @@ def place(data: DataSet, known: Filter, robot: str, indices: list[int]) -> Untie
     for piece in dict.fromkeys(pieces[: len(indices)]):
         here = [index for index, other in zip(indices, pieces, strict=False) if other == piece]
         is_known = start_ns is not None and pieces[-1] == piece
-        untied = _place_piece(data, known, robot, here, start_ns if is_known else None)
-        result = untied if untied is not None else result
+        robot_reasons = _place_piece(data, known, robot, here, start_ns if is_known else None)
+        result = robot_reasons if robot_reasons is not None else result
     return result
 
 
 def _place_piece(
     data: DataSet, known: Filter, robot: str, indices: list[int], start_ns: int | None
-) -> Untied | None:
+) -> RobotUndetermined | None:
     """Place entries that odometry leads to from one another, and from where the robot is known to
     be at `start_ns`."""
     track = data.tracks[robot]
@@ -84,11 +84,11 @@ def _place_piece(
         row = int(np.searchsorted(moments, start_ns))
         anchor = _Anchor(row, known.robot(data, robot).map_from_base)
     else:
-        tied = tie(data, known, robot, indices)
-        if isinstance(tied, Untied):
-            return tied
-        anchor = _take(data, tied, dict(zip(indices, rows, strict=True)))
-        there = {id(data.entries[index]) for index in tied.map_from_base}
+        located = locate_robot(data, known, robot, indices)
+        if isinstance(located, RobotUndetermined):
+            return located
+        anchor = _take(data, located, dict(zip(indices, rows, strict=True)))
+        there = {id(data.entries[index]) for index in located.map_from_base}
     for entry, row in zip(entries, rows, strict=True):
         if id(entry) in there:
             assert entry.map_from_base is not None  # just taken
@@ -98,15 +98,15 @@ def _place_piece(
     return None
 
 
-def _take(data: DataSet, tied: Tie, rows: dict[int, int]) -> _Anchor:
+def _take(data: DataSet, located: RobotLocation, rows: dict[int, int]) -> _Anchor:
     """Put what tied the robot into the data set; the first of it."""
-    for index, map_from_base in tied.map_from_base.items():
+    for index, map_from_base in located.map_from_base.items():
         entry = data.entries[index]
-        entry.observation = entry.observation.read_as(tied.readings[index])
+        entry.observation = entry.observation.read_as(located.readings[index])
         entry.observation = entry.observation.judged(Verdict.ACCEPTED)
         entry.map_from_base = map_from_base
-    first = min(tied.map_from_base, key=lambda index: rows[index])
-    return _Anchor(rows[first], tied.map_from_base[first])
+    first = min(located.map_from_base, key=lambda index: rows[index])
+    return _Anchor(rows[first], located.map_from_base[first])
 
 
 def _way(data: DataSet, known: Filter, robot: str, moments: np.ndarray) -> _Way:

@@ -23,9 +23,9 @@ from trigpoint.geometry.rotation import Array
 
 from .batch import BatchSolution
 from .camera_relocation import of_its_time
-from .change_detection import Contradictions
-from .change_reports import say
-from .current_filter import Present
+from .change_detection import ChangeDetector
+from .change_reports import report_changes
+from .current_filter import CurrentFilter
 
 _FIRST_SOLVE = 20
 _SOLVE_SHARE = 0.1
@@ -41,8 +41,8 @@ class Smoother:
     def __init__(self, data: DataSet) -> None:
         self.data = data
         self._batch = BatchSolution(data)
-        self._contradictions = Contradictions(self._batch)
-        self._present = Present(data)
+        self._change_detector = ChangeDetector(self._batch)
+        self._current = CurrentFilter(data)
         self._since_solve = 0
         # How often everything was solved anew.
         self.solutions = 0
@@ -55,12 +55,12 @@ class Smoother:
 
     def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
         added = self.data.tracks[robot].add(stamp_ns, odom_from_base)
-        self._present.begin(robot)
+        self._current.begin(robot)
         return added
 
     def add_observation(self, observation: Observation) -> Update:
         batch = self._batch
-        before = (batch.state, self._present.known, batch.solution, batch.assembled)
+        before = (batch.state, self._current.known, batch.solution, batch.assembled)
         count = len(self.data.entries)
         try:
             return self._add(observation)
@@ -68,7 +68,7 @@ class Smoother:
             # Numbers that no arithmetic survives: the rest goes on as if they had not come.
             self.data.forget_from(count)
             batch.state, known, batch.solution, batch.assembled = before
-            self._present.go_on_from(known)
+            self._current.go_on_from(known)
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
     def collect(self, observation: Observation) -> None:
@@ -94,24 +94,24 @@ class Smoother:
     # -- the batch solution -----------------------------------------------------------------------
 
     def solve(self) -> None:
-        self._go_on_from(self._batch.solve(self._present.known))
+        self._go_on_from(self._batch.solve(self._current.known))
 
     def finish(self) -> None:
-        before = list(self.data.happened)
-        self._go_on_from(self._batch.finish(self._present.known))
-        if self.data.happened != before:
-            say(self.data, self._batch.state)
+        before = list(self.data.changes)
+        self._go_on_from(self._batch.finish(self._current.known))
+        if self.data.changes != before:
+            report_changes(self.data, self._batch.state)
 
     def _explain(self) -> bool:
         """Look for what else happened where everything contradicts a robot; whether it did."""
-        before = list(self.data.happened)
+        before = list(self.data.changes)
         self.finish()
-        self._contradictions = Contradictions(self._batch)
-        return self.data.happened != before
+        self._change_detector = ChangeDetector(self._batch)
+        return self.data.changes != before
 
     def _go_on_from(self, known: Filter | None) -> None:
-        if known is not self._present.known:
-            self._present.go_on_from(known, self.data.entries)
+        if known is not self._current.known:
+            self._current.go_on_from(known, self.data.entries)
             self.solutions += 1
             self._since_solve = 0
 
@@ -119,28 +119,28 @@ class Smoother:
 
     def _use(self, index: int) -> Update:
         entry = self.data.entries[index]
-        if self._present.known is None:
+        if self._current.known is None:
             return Update()
-        if not self._present.known.has_robot(entry.observation.robot):
-            return self._tie(index)
-        correction = self._present.use(entry, self._batch.state)
+        if not self._current.known.has_robot(entry.observation.robot):
+            return self._locate_robot(index)
+        correction = self._current.use(entry, self._batch.state)
         self._since_solve += 1
-        is_moved = self._contradictions.note(index, self._present.known)
-        self._batch.undecided = self._contradictions.undecided
+        is_moved = self._change_detector.note(index, self._current.known)
+        self._batch.undecided = self._change_detector.undecided
         if is_moved:
             self.solve()
             return Update()
         robot = entry.observation.robot
-        if self._contradictions.is_robot_lifted(robot) and not self._explain():
+        if self._change_detector.is_robot_lifted(robot) and not self._explain():
             # Nothing that may have happened explains it, so it was the filter that went astray.
-            self._contradictions.forget(robot)
-            self._batch.undecided = self._contradictions.undecided
+            self._change_detector.forget(robot)
+            self._batch.undecided = self._change_detector.undecided
         return Update(correction=correction)
 
-    def _tie(self, index: int) -> Update:
+    def _locate_robot(self, index: int) -> Update:
         """A robot meets its first located cameras: its odometry gets its place in the map."""
         robot = self.data.entries[index].observation.robot
-        if self._batch.tie(robot, self._present.known):
+        if self._batch.locate_robot(robot, self._current.known):
             self.solve()
         return Update()
 
@@ -151,7 +151,7 @@ class Smoother:
         entry = self.data.entries[index]
         observation = entry.observation
         entry.map_from_base = self._batch.pose_at(
-            self._present.known, observation.robot, observation.stamp_ns
+            self._current.known, observation.robot, observation.stamp_ns
         )
 
     def _try_to_locate(self, camera: str) -> Update:
@@ -166,15 +166,15 @@ class Smoother:
     # -- output -----------------------------------------------------------------------------------
 
     @property
-    def present(self) -> Present:
+    def current(self) -> CurrentFilter:
         """What is known at the moment."""
-        return self._present
+        return self._current
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        return self._present.robot(robot)
+        return self._current.robot(robot)
 
     def cameras(self) -> dict[str, CameraEstimate]:
-        return self._present.cameras()
+        return self._current.cameras()
 
     @property
     def located(self) -> list[str]:
@@ -186,9 +186,9 @@ class Smoother:
         return len(self._batch.state.cameras)
 
     def joint_covariance(self) -> Array:
-        if self._present.known is None:
+        if self._current.known is None:
             return np.zeros((0, 0))
-        return joint_covariance(self._present.known, list(self.data.site.cameras))
+        return joint_covariance(self._current.known, list(self.data.site.cameras))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         seen = [name for name in self.data.site.cameras if self.data.of_camera(name)]
@@ -242,10 +242,10 @@ class Smoother:
 
     def guidance_world(self) -> GuidanceWorld | None:
         assembled = self._batch.assembled
-        if self._present.known is None or assembled is None:
+        if self._current.known is None or assembled is None:
             return None
         return GuidanceWorld.of(
-            self.data, self._present.known, assembled.problem, self._batch.state
+            self.data, self._current.known, assembled.problem, self._batch.state
         )
 
     def residuals(self, camera: str) -> CameraResiduals:

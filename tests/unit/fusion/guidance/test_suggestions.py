@@ -14,8 +14,8 @@ from trigpoint.clock import NANOSECONDS, to_ns
 from trigpoint.config import OdometryNoise
 from trigpoint.fusion.guidance.candidates import DRIVEN_M, SEEN_M, Ground
 from trigpoint.fusion.guidance.expected_motion import expected_motion
-from trigpoint.fusion.guidance.suggestions import Belief, Options, options, suggestions
-from trigpoint.fusion.live.guidance_thread import Guide
+from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
+from trigpoint.fusion.live.guidance_thread import GuidanceThread
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
@@ -60,11 +60,11 @@ class Drive:
     @property
     def options(self) -> Options:
         place = self.world.robots["r1"]
-        belief = Belief(self.world.layout, covariance_of(self.world.information))
+        joint = JointCovariance(self.world.layout, covariance_of(self.world.information))
         found = options(
             self.world,
             Ground.of(self.world),
-            belief.moved("r1", place.since),
+            joint.moved("r1", place.since),
             place,
             place.map_from_base,
         )
@@ -222,8 +222,8 @@ def test_next_poses_each_lower_what_the_ones_before_left(drive: Drive) -> None:
 def test_belief_after_a_visit_is_what_was_expected_of_it(drive: Drive) -> None:
     found, world = drive.options, drive.world
     index = int(np.argmin(found.expected_sigma_m))
-    belief = Belief(world.layout, covariance_of(world.information))
-    after = belief.moved("r1", world.robots["r1"].since).moved("r1", found.motions[index])
+    joint = JointCovariance(world.layout, covariance_of(world.information))
+    after = joint.moved("r1", world.robots["r1"].since).moved("r1", found.motions[index])
     after = after.seen(found.visits[index])
     assert after.sigma_m(found.camera) == pytest.approx(found.expected_sigma_m[index], rel=1e-6)
     assert np.linalg.eigvalsh(after.covariance).min() > -1e-12
@@ -232,8 +232,8 @@ def test_belief_after_a_visit_is_what_was_expected_of_it(drive: Drive) -> None:
 def test_suggestion_is_the_best_of_all_options_for_the_worst_camera(drive: Drive) -> None:
     best, found = suggestions(drive.world, "r1")[0], drive.options
     assert best.expected_sigma_m == found.expected_sigma_m.min()
-    belief = Belief(drive.world.layout, covariance_of(drive.world.information))
-    assert best.camera == max(drive.world.layout.pose, key=belief.sigma_m)
+    joint = JointCovariance(drive.world.layout, covariance_of(drive.world.information))
+    assert best.camera == max(drive.world.layout.pose, key=joint.sigma_m)
 
 
 def test_number_of_candidates_is_bounded_however_long_the_drive(drive: Drive) -> None:
@@ -272,8 +272,8 @@ def test_suggestion_goes_to_its_robot_in_the_map(drive: Drive) -> None:
         Node(bus, site="lab", kind="fusion", name="fusion") as node,
     ):
         heard = other.subscribe(topics.SUGGESTION, topics.SUGGESTION.expression("lab"))
-        guide = Guide(bus, node, "lab", lambda: drive.world, period_s=0.01)
-        node.work("guides", guide.run)
+        guidance_thread = GuidanceThread(bus, node, "lab", lambda: drive.world, period_s=0.01)
+        node.work("guides", guidance_thread.run)
         assert eventually(lambda: heard.depth > 0)
         node.stop()
         sample = heard.take(1.0)

@@ -113,7 +113,7 @@ def test_robot_that_is_not_in_the_map_yet_is_said_so() -> None:
     for entry in data.entries:
         entry.map_from_base = None
     found = locate(data, data.first_state(), "c1")
-    assert found == Undetermined(("the robot that it saw is not tied to the map yet",))
+    assert found == Undetermined(("the robot that it saw is not located in the map yet",))
 
 
 def test_pictures_of_too_few_corners_are_said_so() -> None:

@@ -20,11 +20,11 @@ from trigpoint.clock import SystemClock, to_ns
 from trigpoint.errors import OperationError
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.estimators.smoother.current_filter import Present
+from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.live.follower import catching_up
 from trigpoint.fusion.live.solver_messages import News, Order, Report, Reported, Solver
 from trigpoint.fusion.live.solver_process import SolverProcess
-from trigpoint.fusion.live.solver_worker import Solving
+from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.model.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
@@ -44,7 +44,7 @@ class SlowSolver:
     """Solves in place, but is only done with an order after so many more calls."""
 
     def __init__(self, inputs: Inputs, *, calls: int = 0) -> None:
-        self._solving = Solving(inputs.data_set(), time.perf_counter)
+        self._worker = SolverWorker(inputs.data_set(), time.perf_counter)
         self._orders: deque[Order] = deque()
         self._found: deque[tuple[int, News]] = deque()
         self._calls, self._count = calls, 0
@@ -55,7 +55,7 @@ class SlowSolver:
     def news(self) -> list[News]:
         self._count += 1
         while self._orders:
-            for item in self._solving.carry_out(self._orders.popleft()):
+            for item in self._worker.carry_out(self._orders.popleft()):
                 self._found.append((self._count + self._calls, item))
         found = []
         while self._found and self._found[0][0] <= self._count:
@@ -64,8 +64,8 @@ class SlowSolver:
 
     def solve(self) -> None:
         """Solve now over what it was told."""
-        self._solving._smoother.solve()
-        self._found.extend((0, item) for item in self._solving._solved(0.0))
+        self._worker._smoother.solve()
+        self._found.extend((0, item) for item in self._worker._solved(0.0))
 
     def close(self) -> None:
         self._orders.clear()
@@ -196,14 +196,14 @@ def test_much_is_worked_out_in_turns_in_which_no_robot_waits(
     charuco: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settled_after: list[bool] = []
-    settle = Present.settle
+    settle = CurrentFilter.settle
 
-    def noted(present: Present) -> None:
-        before = present.known
-        settle(present)
-        settled_after.append(present.known is not before)
+    def noted(current: CurrentFilter) -> None:
+        before = current.known
+        settle(current)
+        settled_after.append(current.known is not before)
 
-    monkeypatch.setattr(Present, "settle", noted)
+    monkeypatch.setattr(CurrentFilter, "settle", noted)
     # The robot and two of the three cameras are over half of what may be near, all of them less.
     monkeypatch.setattr(gaussian, "_MOST_NEAR", 24)
     solver = SlowSolver(charuco.inputs)

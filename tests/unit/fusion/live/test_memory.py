@@ -9,7 +9,7 @@ import pytest
 CODE = """
 import ctypes, sys
 import numpy as np
-from trigpoint.fusion.live.memory import give_back_large
+from trigpoint.fusion.live.memory import return_large_arrays
 
 class Counts(ctypes.Structure):
     _fields_ = [(name, ctypes.c_size_t) for name in "arena ordblks smblks hblks hblkhd".split()]
@@ -18,7 +18,7 @@ class Counts(ctypes.Structure):
 libc = ctypes.CDLL(None)
 libc.mallinfo2.restype = Counts
 if sys.argv[1] == "fixed":
-    give_back_large()
+    return_large_arrays()
 apart = 0
 for _ in range(5):
     before = libc.mallinfo2().hblks

@@ -16,8 +16,8 @@ from trigpoint.fusion.live.solver_messages import (
     Reported,
     TakeObservation,
 )
-from trigpoint.fusion.live.solver_process import AtWork, Backlog, LifeSign, SolverProcess
-from trigpoint.fusion.live.solver_worker import Solving
+from trigpoint.fusion.live.solver_process import Alive, Backlog, Heartbeat, SolverProcess
+from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.messages import Odometry
@@ -27,8 +27,8 @@ class Desk:
     """A clock that is set by hand, and what was said."""
 
     def __init__(self) -> None:
-        self.now_s, self.said = 100.0, list[AtWork]()
-        self.sign = LifeSign(self.said.append, lambda: self.now_s)
+        self.now_s, self.said = 100.0, list[Alive]()
+        self.sign = Heartbeat(self.said.append, lambda: self.now_s)
 
     def give_after(self, seconds: float) -> None:
         self.now_s += seconds
@@ -132,13 +132,13 @@ def test_what_waits_before_a_finish_is_left_to_its_solution(charuco: Session) ->
 def test_session_whose_end_is_left_to_the_finish_ends_where_batch_ends(
     charuco: Session, charuco_results: Results
 ) -> None:
-    orders, solving = orders_of(charuco), Solving(charuco.inputs.data_set(), time.perf_counter)
+    orders, worker = orders_of(charuco), SolverWorker(charuco.inputs.data_set(), time.perf_counter)
     backlog, half = Backlog(), len(orders) // 2
     backlog.put(orders[:half])
     for order in taken(backlog):
-        list(solving.carry_out(order))
+        list(worker.carry_out(order))
     backlog.put(orders[half:])
-    news = [item for order in taken(backlog) for item in solving.carry_out(order)]
+    news = [item for order in taken(backlog) for item in worker.carry_out(order)]
     (report,) = [item for item in news if isinstance(item, Reported)]
     assert report.is_final
     for name, record in charuco_results.network.cameras.items():

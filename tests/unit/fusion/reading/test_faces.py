@@ -182,7 +182,7 @@ def test_mean_cost_is_least_at_the_cameras_place() -> None:
     seen = []
     for heading in (0.0, 0.4, 0.9):
         pose = Pose.planar(0.1 * heading, 0.0, heading)
-        seen += coarse_fit.looks_of(picture(target, pose)[0], target, pose)
+        seen += coarse_fit.view_batches(picture(target, pose)[0], target, pose)
     places = Pose.stack(
         [EYE, EYE.disturbed([0.05, 0, 0, 0, 0, 0]), EYE.disturbed([0, 0, 0, 0, 3, 0])]
     )

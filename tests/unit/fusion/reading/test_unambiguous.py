@@ -5,7 +5,7 @@ import pytest
 
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.fusion.reading import faces
-from trigpoint.fusion.reading.unambiguous import are_possible, is_plain
+from trigpoint.fusion.reading.unambiguous import are_visible, is_unambiguous
 from trigpoint.fusion.reading.visibility import by_reading, outermost
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.target import Target
@@ -33,7 +33,7 @@ def test_plain_observations_are_possible_where_each_of_their_views_can_be_read(k
     observations = [random_observation(target, random) for _ in range(300)]
     vectors = random.normal(0.0, [0.6, 0.6, 0.6, 1.5, 1.5, 1.5], (300, 6))
     poses = Pose.from_vector(vectors + np.eye(6)[2])
-    found = are_possible(observations, target, poses)
+    found = are_visible(observations, target, poses)
     expected = [
         all(
             np.isfinite(faces.best_reading(view, target, LENS, poses[row])[1])
@@ -47,7 +47,7 @@ def test_plain_observations_are_possible_where_each_of_their_views_can_be_read(k
 
 def test_observation_with_an_open_reading_is_not_plain() -> None:
     view = View(np.arange(4), np.zeros((4, 2)), 0.2, (Reading(0), Reading(0, is_turned=True)))
-    assert not is_plain(observation_of("c1", "r1", 0, (view,)))
+    assert not is_unambiguous(observation_of("c1", "r1", 0, (view,)))
 
 
 def test_turned_reading_names_corners_from_the_other_end() -> None:

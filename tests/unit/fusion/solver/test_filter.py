@@ -306,7 +306,7 @@ def test_sighting_is_read_where_the_camera_has_the_robot(
         pipeline.advance()
     smoother = pipeline._estimator
     assert isinstance(smoother, Smoother)
-    current, entry = smoother.present.known, smoother.data.entries[-1]
+    current, entry = smoother.current.known, smoother.data.entries[-1]
     assert current is not None
     assert entry.map_from_base is not None
     wide = shaken(current, smoother.data)

@@ -7,8 +7,8 @@ import pytest
 from small_problems import EPOCH_NS, SECONDS, eyes, see, small_data, true_pose
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.estimators.filters.extended_kalman_filter import KalmanBelief
-from trigpoint.fusion.estimators.filters.filter_state import Sight
+from trigpoint.fusion.estimators.filters.extended_kalman_filter import KalmanFilterState
+from trigpoint.fusion.estimators.filters.filter_state import ReadSighting
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
@@ -18,7 +18,9 @@ ROBOT, CAMERA = "r1", "c1"
 DRIFTED = np.diag(np.square([0.1, 0.1, np.radians(10.0)]))
 
 
-def sights(data: DataSet, noise_px: float, *, every_s: float = 0.15) -> Iterator[tuple[int, Sight]]:
+def read_sightings(
+    data: DataSet, noise_px: float, *, every_s: float = 0.15
+) -> Iterator[tuple[int, ReadSighting]]:
     """What the camera sees of the robot on its way."""
     random = np.random.default_rng(2)
     for seconds in np.arange(0.1, SECONDS - 0.1, every_s):
@@ -26,36 +28,38 @@ def sights(data: DataSet, noise_px: float, *, every_s: float = 0.15) -> Iterator
         pose = true_pose(data, ROBOT, stamp_ns)
         yield (
             stamp_ns,
-            Sight(see(data, CAMERA, ROBOT, stamp_ns, noise_px, random), pose),
+            ReadSighting(see(data, CAMERA, ROBOT, stamp_ns, noise_px, random), pose),
         )
 
 
-def drifted(data: DataSet, start: Pose) -> KalmanBelief:
+def drifted(data: DataSet, start: Pose) -> KalmanFilterState:
     """A robot that is known no better than DRIFTED, its odometry's scales exactly; no camera."""
     track = data.tracks[ROBOT]
-    nothing = KalmanBelief({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
+    nothing = KalmanFilterState({}, {}, {}, {}, {}, {}, np.zeros((0, 0)))
     ready = nothing.with_robot_priors(data, ROBOT, start, track.first_ns)
     return ready.with_part(("last", ROBOT), DRIFTED).only([("last", ROBOT)])
 
 
-def followed(data: DataSet, start: Pose, noise_px: float = 0.3) -> KalmanBelief:
+def followed(data: DataSet, start: Pose, noise_px: float = 0.3) -> KalmanFilterState:
     """After the robot drove past the camera, of which nothing was known."""
-    belief, lens = drifted(data, start), data.lenses[CAMERA]
-    for stamp_ns, sight in sights(data, noise_px):
-        belief = belief.advanced(data, ROBOT, stamp_ns)
-        if CAMERA in belief.cameras:
-            taken = belief.updated(data, Sight(sight.observation, belief.poses[ROBOT]))
+    filter_state, lens = drifted(data, start), data.lenses[CAMERA]
+    for stamp_ns, sighting in read_sightings(data, noise_px):
+        filter_state = filter_state.advanced(data, ROBOT, stamp_ns)
+        if CAMERA in filter_state.cameras:
+            taken = filter_state.updated(
+                data, ReadSighting(sighting.observation, filter_state.poses[ROBOT])
+            )
         else:
-            taken = belief.with_camera(data, sight, CameraState(eyes()[CAMERA], lens))
+            taken = filter_state.with_camera(data, sighting, CameraState(eyes()[CAMERA], lens))
         assert taken is not None
-        belief = taken[0]
-    return belief
+        filter_state = taken[0]
+    return filter_state
 
 
-def robot_sigmas(belief: KalmanBelief) -> np.ndarray:
+def robot_sigmas(filter_state: KalmanFilterState) -> np.ndarray:
     """Of the twist's x, y and heading."""
-    part = belief.columns["last", ROBOT]
-    return np.sqrt(np.diagonal(belief.covariance)[part])
+    part = filter_state.columns["last", ROBOT]
+    return np.sqrt(np.diagonal(filter_state.covariance)[part])
 
 
 @pytest.fixture(scope="module")
