@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE, Hypothesis, distinct, refine
+from trigpoint.fusion.initialisation.camera_hypotheses import Hypothesis, distinct, refine
 from trigpoint.fusion.initialisation.cameras import is_below_floor
 from trigpoint.fusion.initialisation.start_poses import spread, starts_of
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.geometry import Pose
 
 _MOST_OBSERVATIONS = 24

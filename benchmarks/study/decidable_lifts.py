@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.reading.faces import is_same_pose
 from trigpoint.fusion.solver.levenberg_marquardt import Solution, solve

@@ -12,8 +12,8 @@ from itertools import combinations, product
 import numpy as np
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.reading.faces import is_same_pose
 from trigpoint.fusion.solver.levenberg_marquardt import solve

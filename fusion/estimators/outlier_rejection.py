@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import WILD_CORNER_IN_TAILS_SIGMAS, WILD_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Verdict, points_of, reprojection
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
@@ -16,14 +17,9 @@ from trigpoint.fusion.solver.picture_jitter import Jitter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-# χ² by which the next reading must be worse; e^(-25/2) is one in 300,000.
-DECISIVE = 25.0
-# A corner of a good sighting lies beyond four sigmas once in 3000 times. Those of pictures have
-# tails (an edge half hidden, a marker near by), which bias a pose: where more lie between three and
-# five sigmas than noise puts there, what lies beyond three is left out too.
-_WILD_SIGMAS = 4.0
-_WILD_SIGMAS_IN_TAILS = 3.0
-_TAIL_SIGMAS = (3.0, 5.0)
+# Corners of pictures have tails: where more lie between these than noise puts there, the gate is
+# the tighter one.
+_TAIL_SIGMAS = (WILD_CORNER_IN_TAILS_SIGMAS, 5.0)
 _SIGNIFICANT = 3.0
 # With more wild corners than this the whole view is wrong.
 _WILD_SHARE = 0.25
@@ -140,7 +136,7 @@ def _limit(length: Array) -> float:
     expected = len(good) * (np.exp(-(low**2) / 2) - np.exp(-(high**2) / 2))
     tail = int(np.sum((good > low) & (good <= high)))
     has_tails = tail > expected + _SIGNIFICANT * np.sqrt(expected) + 1
-    return _WILD_SIGMAS_IN_TAILS if has_tails else _WILD_SIGMAS
+    return WILD_CORNER_IN_TAILS_SIGMAS if has_tails else WILD_CORNER_SIGMAS
 
 
 def _by_view(observation: Observation, length: Array) -> list[Array]:

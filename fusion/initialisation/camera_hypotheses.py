@@ -16,8 +16,6 @@ from trigpoint.fusion.reading.unambiguous import are_visible, is_unambiguous
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
-# χ² by which the runner-up must be worse; e^(-25/2) is one in 300,000.
-DECISIVE = 25.0
 _HUBER = 4.0
 _MOST_ROUNDS = 3
 

@@ -7,9 +7,10 @@ Candidates come from single observations (`start_poses`); the best are worked ou
 from dataclasses import dataclass
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.problem import State
 
-from .camera_hypotheses import DECISIVE, Hypothesis, Located, distinct, refine
+from .camera_hypotheses import Hypothesis, Located, distinct, refine
 from .start_poses import spread, starts_of
 
 _MOST_OBSERVATIONS = 24

@@ -13,6 +13,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Reading, Verdict
 from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.model.prediction import batch_jacobian
@@ -25,7 +26,6 @@ from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .camera_hypotheses import DECISIVE
 from .start_poses import spread
 
 # A robot that was out of sight for longer comes for another visit.

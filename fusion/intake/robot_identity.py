@@ -15,9 +15,10 @@ import numpy as np
 
 from trigpoint.clock import to_ns
 from trigpoint.fusion.estimators.interface import Live
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE, Hypothesis, distinct, refine
+from trigpoint.fusion.initialisation.camera_hypotheses import Hypothesis, distinct, refine
 from trigpoint.fusion.initialisation.start_poses import spread, starts_of
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation, Verdict, View, observation_of
 from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.reading.alignment import placements
@@ -30,7 +31,7 @@ from .past_poses import PastPoses
 
 _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
-_MOST_LOOKS = 24
+_MOST_OBSERVATIONS = 24
 _MOST_HYPOTHESES = 8
 _ACCEPTABLE_RMS = 3.0
 _LEAST_PICTURES = 3
@@ -283,7 +284,7 @@ class RobotIdentification:
         robot = min(fits, key=lambda name: fits[name].cost)
         best = fits[robot]
         corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
-        share = min(1.0, _MOST_LOOKS / len(visit))  # of the pictures that were looked at
+        share = min(1.0, _MOST_OBSERVATIONS / len(visit))  # of the pictures that were looked at
         fits_odometry = best.cost < _MOST_CHI2 * max(1.0, best.rms**2) * 2 * corners * share
         if not fits_odometry or best.rms > _ACCEPTABLE_RMS:
             return None
@@ -295,7 +296,7 @@ class RobotIdentification:
         where it does not at all."""
         data = self._as_of(camera, robot, visit)
         indices = [i for i, entry in enumerate(data.entries) if entry.map_from_base is not None]
-        looks = spread(indices, _MOST_LOOKS)
+        looks = spread(indices, _MOST_OBSERVATIONS)
         starts = starts_of(data, camera, looks, most=_MOST_HYPOTHESES) if looks else []
         state = data.first_state()
         found = distinct(refine(data, state, camera, start, looks) for start in starts)

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, hat
 from trigpoint.target import Target
 
-# A corner of a good sighting lies beyond this many sigmas once in 3,000 times.
-_WILD_SIGMAS = 4.0
 # With more wild corners than this the whole sighting is wrong.
 _WILD_SHARE = 0.25
 _LEAST_CORNERS = 4
@@ -100,7 +99,7 @@ def without_wild_corners(
     while kept.sum() >= _LEAST_CORNERS:
         length = _unexplained(jacobian, residual, kept)
         worst = int(np.argmax(np.where(kept, length, 0.0)))
-        if not length[worst] > _WILD_SIGMAS:
+        if not length[worst] > WILD_CORNER_SIGMAS:
             return _marked(observation, ~kept)
         kept[worst] = False
         if (~kept).sum() > most:

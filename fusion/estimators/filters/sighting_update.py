@@ -1,12 +1,11 @@
 """How a filter takes one sighting: how it is read, where it puts the robot, whether it is noise."""
 
 import numpy as np
-from scipy.special import chdtri
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
-from trigpoint.fusion.estimators.outlier_rejection import DECISIVE
 from trigpoint.fusion.initialisation.cameras import Located
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE, is_noise
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.reading.alignment import PosePrior, align
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
@@ -14,9 +13,6 @@ from trigpoint.geometry import Pose
 
 from .filter_state import FilterState, Innovation, ReadSighting
 from .relative_pose import relative_view, without_wild_corners
-
-# A good sighting lies beyond the gate once in 100,000 times.
-_GATE = 1e-5
 
 
 def predicted_at(
@@ -77,18 +73,14 @@ def first_sighting(
     view = relative_view(sound, target, lens, pose) if sound is not None else None
     if sound is None or view is None:
         return None
-    if not _is_noise(float(view.residual @ view.residual), len(view.residual)):
+    if not is_noise(float(view.residual @ view.residual), len(view.residual)):
         return None
     return ReadSighting(sound, map_from_base)
 
 
 def is_expected(innovation: Innovation) -> bool:
     """Whether an innovation is one that noise makes (normalised innovation squared)."""
-    return innovation.freedom == 0 or _is_noise(innovation.chi2, innovation.freedom)
-
-
-def _is_noise(chi2: float, freedom: int) -> bool:
-    return bool(chi2 <= chdtri(freedom, _GATE))
+    return innovation.freedom == 0 or is_noise(innovation.chi2, innovation.freedom)
 
 
 def _camera_sigma_px(camera: CameraEstimate, distance_m: float) -> float:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.fusion.estimators.outlier_rejection import DECISIVE
 from trigpoint.fusion.initialisation.robots import RobotLocation, RobotUndetermined, locate_robot
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.reading.alignment import PosePrior, align

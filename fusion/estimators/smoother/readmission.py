@@ -9,6 +9,7 @@ import numpy as np
 
 from trigpoint.fusion.estimators import outlier_rejection
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import is_elsewhere
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.problem import Chain
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate
@@ -78,6 +79,6 @@ class Readmission:
 
 
 def _is_elsewhere(map_from_base: Pose, prior: RobotEstimate) -> bool:
-    """Whether a pose is more than five sigmas from where the robot stood."""
+    """Whether a pose is not where the robot stood."""
     apart = map_from_base.difference(prior.map_from_base)
-    return bool(np.sum(apart**2 / np.diagonal(prior.covariance)) > 25.0)
+    return is_elsewhere(float(np.sum(apart**2 / np.diagonal(prior.covariance))))

@@ -14,8 +14,8 @@ from drives import (
 )
 
 from benchmarks.study.decidable import data_decide, lead_of_truth
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.geometry import Pose
 from trigpoint.tools.simulation.targets import target_of
 

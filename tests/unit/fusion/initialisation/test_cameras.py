@@ -18,10 +18,11 @@ from drives import (
 )
 
 from trigpoint.config import OdometryNoise
-from trigpoint.fusion.initialisation.camera_hypotheses import DECISIVE, Located, distinct, refine
+from trigpoint.fusion.initialisation.camera_hypotheses import Located, distinct, refine
 from trigpoint.fusion.initialisation.cameras import Undetermined, is_below_floor, locate
 from trigpoint.fusion.initialisation.start_poses import starts_of
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.reading.visibility import body_of, can_be_seen
 from trigpoint.geometry import Pose
 from trigpoint.target import Face, Pattern, Target

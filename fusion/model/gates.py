@@ -1,0 +1,46 @@
+"""Gates as probabilities: how often good data lies beyond each, and the χ² or sigmas that follow.
+
+Whoever changes what is rejected, or how sure a choice must be, changes a probability here.
+"""
+
+import math
+
+from scipy.special import chdtri
+
+# Of two explanations (readings, poses, robots) one is chosen only where the other is less likely
+# than this, relative to it.
+_AMBIGUOUS = 1 / 300_000
+# How often a corner of a good sighting lies beyond the gate; and where a session's corners have
+# tails (an edge half hidden, a marker near by), which bias a pose.
+_WILD_CORNER = 1 / 3000
+_WILD_CORNER_IN_TAILS = 1 / 90
+# How often a good sighting lies beyond a filter's gate.
+_WRONG_SIGHTING = 1e-5
+# How often a robot stands farther from where its sightings put it than the gate.
+_ELSEWHERE = 1 / 3000
+
+
+def chi2_gate(freedom: int, probability: float) -> float:
+    """The χ² that noise of so many degrees of freedom exceeds with this probability."""
+    return float(chdtri(freedom, probability))
+
+
+def length_gate(probability: float) -> float:
+    """The length, in sigmas, that a normal vector in the plane exceeds with this probability."""
+    return math.sqrt(-2 * math.log(probability))
+
+
+# χ² by which the runner-up must be worse.
+DECISIVE = -2 * math.log(_AMBIGUOUS)
+WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
+WILD_CORNER_IN_TAILS_SIGMAS = length_gate(_WILD_CORNER_IN_TAILS)
+
+
+def is_noise(chi2: float, freedom: int) -> bool:
+    """Whether noise makes a sighting's innovation (normalised innovation squared)."""
+    return bool(chi2 <= chi2_gate(freedom, _WRONG_SIGHTING))
+
+
+def is_elsewhere(chi2: float) -> bool:
+    """Whether a pose (6 numbers) is not where the robot stood."""
+    return bool(chi2 > chi2_gate(6, _ELSEWHERE))
