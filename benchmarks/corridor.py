@@ -1,11 +1,11 @@
 """A drive through a long corridor with many cameras, made without pictures and in little time.
 
-The corridor is a ring: a robot drives along it once, or several times, and every camera sees it for
+The corridor is a ring: robots drive along it once, or several times, and every camera sees each for
 a few metres. Cameras do not overlap but for neighbours.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,21 +25,22 @@ PICTURES_HZ = 5.0
 _SPACING_M = 3.5
 _SEES_M = 3.2
 _SIGMA_PX = 0.25
-_SITE = """site = "corridor"
-{cameras}
-[robots.r1]
-port = "sim"
-target = "target.toml"
-"""
+_SITE = 'site = "corridor"\n{cameras}\n{robots}\n'
+_ROBOT = '[robots.{0}]\nport = "sim"\ntarget = "{0}.toml"\n'
 _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate = 5.0\n'
 
 
 @dataclass(frozen=True, slots=True)
 class Corridor:
-    """`cameras` of them on a ring, driven along for `duration_s`."""
+    """`cameras` of them on a ring, driven along for `duration_s`. `robots`: spread along it, each
+    with a target of its own; `is_empty_told`: whether cameras that see none say so."""
 
     cameras: int
     duration_s: float
+    robots: int = 1
+    pictures_hz: float = PICTURES_HZ
+    odometry_hz: float = ODOMETRY_HZ
+    is_empty_told: bool = False
 
     @property
     def radius_m(self) -> float:
@@ -53,42 +54,66 @@ class Corridor:
     @property
     def inputs(self) -> Inputs:
         cameras = "\n".join(_CAMERA.format(i, i) for i in range(self.cameras))
-        site = parse_site(_SITE.format(cameras=cameras), directory=Path())
-        return Inputs(site, {"r1": target_of("charuco")})
+        robots = "\n".join(map(_ROBOT.format, self.targets))
+        site = parse_site(_SITE.format(cameras=cameras, robots=robots), directory=Path())
+        return Inputs(site, self.targets)
+
+    @property
+    def targets(self) -> dict[str, Target]:
+        """Robot -> its target."""
+        target = target_of("charuco")
+        if self.robots == 1:
+            return {"r1": target}
+        numbers = range(1, self.robots + 1)
+        return {f"r{n}": replace(target, name=f"{target.name}{n}") for n in numbers}
 
     def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Message]]:
         """(camera or robot, message) in the order of their stamps."""
-        random, target = np.random.default_rng(seed), target_of("charuco")
+        random, targets = np.random.default_rng(seed), self.targets
         lens = CameraModel.from_field_of_view(640, 480, np.radians(62.0))
         places = [self._camera(index) for index in range(self.cameras)]
         for index in range(self.cameras):
             name = f"c{index}"
             yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
-        every = round(ODOMETRY_HZ / PICTURES_HZ)
-        reported = np.zeros(3)
-        for step in range(round(self.duration_s * ODOMETRY_HZ)):
-            stamp_ns = EPOCH_NS + round(step * 1e9 / ODOMETRY_HZ)
-            reported = self._reported(reported, step, random)
-            pose = Pose.planar(*reported)
-            yield "r1", Odometry(stamp_ns, "r1/odom", "r1/base", pose, np.zeros(3), np.zeros(3))
+        every = round(self.odometry_hz / self.pictures_hz)
+        reported = dict.fromkeys(targets, np.zeros(3))
+        for step in range(round(self.duration_s * self.odometry_hz)):
+            stamp_ns = EPOCH_NS + round(step * 1e9 / self.odometry_hz)
+            for name in targets:
+                reported[name] = self._reported(reported[name], step, random)
+                pose, still = Pose.planar(*reported[name]), np.zeros(3)
+                yield name, Odometry(stamp_ns, f"{name}/odom", f"{name}/base", pose, still, still)
             if step % every == 0:
-                robot = self._robot(step / ODOMETRY_HZ)
-                for index in self._near(robot):
-                    faces = _sighted(lens, places[index], robot, target, random)
-                    if faces:
-                        name = f"c{index}"
-                        yield name, Sightings(stamp_ns, f"{name}/optical", 640, 480, faces)
+                for index, faces in self._seen(step / self.odometry_hz, lens, places, random):
+                    name = f"c{index}"
+                    yield name, Sightings(stamp_ns, f"{name}/optical", 640, 480, faces)
 
-    def _robot(self, seconds: float) -> Pose:
-        """map_from_base: anticlockwise from the origin along x."""
-        turn = SPEED * seconds / self.radius_m
+    def _seen(
+        self, seconds: float, lens: CameraModel, places: list[Pose], random: np.random.Generator
+    ) -> Iterator[tuple[int, tuple[FaceSighting, ...]]]:
+        """(camera, faces) of one moment's pictures."""
+        found: dict[int, tuple[FaceSighting, ...]] = {}
+        for number, target in enumerate(self.targets.values()):
+            robot = self._robot(seconds, number)
+            for index in self._near(robot):
+                faces = _sighted(lens, places[index], robot, target, random)
+                found[index] = found.get(index, ()) + faces
+        if self.is_empty_told:
+            found = dict.fromkeys(range(self.cameras), ()) | found
+        for index, faces in sorted(found.items()):
+            if faces or self.is_empty_told:
+                yield index, faces
+
+    def _robot(self, seconds: float, number: int) -> Pose:
+        """map_from_base: anticlockwise from the origin along x; the others ahead of the first."""
+        turn = SPEED * seconds / self.radius_m + 2 * np.pi * number / self.robots
         return Pose.planar(self.radius_m * np.sin(turn), self.radius_m * (1 - np.cos(turn)), turn)
 
     def _reported(self, before: np.ndarray, step: int, random: np.random.Generator) -> np.ndarray:
         """Odometry: the true increment and the contract's default noise."""
         if step == 0:
             return before
-        length = SPEED / ODOMETRY_HZ
+        length = SPEED / self.odometry_hz
         turn = length / self.radius_m
         along, across, heading = random.normal(size=3) * np.sqrt(length) * (0.006, 0.002, 0.004)
         x, y, direction = before

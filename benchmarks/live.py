@@ -119,7 +119,7 @@ def _driven(corridor: Corridor, resumed_s: float, tells: bool) -> Live:
         drive = _Drive(corridor, solver, tells=tells)
         began_s = drive.go(resumed_s)
         most = Memory(_resident_mb("self", "VmHWM"), _resident_mb(solver.pid, "VmHWM"))
-        share = (_worked_s(solver.pid) - began_s) / (corridor.duration_s - resumed_s)
+        share = (worked_s(solver.pid) - began_s) / (corridor.duration_s - resumed_s)
     finally:
         solver.close()
     return Live(corridor, resumed_s, np.array(drive.updates), drive.memory, most, share)
@@ -142,7 +142,7 @@ class _Drive:
     def go(self, resumed_s: float) -> float:
         """All of it; how long the solver had worked when it went on live, seconds."""
         self._resume(resumed_s)
-        began_s = _worked_s(self._solver.pid)
+        began_s = worked_s(self._solver.pid)
         has_sightings, waited_s, pushes_s = False, resumed_s, 0.0
         for node, message in self._messages:
             began = time.thread_time()
@@ -206,7 +206,7 @@ def _resident_mb(process: int | str, what: str) -> float:
     raise KeyError(what)
 
 
-def _worked_s(process: int) -> float:
+def worked_s(process: int) -> float:
     """The processor's time of a process."""
     ticks = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
     return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trigpoint import cdr, topics
 from trigpoint.authenticator import correction_signer
-from trigpoint.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.bus import Bell, Bus, Publisher, Sample, Subscription
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.ending import ENDING
 from trigpoint.errors import MessageError, OperationError
@@ -31,7 +31,7 @@ from .solver.snapshot import GuidanceWorld
 KIND = "fusion"
 NAME = "fusion"
 
-# The robot's next odometry message ends the wait; without one the others are looked at this often.
+# What comes ends the wait; without it the estimator is looked at this often.
 _TURN_S = 0.02
 _MOST_AT_ONCE = 512
 # A turn takes samples in for so long, and uses so many observations of a robot; so commands, which
@@ -83,6 +83,7 @@ class FusionNode:
         self._checkpoint: Checkpoint | None = None
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: list[tuple[Topic, Subscription]] = []
+        self._news = Bell()
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
         self._problem = ""
         self._diagnostics = Diagnostics(inputs.site, self._admission)
@@ -93,7 +94,7 @@ class FusionNode:
         for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
             expression = topic.expression(name)
             subscription = self._bus.subscribe(
-                topic, expression, wanted=self._admission.knows, in_turns=True
+                topic, expression, wanted=self._admission.knows, in_turns=True, bell=self._news
             )
             self._subscriptions.append((topic, subscription))
             self._node.health.watch(topic.name, subscription)
@@ -179,18 +180,16 @@ class FusionNode:
         self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
-            first = self._subscriptions[0][1].take(0.0 if self._pipeline.is_behind else _TURN_S)
+            self._news.wait(0.0 if self._pipeline.is_behind else _TURN_S)
             with self._lock:
-                outputs = self._turn(first)
+                outputs = self._turn()
             # A robot waits for its correction, nobody for the rest.
             for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
                 self._publish(output)
             self._report()
 
-    def _turn(self, first: Sample | None) -> list[Output]:
+    def _turn(self) -> list[Output]:
         """Take in what has come, and use it; what is to be sent."""
-        if first is not None:
-            self._take(topics.ODOMETRY, first)
         for topic, sample in self._waiting():
             self._take(topic, sample)
         began_ns = self._clock.elapsed_ns()
@@ -210,8 +209,11 @@ class FusionNode:
             found = [(pair, sample) for pair in waiting if (sample := pair[1].take(0.0))]
             yield from ((topic, sample) for (topic, _), sample in found)
             waiting = [pair for pair, _ in found]
-            if not waiting or self._clock.elapsed_ns() > until_ns:
+            if not waiting:
                 return
+            if self._clock.elapsed_ns() > until_ns:
+                break
+        self._news.ring()  # for what is left
 
     def _take(self, topic: Topic, sample: Sample) -> None:
         message = self._kept(topic, sample)

@@ -4,7 +4,9 @@ Nothing runs on the bus's own threads but putting a sample into a bounded queue 
 subscribes takes samples out on a thread of its own. Closing the bus closes what it declared.
 """
 
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -38,6 +40,27 @@ class Reply:
     key: str
     payload: bytes
     error: str = ""
+
+
+class Bell:
+    """Wakes one that waits for anything to come; rung from any thread, twice is as good as once.
+
+    A bare lock, held while nothing has come: a Condition wakes its waiter under a lock that the
+    waker still holds, which takes twice as long (49 against 23 µs).
+    """
+
+    def __init__(self) -> None:
+        self._is_silent = threading.Lock()
+        self._is_silent.acquire()
+
+    def ring(self) -> None:
+        if self._is_silent.locked():
+            with suppress(RuntimeError):  # another was quicker
+                self._is_silent.release()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Until it is rung, or has been since the last time; false where the time was over."""
+        return self._is_silent.acquire(timeout=max(0.0, timeout_s))
 
 
 class Subscription(Protocol):
@@ -145,10 +168,12 @@ class Bus(Protocol):
         *,
         wanted: Callable[[str], bool] | None = None,
         in_turns: bool = False,
+        bell: Bell | None = None,
     ) -> Subscription:
         """Subscribe with the topic's delivery and queue. `wanted`: whether a key is; the others'
         samples are not kept. It is called on the bus's thread. `in_turns`: keys and senders take
-        turns; else samples are taken in the order in which they came."""
+        turns; else samples are taken in the order in which they came. `bell`: rung when one
+        comes."""
         ...
 
     def declare_alive(self, key: str) -> Closable:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
+from .bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply, Sample
 from .bus_queue import SampleQueue
 from .bus_server import Server
 from .clock import Clock, SystemClock
@@ -159,6 +159,7 @@ class MemoryBus:
         *,
         wanted: Callable[[str], bool] | None = None,
         in_turns: bool = False,
+        bell: Bell | None = None,
     ) -> SampleQueue[Sample]:
         queue: SampleQueue[Sample] = SampleQueue(
             topic.queue,
@@ -167,6 +168,7 @@ class MemoryBus:
             key_of=lambda sample: sample.key,
             wanted=wanted,
             in_turns=in_turns,
+            bell=bell,
         )
         with self._broker.lock:
             if topic.cache:

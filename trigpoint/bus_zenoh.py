@@ -20,7 +20,7 @@ import zenoh
 from zenoh import CongestionControl, Priority, Reliability, ext
 
 from .access import Kind
-from .bus import COMMAND_TIMEOUT_S, Closable, Reply, Sample
+from .bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply, Sample
 from .bus_gate import Gate
 from .bus_opening import means_of, open_patiently, settle
 from .bus_outbox import Outbox
@@ -519,6 +519,7 @@ class ZenohBus:
         *,
         wanted: Callable[[str], bool] | None = None,
         in_turns: bool = False,
+        bell: Bell | None = None,
     ) -> SampleQueue[_Arrival]:
         def declare() -> SampleQueue[_Arrival]:
             queue = SampleQueue(
@@ -529,6 +530,7 @@ class ZenohBus:
                 share_of=_share_of,
                 wanted=wanted,
                 in_turns=in_turns,
+                bell=bell,
             )
             if topic.delivery is Delivery.URGENT:
                 undeclare = _subscribe_urgent(self._ways, expression, queue)

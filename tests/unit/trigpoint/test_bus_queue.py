@@ -3,7 +3,7 @@ from collections import deque
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trigpoint.bus import Sample
+from trigpoint.bus import Bell, Sample
 from trigpoint.bus_queue import SampleQueue
 
 
@@ -76,3 +76,18 @@ def test_without_turns_samples_are_taken_as_they_came() -> None:
     for number in (0, 3, 1, 6, 2, 4):
         queue.push(number)
     assert [queue.take(0.0) for _ in range(6)] == [sample_of(n) for n in (0, 3, 1, 6, 2, 4)]
+
+
+def test_one_bell_tells_of_every_queue() -> None:
+    bell = Bell()
+    queues = [
+        SampleQueue(2, sample_of, lambda: None, key_of=str, bell=bell, wanted=wanted)
+        for wanted in (None, None, lambda key: key != "7")
+    ]
+    assert not bell.wait(0.0)
+    for queue in queues:
+        queue.push(1)
+        assert bell.wait(0.0)
+        assert not bell.wait(0.0)
+    queues[2].push(7)  # is not kept
+    assert not bell.wait(0.0)
