@@ -5,9 +5,10 @@ a few metres. Cameras do not overlap but for neighbours.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from trigpoint.config import parse_site
@@ -65,7 +66,7 @@ class Corridor:
         if self.robots == 1:
             return {"r1": target}
         numbers = range(1, self.robots + 1)
-        return {f"r{n}": replace(target, name=f"{target.name}{n}") for n in numbers}
+        return {f"r{n}": msgspec.structs.replace(target, name=f"{target.name}{n}") for n in numbers}
 
     def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Message]]:
         """(camera or robot, message) in the order of their stamps."""

@@ -3,10 +3,10 @@
     python -m benchmarks.latency [--seconds 90]
 
 The lab's programs run as they do in a site: three simulated cameras' agent, fusion, the bridge and
-the robot; a correction has come when the robot has taken it over. Then each part runs alone: the
-agent (exposure, picture, detection, bus), the filter over the messages that came (computing only),
-the bridge (bus, judging, line). On a machine that has more to do than cores the programs of the
-whole wait for each other, which the parts alone do not.
+the robot; a correction has come when the robot has taken it over. All the time beside it each part
+runs alone, so that it waits for cores as the whole does: an agent of another site (exposure,
+picture, detection, bus), the filter over the same drive (taking in and computing), and a bridge
+(bus, judging, line).
 """
 
 import argparse
@@ -16,8 +16,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -31,18 +33,18 @@ from trigpoint.config import load_site
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
+from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
 from trigpoint.tools.simulation.site_files import sim_url, write_site
-from trigpoint.tools.simulation.world import load_world
+from trigpoint.tools.simulation.world import World, load_world
 
+from .machine import machine
 from .robot_bridge import measured
 
 CAMERAS = ("c1", "c2", "c3")
 _HEARD = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.CORRECTION)
 _START_S = 15.0
-_AGENT_S, _BRIDGE_S = 30.0, 20.0
-# So far the session runs ahead of its solver at most.
-_LEAD_NS = to_ns(20.0)
+# From exposure to the sightings on the bus, about.
+_DETECTED_NS = to_ns(0.07)
 
 
 @dataclass(slots=True)
@@ -70,9 +72,10 @@ class Heard:
 class Lab:
     """A site in a folder whose programs are started by name."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, name: str) -> None:
+        self.folder, self.name = folder, name
         world = load_world("lab", seed=1)
+        world.site_name = name  # sites of other names never meet
         for name in [name for name in world.cameras if name not in CAMERAS]:
             del world.cameras[name]
         self.epoch_ns = time.time_ns() + to_ns(_START_S)
@@ -97,7 +100,7 @@ class Lab:
         heard = Heard()
         with ExitStack() as stack:
             bus = stack.enter_context(open_bus(load_site(self.site)))
-            subscriptions = {t: bus.subscribe(t, t.expression("lab")) for t in _HEARD}
+            subscriptions = {t: bus.subscribe(t, t.expression(self.name)) for t in _HEARD}
             for program in programs:
                 words = [sys.executable, "-m", *self.words(program)]
                 with (self.folder / f"{program}.log").open("ab") as log:
@@ -119,49 +122,94 @@ class Lab:
         return [(note["at_ns"] - note["stamp_ns"]) / 1e6 for note in taken]
 
 
-def filtered_ms(lab: Lab, heard: Heard) -> list[float]:
-    """What the filter computes for each sighting that leads to a correction."""
-    inputs, took_ms = load_inputs(load_site(lab.site), network=None), list[float]()
+def whole_ms(folder: Path, seconds: float) -> tuple[list[float], Heard]:
+    """The whole site: how late the robot took over each correction, and what was heard."""
+    lab = Lab(folder, "lab")
+    heard = lab.run(("firmware", "fusion", "edge", "robot"), seconds)
+    return lab.corrections_ms, heard
+
+
+def agent_ms(folder: Path, seconds: float) -> list[float]:
+    """How late an agent's sightings are on the bus, where there is nothing else."""
+    return Lab(folder, "alone").run(("edge",), seconds).sightings_ms
+
+
+def filtered_ms(folder: Path, seconds: float) -> list[float]:
+    """How long the filter takes for what leads to a correction, at the drive's pace."""
+    lab = Lab(folder, "filter")
+    inputs = load_inputs(load_site(lab.site), network=None)
     solver = SolverProcess(inputs.data_set())
     try:
         pipeline = Pipeline(inputs, is_live=False, solver=solver)
         pipeline.resumed(is_new=True)
-        spent_s, asked_ns = 0.0, 0
-        for _, node, message in heard.messages:
-            begin_s = time.perf_counter()
-            pipeline.push(node, message)
-            if isinstance(message, Sightings):
-                spent_s += time.perf_counter() - begin_s
-            if not isinstance(message, Odometry):
-                continue
-            outputs = pipeline.advance(message.stamp_ns)
-            spent_s += time.perf_counter() - begin_s
-            if any(output.topic is topics.CORRECTION for output in outputs):
-                took_ms.append(1e3 * spent_s)
-            spent_s = 0.0
-            if message.stamp_ns - asked_ns > _LEAD_NS:
-                asked_ns = message.stamp_ns
-                pipeline.ask()
-                while not pipeline.is_answered:
-                    time.sleep(0.05)
-                    pipeline.advance()
+        messages = drive(load_world("lab", seed=1), to_ns(seconds))
+        return _filtered(pipeline, messages, lab.epoch_ns)
     finally:
         solver.close()
+
+
+def _filtered(
+    pipeline: Pipeline, messages: list[tuple[int, str, Message]], epoch_ns: int
+) -> list[float]:
+    took_ms, spent_s = list[float](), 0.0
+    for at_ns, node, message in messages:
+        time.sleep(max(0, epoch_ns + at_ns - time.time_ns()) / 1e9)
+        begin_s = time.perf_counter()
+        pipeline.push(node, message)
+        outputs = pipeline.advance(at_ns)
+        spent_s += time.perf_counter() - begin_s
+        if any(output.topic is topics.CORRECTION for output in outputs):
+            took_ms.append(1e3 * spent_s)
+        if outputs or isinstance(message, Odometry):
+            spent_s = 0.0
     return took_ms
+
+
+def drive(world: World, until_ns: int) -> list[tuple[int, str, Message]]:
+    """(nanoseconds of the drive, node, message): what cameras and robot tell, as sightings are
+    drawn."""
+    rows: list[tuple[int, str, Message]] = []
+    for name in CAMERAS:
+        eye = world.cameras[name]
+        frame, size = f"{name}/optical", (eye.model.width, eye.model.height)
+        rows.append((0, name, CameraInfo(0, frame, eye.model)))
+        for t_s in eye.time_of(np.arange(int(world.duration_s * eye.rate) - 1)):
+            faces, stamp_ns = world.sightings(name, float(t_s)), to_ns(float(t_s))
+            told = Sightings(stamp_ns, frame, *size, faces)
+            rows.append((stamp_ns + _DETECTED_NS, name, told))
+    log = world.odometry("r1")
+    for number, t_s in enumerate(log.stamps_s):
+        stamp_ns = to_ns(float(t_s))
+        odometry = Odometry(stamp_ns, "r1/odom", "r1/base", log.poses[number])
+        rows.append((stamp_ns, "r1", odometry))
+    return sorted((row for row in rows if row[0] < until_ns), key=lambda row: row[0])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=90.0)
-    seconds = parser.parse_args().seconds
-    with tempfile.TemporaryDirectory() as folder:
-        lab = Lab(Path(folder) / "whole")
-        heard = lab.run(("firmware", "fusion", "edge", "robot"), seconds)
-        whole = lab.corrections_ms
-        alone = Lab(Path(folder) / "agent").run(("edge",), _AGENT_S).sightings_ms
-        parts = {"agent": alone, "filter": filtered_ms(lab, heard)}
-    run, told = measured(50.0, _BRIDGE_S)
-    parts["bridge"] = list(run.correction_ms(told))
+    seconds, before = parser.parse_args().seconds, machine()
+    with (
+        tempfile.TemporaryDirectory() as name,
+        ProcessPoolExecutor(3, mp_context=get_context("spawn")) as pool,
+    ):
+        folder = Path(name)
+        running = pool.submit(whole_ms, folder / "whole", seconds)
+        agent = pool.submit(agent_ms, folder / "agent", seconds)
+        filtered = pool.submit(filtered_ms, folder / "filter", seconds)
+        time.sleep(_START_S)
+        run, told = measured(50.0, seconds)
+        parts = {
+            "agent": agent.result(),
+            "filter": filtered.result(),
+            "bridge": list(run.correction_ms(told)),
+        }
+        whole, heard = running.result()
+    _tell(parts, whole, heard)
+    print(f"{before.summary}; {machine().load:.1f} at the end")
+
+
+def _tell(parts: dict[str, list[float]], whole: list[float], heard: Heard) -> None:
     marks = {name: np.percentile(values, [50, 95]) for name, values in parts.items()}
     for name, (half, most) in marks.items():
         print(f"{name} alone: p50 {half:.1f}, p95 {most:.1f} ms ({len(parts[name])})")
