@@ -5,6 +5,7 @@ import pytest
 from benchmarks.impairment import Namespace, NoNamespacesError
 from benchmarks.network import (
     BAD,
+    DATAGRAMS,
     FAIR,
     WITH_VIEWER,
     Key,
@@ -39,11 +40,12 @@ def assert_recovered(key: Key, *, at_least: int) -> None:
 def test_router_dies_on_a_network_that_loses_and_delays() -> None:
     """What its break held up comes, or is counted; on a machine that is very busy it is at times
     not asked for, since the first new sample is quicker than the news of who has the old ones."""
-    found = run(Scenario(BAD, seconds=12.0, action=killing(2.0, 5.0)))
+    found = run(Scenario(BAD, seconds=12.0, action=killing(2.0, 5.0), protocols=DATAGRAMS))
     assert_recovered(found["odom"], at_least=500)
     assert_recovered(found["sightings"], at_least=100)
     assert found["correction"].last >= found["correction"].sent - 10
     assert found["correction"].twice == 0
+    assert found["correction"].numbers == sorted(found["correction"].numbers)
 
 
 def test_links_flap_while_somebody_looks_at_pictures() -> None:
