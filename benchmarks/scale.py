@@ -61,7 +61,7 @@ class Load:
         middle, most = np.percentile(self.updates_ms, [50, 99])
         share = self.spent_s / seconds
         return (
-            f"| {corridor.cameras} × {corridor.pictures_hz:.0f} Hz | {corridor.robots} "
+            f"| {corridor.cameras} × {corridor.pictures_hz:g} Hz | {corridor.robots} "
             f"| {self.messages / seconds:.0f} | {self.sightings / seconds:.1f} "
             f"| {100 * share:.0f} % | {100 * self.solver_s / seconds:.0f} % "
             f"| {middle:.1f}, {most:.1f} ms | {self.sightings / self.spent_s:.0f} "
