@@ -162,7 +162,7 @@ class Scenario:
     action: Callable[[Site], object] = bool
     picture_rate: float = 100.0
     late_router: bool = False
-    linger_s: float = 12.0
+    linger_s: float = 60.0
     protocols: tuple[str, ...] = ("tls",)
 
 

@@ -84,8 +84,8 @@ def make_sightings(stamp_ns: int, *, corners: int = 4, face: int = 0) -> Sightin
     return Sightings(stamp_ns, "c1/optical", 640, 480, (sighting,))
 
 
-def eventually(holds: Callable[[], bool], timeout_s: float = 10.0) -> bool:
-    """Wait until `holds()`; return whether it came true in time."""
+def eventually(holds: Callable[[], bool], timeout_s: float = 60.0) -> bool:
+    """Wait until `holds()`; return whether it came true in time: a machine may be very busy."""
     deadline = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline:

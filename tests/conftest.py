@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("trigpoint", deadline=None, max_examples=50)
 settings.load_profile("trigpoint")
 
-_PATIENCE_S = 3.0
+_PATIENCE_S = 20.0
 
 
 def _living() -> set[threading.Thread]:

@@ -7,6 +7,7 @@ import zenoh
 from builders import site_text
 
 from trigpoint.access import Identity, Kind
+from trigpoint.bus_opening import open_patiently
 from trigpoint.bus_settings import Settings
 from trigpoint.bus_zenoh import open_session
 from trigpoint.config import Site, parse_site
@@ -22,6 +23,9 @@ NODES = (
     (Kind.OPERATOR, "anna"),
     (Kind.VIEWER, "bob"),
 )
+
+
+_PATIENCE_S = 60.0
 
 
 class SecuredSite:
@@ -58,7 +62,9 @@ class SecuredSite:
         return Settings("client", connect=(self.endpoint,), files=files)
 
     def session(self, kind: Kind, node: str) -> zenoh.Session:
-        return open_session(self.settings(kind, node))
+        """As the programs open it: they try again where a busy machine takes too long."""
+        settings = self.settings(kind, node)
+        return open_patiently(lambda: open_session(settings), settings, _PATIENCE_S)
 
 
 Open = Callable[[Kind, str], zenoh.Session]

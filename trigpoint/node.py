@@ -115,6 +115,7 @@ class Node:
         publisher = self._publisher = self._bus.publisher(DIAGNOSTICS, key)
         others = self._bus.subscribe(DIAGNOSTICS, key)
         self._declared = [publisher, others]
+        encode(self.diagnostics())  # loads the types, for which a stop has no time
         self.thread("diagnostics", lambda: self._report(publisher, others))
         self._declared.append(self._bus.declare_alive(self._token_key))
         _log.info("%s runs on site %s (session %s)", self.label, self._site, self._bus.identity)

@@ -9,6 +9,7 @@ from builders import eventually, make_site
 
 from trigpoint.bus import Bus, Sample, Subscription
 from trigpoint.bus_memory import MemoryBroker
+from trigpoint.bus_opening import open_patiently
 from trigpoint.bus_settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
 from trigpoint.errors import BusError, InputError
@@ -39,7 +40,12 @@ def session(request: pytest.FixtureRequest) -> Iterator[Session]:
         else:
             meeting = stack.enter_context(open_bus(make_site(bus='listen = ["tcp/127.0.0.1:0"]')))
             settings = Settings("client", connect=meeting.locators)  # opens faster than a peer
-            yield lambda: stack.enter_context(ZenohBus(open_session(settings)))
+
+            def opened() -> Bus:
+                session = open_patiently(lambda: open_session(settings), settings, 60.0)
+                return stack.enter_context(ZenohBus(session))
+
+            yield opened
 
 
 @pytest.fixture
@@ -48,7 +54,7 @@ def pair(session: Session) -> tuple[Bus, Bus]:
 
 
 def take(subscription: Subscription, count: int) -> list[Sample]:
-    samples = [subscription.take(10.0) for _ in range(count)]
+    samples = [subscription.take(60.0) for _ in range(count)]
     return [sample for sample in samples if sample is not None]
 
 
@@ -275,7 +281,7 @@ def test_an_answer_that_takes_too_long_is_left_out(pair: tuple[Bus, Bus]) -> Non
 
     def answer(payload: bytes) -> bytes:
         if payload == b"slow":
-            release.wait(10.0)
+            release.wait(60.0)
         return b"done"
 
     one.serve("lab/slow", answer)

@@ -91,7 +91,7 @@ def test_real_video_arrives_as_sightings_in_another_process(tmp_path: Path, free
                 corners += sum(len(face.corners) for face in message.faces)
             info = taken(lens, 5.0)
             process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 0
+            assert process.wait(60) == 0
     assert corners >= 12
     assert stamps == sorted(set(stamps))
     assert isinstance(info, CameraInfo)
@@ -115,7 +115,7 @@ def test_two_cameras_of_one_agent_play_to_their_ends(tmp_path: Path, free_port) 
                 seen = found[1]
                 assert isinstance(seen, Sightings)
                 assert worst_error(seen.faces[0].pixels, seen.faces[0].corners, VIEW) < 0.3
-            assert process.wait(20) == 0
+            assert process.wait(60) == 0
 
 
 def test_snapshot_is_answered_and_sigint_ends_orderly(tmp_path: Path, free_port) -> None:
@@ -132,12 +132,12 @@ def test_snapshot_is_answered_and_sigint_ends_orderly(tmp_path: Path, free_port)
             replies[:] = [reply for reply in bus.query(key, timeout_s=1.0) if not reply.error]
             return bool(replies)
 
-        assert eventually(is_answered, 30.0)
+        assert eventually(is_answered)
         assert replies[0].payload[:2] == b"\xff\xd8"
         assert bus.alive(token) == [token]
         assert resident_megabytes(process.pid) < 150
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert eventually(lambda: not bus.alive(token))
 
 

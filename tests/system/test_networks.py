@@ -57,9 +57,7 @@ def test_links_flap_while_somebody_looks_at_pictures() -> None:
 
 
 def test_everyone_waits_for_a_router_that_comes_late() -> None:
-    found = run(
-        Scenario(FAIR, seconds=6.0, action=coming_late(3.0), late_router=True, linger_s=4.0)
-    )
+    found = run(Scenario(FAIR, seconds=6.0, action=coming_late(3.0), late_router=True))
     for name, at_least in (("odom", 150), ("sightings", 30)):
         key = found[name]
         assert key.twice == 0

@@ -52,7 +52,7 @@ class Desk:
 
 def end(process: subprocess.Popen[str]) -> None:
     process.kill()
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def driving(bus: Bus) -> Iterator[list[int]]:
     sent: list[int] = []
     stopping = threading.Event()
     publisher = bus.publisher(ODOMETRY, KEY)
-    assert eventually(lambda: publisher.has_listener, 20)
+    assert eventually(lambda: publisher.has_listener)
 
     def drive() -> None:
         while not stopping.wait(PERIOD_S):
@@ -100,10 +100,10 @@ def test_a_killed_recorder_loses_at_most_a_second(
 ) -> None:
     process = desk.start_recorder()
     with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 250, 20)
+        assert eventually(lambda: len(sent) > 250)
         process.send_signal(signal.SIGKILL)
         killed_ns = time.time_ns()
-        process.wait(10)
+        process.wait(60)
         before = [stamp for stamp in sent if stamp <= killed_ns]
     with caplog.at_level(logging.WARNING):
         recorded = odometry_stamps(desk.folder / "out")
@@ -116,14 +116,14 @@ def test_a_killed_recorder_loses_at_most_a_second(
 def test_a_recorder_that_is_started_again_goes_on_in_a_file_of_its_own(desk: Desk) -> None:
     process = desk.start_recorder()
     with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 120, 20)
+        assert eventually(lambda: len(sent) > 120)
         process.send_signal(signal.SIGKILL)
-        process.wait(10)
+        process.wait(60)
         again = desk.start_recorder()
         count = len(sent)
-        assert eventually(lambda: len(sent) > count + 50, 20)
+        assert eventually(lambda: len(sent) > count + 50)
     again.send_signal(signal.SIGINT)
-    assert again.wait(10) == 0
+    assert again.wait(60) == 0
     first, second = desk.folder / "out" / "session.mcap", desk.folder / "out" / "session_2.mcap"
     assert odometry_stamps(first)
     assert odometry_stamps(second)[-1] == sent[-1]
@@ -134,9 +134,9 @@ def test_a_recorder_that_is_started_again_goes_on_in_a_file_of_its_own(desk: Des
 def test_a_recorder_that_is_stopped_has_everything(desk: Desk, number: signal.Signals) -> None:
     process = desk.start_recorder()
     with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 100, 20)
+        assert eventually(lambda: len(sent) > 100)
     process.send_signal(number)
-    said, _ = process.communicate(timeout=10)
+    said, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert odometry_stamps(desk.folder / "out") == sent
     assert f"{len(sent)}  {KEY}" in said
@@ -145,18 +145,18 @@ def test_a_recorder_that_is_stopped_has_everything(desk: Desk, number: signal.Si
 def test_a_replayed_session_is_recorded_again_byte_for_byte(desk: Desk, tmp_path: Path) -> None:
     recorder = desk.start_recorder()
     with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 100, 20)
+        assert eventually(lambda: len(sent) > 100)
     recorder.send_signal(signal.SIGINT)
-    recorder.communicate(timeout=10)
+    recorder.communicate(timeout=60)
     first = tmp_path / "first.mcap"
     (desk.folder / "out" / "session.mcap").rename(first)
     recorder = desk.start_recorder()
     player = desk.start("replay", str(first), "--rate", "4", "--site", "site.toml")
-    said, _ = player.communicate(timeout=30)
+    said, _ = player.communicate(timeout=60)
     assert player.returncode == 0
     assert f"{len(sent)}  {KEY}" in said
     recorder.send_signal(signal.SIGINT)
-    recorder.communicate(timeout=10)
+    recorder.communicate(timeout=60)
     again = open_recording(desk.folder / "out")
     topics = [ODOMETRY]
     assert [s.payload for s in again.samples(topics)] == [
@@ -170,9 +170,9 @@ def test_a_view_ends_in_order(desk: Desk) -> None:
     assert process.stdout is not None
     assert "http://127.0.0.1:" in process.stdout.readline()
     with driving(desk.bus) as sent:
-        assert eventually(lambda: len(sent) > 50, 20)
+        assert eventually(lambda: len(sent) > 50)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
 
 
 def test_a_wrong_session_ends_with_one_line_and_status_2(desk: Desk) -> None:

@@ -55,7 +55,7 @@ def test_correction_reaches_the_robot_which_acknowledges_it_and_moves_its_map(de
         desk.place(node, map_from_odom)
         assert node.health.total("frames_established") == 1
         off = Pose.planar(1.0, 0.0, 0.0) @ map_from_odom
-        message = desk.take(10)[-3]
+        message = desk.take(60)[-3]
         desk.correct(message, off @ message.pose)
         assert eventually(lambda: node.health.lost("corrections_refused_jump") == 1)
     note = desk.noted("correction")[0]
@@ -80,9 +80,9 @@ def test_restarted_bridge_is_heard_by_a_firmware_that_forgets_no_number(desk: De
 def test_killed_firmware_is_found_again_and_its_odometry_goes_on(desk: Desk) -> None:
     firmware = desk.start_firmware()
     with desk.bridge() as node:
-        messages = desk.take(20)
+        messages = desk.take(60)
         firmware.send_signal(signal.SIGKILL)
-        firmware.wait(10.0)
+        firmware.wait(60.0)
         desk.port.unlink()  # as a device node goes when it is unplugged
         *_, before = [*messages, *desk.rest()]
         desk.start_firmware("--counters-restart")
@@ -98,7 +98,7 @@ def test_killed_firmware_is_found_again_and_its_odometry_goes_on(desk: Desk) -> 
 def test_bridge_that_is_started_again_goes_on_with_the_same_robot(desk: Desk) -> None:
     desk.start_firmware()
     with desk.bridge():
-        first = desk.take(20)[-1]
+        first = desk.take(60)[-1]
     with desk.bridge() as node:
         while desk.take(1)[0].stamp_ns <= first.stamp_ns:
             pass

@@ -94,9 +94,9 @@ def test_map_that_the_site_does_not_know_is_asked_for(desk: Desk) -> None:
 
     desk.start_firmware()
     with desk.bridge(), closing(desk.bus.serve("lab/fusion/map", answer)):
-        desk.take(20)
+        desk.take(60)
         assert not asked
-        desk.correct(desk.take(10)[-3], MAP_FROM_ODOM)
+        desk.correct(desk.take(60)[-3], MAP_FROM_ODOM)
         deadline = time.monotonic() + 10.0
         while not asked and time.monotonic() < deadline:
             desk.take(5)

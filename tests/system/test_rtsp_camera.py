@@ -152,7 +152,7 @@ def test_restarted_server_is_found_again(free_port: Callable[[], int]) -> None:
                     return False
             return True
 
-        assert eventually(is_back, 20.0)
+        assert eventually(is_back)
         assert np.abs(found).max() < WORST_S
 
 
