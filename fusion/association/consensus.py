@@ -63,8 +63,8 @@ def starts_of(
     most: int,
     window: float,
 ) -> list[Start]:
-    """The distinct starts that most agrees with, best first: `most` of them, no worse than the best
-    by `window`.
+    """The starts that most agrees with, best first and each elsewhere or by other sightings: `most`
+    of them, no worse than the best by `window`.
 
     `poses`: by index where odometry puts the robot; `drift` (p, p, 6, 6): the covariance of that
     between two pictures, in the map's axes.
@@ -92,8 +92,10 @@ def starts_of(
         if len(found) == most or total[row] > total.min() + window:
             break
         if is_open[row]:
-            is_open &= ~are_same_pose(cameras, cameras[row])
-            found.append(Start(cameras[row], _wrong(observations, sightings, cost[row] >= limit)))
+            is_wrong = cost >= limit
+            alike = np.all(is_wrong == is_wrong[row], axis=1)
+            is_open &= ~(alike & are_same_pose(cameras, cameras[row]))
+            found.append(Start(cameras[row], _wrong(observations, sightings, is_wrong[row])))
     return found
 
 

@@ -125,12 +125,13 @@ class LocalProblem:
             self._read(trial, camera)
             if all(all(row) for row in trial.wrong.values()):
                 return None
-            solved = self._solved(trial, camera, huber=_HUBER if round_ == 0 else np.inf)
+            is_first = round_ == 0
+            solved = self._solved(trial, camera, huber=_HUBER if is_first else np.inf)
             if solved is None:
                 return None
             camera = solved[1].cameras[self.camera]
             self._move(trial, *solved)
-            self._judge(trial, *solved)
+            self._judge(trial, *solved, is_robust=is_first)
             count = sum(sum(row) for row in trial.wrong.values())
             if most_wrong is not None and round_ >= _PATIENCE and count > most_wrong:
                 return None
@@ -198,8 +199,13 @@ class LocalProblem:
 
     # -- what is wrong ----------------------------------------------------------------------------
 
-    def _judge(self, trial: _Trial, assembled: Assembled, state: State) -> None:
-        """Say which corners are wild, and which sightings would better be wrong, or right."""
+    def _judge(
+        self, trial: _Trial, assembled: Assembled, state: State, *, is_robust: bool
+    ) -> None:
+        """Say which corners are wild, and which sightings would better be wrong, or right.
+
+        `is_robust`: the state is a robust minimum, at which only the worst is sure to be wrong.
+        """
         try:
             system = System.of(assembled.problem, state)
         except LinAlgError:
@@ -217,10 +223,15 @@ class LocalProblem:
                 [system.node_rows(self.robot, int(batch.nodes[row])), system.dense_row + columns]
             )
             covariance = system.covariance[np.ix_(rows, rows)]
+            left = residual[row]
+            if not is_robust:
+                # The last of the way to the minimum is nothing beside the noise, but much beside
+                # what a sighting leaves over that says nearly alone where something is.
+                left = left + jacobian[row] @ system.step[rows]
             for order, view in enumerate(self.observations[index].views):
                 part = slice(start, start + len(view.corners))
                 start = part.stop
-                corners = _Corners(residual[row, part], by_base[row, part], jacobian[row, part])
+                corners = _Corners(left[part], by_base[row, part], jacobian[row, part])
                 trial.wild[index][order] = without_wild(
                     corners.by_base, corners.residual, self.events.wild_score
                 )[1]
@@ -233,7 +244,7 @@ class LocalProblem:
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
             # Of two that contradict each other in one picture, the other may be right.
-            if gain > max(0.0, most / 2) and index not in judged:
+            if gain > 0 and gain >= (most if is_robust else most / 2) and index not in judged:
                 trial.wrong[index][order] = True
                 judged.add(index)
         if most > 0:

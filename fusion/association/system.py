@@ -13,12 +13,13 @@ from trigpoint.geometry.rotation import Array
 @dataclass(frozen=True, slots=True)
 class System:
     """At a state: `covariance` of all unknowns, chains' inner nodes first, then the dense part;
-    `log_determinant` of its inverse, without what holds a chain's first node; `first_row`: by robot
-    its first node's."""
+    `step`: what leads to the minimum from there; `log_determinant` of the covariance's inverse,
+    without what holds a chain's first node; `first_row`: by robot its first node's."""
 
     problem: Problem
     cost: float
     covariance: Array
+    step: Array
     log_determinant: float
     first_row: dict[str, int]
     dense_row: int
@@ -32,6 +33,8 @@ class System:
         total = dense_row + problem.layout.size
         matrix = np.zeros((total, total))
         matrix[dense_row:, dense_row:] = equations.dense
+        gradients = [equations.chains[name].gradient.reshape(-1) for name in sizes]
+        gradient = np.concatenate([*gradients, equations.gradient])
         rows, start, held = {}, 0, 0
         for name, size in sizes.items():
             chain, d = equations.chains[name], len(problem.chains[name].tangent)
@@ -54,7 +57,8 @@ class System:
         inverse = cho_solve(factor, np.eye(total)) * scale[:, None] * scale
         log_determinant = 2 * float(np.sum(np.log(np.diagonal(factor[0])) - np.log(scale)))
         log_determinant += equations.log_determinant - held * float(np.log(EXACT))
-        return cls(problem, equations.cost, inverse, log_determinant, rows, dense_row)
+        step = -inverse @ gradient
+        return cls(problem, equations.cost, inverse, step, log_determinant, rows, dense_row)
 
     def node_rows(self, robot: str, node: int) -> np.ndarray:
         """The rows (d,) of a robot's node."""
