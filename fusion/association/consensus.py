@@ -256,7 +256,7 @@ def _of_pictures(
     extra = np.tile(_LEAST_VARIANCE * np.eye(6), (len(observations), 1, 1))
     jitter = data.jitter.get(first.robot)
     if jitter is not None:
-        extra += np.diag(jitter)
+        extra += np.diag(jitter.variances)
     offset_s = data.site.cameras[first.camera].time_offset_sigma
     if offset_s > 0:
         track = data.tracks[first.robot]

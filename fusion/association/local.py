@@ -199,9 +199,7 @@ class LocalProblem:
 
     # -- what is wrong ----------------------------------------------------------------------------
 
-    def _judge(
-        self, trial: _Trial, assembled: Assembled, state: State, *, is_robust: bool
-    ) -> None:
+    def _judge(self, trial: _Trial, assembled: Assembled, state: State, *, is_robust: bool) -> None:
         """Say which corners are wild, and which sightings would better be wrong, or right.
 
         `is_robust`: the state is a robust minimum, at which only the worst is sure to be wrong.
@@ -275,7 +273,7 @@ class LocalProblem:
             step = -own @ (flat.T @ corners.residual.reshape(-1))
             by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
             if (jitter := self.data.jitter.get(self.robot)) is not None:
-                own = own + np.diag(jitter)
+                own = own + np.diag(jitter.variances)
             root = np.linalg.cholesky(own)
         except np.linalg.LinAlgError:
             return 0.0  # it shows no pose that could contradict

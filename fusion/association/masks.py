@@ -8,6 +8,7 @@ of these the likeliest are carried on, picture by picture.
 
 import numpy as np
 
+from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.geometry.rotation import Array
 
 from .events import Events, window
@@ -19,17 +20,19 @@ _MOST = 64
 _MOST_TOLD = 3
 
 
-def likeliest_wrong(linear: Linear, jitter: Array | None, events: Events) -> list[tuple[bool, ...]]:
+def likeliest_wrong(
+    linear: Linear, jitter: Jitter | None, events: Events
+) -> list[tuple[bool, ...]]:
     """The likeliest ways (n flags each) in which the parts of a visit are wrong, best first.
 
-    `jitter`: variances (6,) of how the robot stands otherwise in a picture.
+    `jitter`: how the robot stands otherwise in each picture than odometry says.
     """
     mean, covariance = _before(linear, events)
     means, covariances = mean[None], covariance[None]
     scores, flags = np.zeros(1), np.zeros((1, 0), dtype=bool)
     limit = events.pose_score + events.wrong_score
     for shift, own, by in zip(linear.shifts, linear.own, linear.by_unknowns, strict=True):
-        own = own if jitter is None else own + np.diag(jitter)
+        own = own if jitter is None else own + np.diag(jitter.variances)
         gain = covariances @ by.T
         spread = by @ gain + own
         error = shift - means @ by.T

@@ -142,7 +142,7 @@ class ModeFinder:
         track = self.data.tracks[visit.robot]
         jitter = self.data.jitter.get(visit.robot)
         sigmas = tuple(v.sigma for i in visit.chosen for v in self.observations[i].views)
-        noise = track.noise, track.slip, jitter.tobytes() if jitter is not None else b""
+        noise = track.noise, track.slip, jitter
         return visit, sigmas, noise, self.data.lenses[visit.camera]
 
     def _modes_of(self, visit: Visit) -> VisitModes:

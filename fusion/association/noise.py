@@ -15,9 +15,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
+from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.geometry.rotation import Array
 
 from .linear import Linear
@@ -41,21 +43,23 @@ _MOST_STEPS = 20
 @dataclass(frozen=True, slots=True)
 class Noise:
     """`tilt` (rad) and `sway` (m): standard deviations, in each picture, of the robot's turn about
-    and its shift along each axis; `odometry`: by what its stated sigmas are multiplied; `slip`: by
-    what the slip of a robot that turns is, which nobody states."""
+    and its shift along each axis; `is_floor`: while it stands its tilt stays the same; `odometry`:
+    by what its stated sigmas are multiplied; `slip`: by what the slip of a robot that turns is,
+    which nobody states."""
 
     tilt: float = 0.0
     sway: float = 0.0
+    is_floor: bool = False
     odometry: float = 1.0
     slip: float = 1.0
 
     @property
-    def jitter(self) -> Array | None:
-        """Variances (6,) of a picture's disturbance; None where there is none."""
+    def jitter(self) -> Jitter | None:
+        """How the robot stands otherwise in a picture; None where it does not."""
         if self.tilt <= 0 and self.sway <= 0:
             return None
         tilt, sway = max(self.tilt, _LEAST * _TILT), max(self.sway, _LEAST * _SWAY)
-        return np.repeat([sway**2, tilt**2], 3)
+        return Jitter(sway, tilt, self.is_floor)
 
 
 STATED = Noise()
@@ -65,27 +69,47 @@ PESSIMISTIC = Noise(tilt=_TILT, sway=_SWAY, odometry=2.0, slip=2.0)
 
 def misfit(visit: Linear, noise: Noise) -> float:
     """-2 ln of the restricted likelihood of a visit, up to a constant."""
-    jitter = noise.jitter
-    covariance = visit.own if jitter is None else visit.own + np.diag(jitter)
-    root = np.linalg.cholesky(covariance)
+    jitter, own, prior, by_unknowns = noise.jitter, visit.own, visit.prior, visit.by_unknowns
+    value = 0.0
+    if jitter is not None:
+        variances = jitter.variances.copy()
+        if jitter.is_floor:
+            by_floor, information = _floor(visit, variances[3:])
+            by_unknowns = np.concatenate([by_unknowns, by_floor], axis=-1)
+            prior = np.asarray(block_diag(prior, np.diag(information)))
+            value -= float(np.sum(np.log(information)))
+            variances[3:] = 0.0
+        own = own + np.diag(variances)
+    root = np.linalg.cholesky(own)
     shifts = np.linalg.solve(root, visit.shifts[..., None])[..., 0].reshape(-1)
-    by = np.linalg.solve(root, visit.by_unknowns).reshape(len(shifts), -1)
+    by = np.linalg.solve(root, by_unknowns).reshape(len(shifts), -1)
     spread = noise.odometry**2 * visit.by_odometry + noise.slip**2 * visit.by_slip
     step_root = np.linalg.cholesky(spread)
     steps = np.linalg.solve(step_root, visit.steps[..., None])[..., 0].reshape(-1)
     by_steps = np.linalg.solve(step_root, visit.steps_by_unknowns)
-    rows = np.vstack([by, by_steps.reshape(len(steps), -1)])
+    by_steps = by_steps.reshape(len(steps), -1)
+    by_steps = np.pad(by_steps, ((0, 0), (0, by.shape[1] - by_steps.shape[1])))
+    rows = np.vstack([by, by_steps])
     right = np.concatenate([shifts, steps])
-    normal = rows.T @ rows + visit.prior
+    normal = rows.T @ rows + prior
     scale = 1 / np.sqrt(np.diagonal(normal))
     # What nothing determines but odometry that may be anyhow is at the edge of what a number holds.
     factor = np.linalg.cholesky(normal * scale[:, None] * scale + _ROUNDING * np.eye(len(scale)))
     pull = np.linalg.solve(factor, scale * (rows.T @ right))
-    value = right @ right - pull @ pull
+    value += right @ right - pull @ pull
     value += 2 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
     value += 2 * np.sum(np.log(np.diagonal(step_root, axis1=1, axis2=2)))
     value += 2 * np.sum(np.log(np.diagonal(factor)) - np.log(scale))
     return float(value)
+
+
+def _floor(visit: Linear, variances: Array) -> tuple[Array, Array]:
+    """What the floor's tilt (3) at each of a visit's nodes does to its parts, (n, 6, t), and the
+    information (t,) on it."""
+    nodes, place = np.unique(visit.nodes, return_inverse=True)
+    by_floor = np.zeros((len(place), 6, len(nodes), 3))
+    by_floor[np.arange(len(place)), 3:, place] = np.eye(3)
+    return by_floor.reshape(len(place), 6, -1), np.tile(1 / variances, len(nodes))
 
 
 def learn(visits: list[Linear]) -> Noise | None:
@@ -98,13 +122,23 @@ def learn(visits: list[Linear]) -> Noise | None:
     loose = Noise(odometry=_FREE, slip=_FREE)
     jittery = _likeliest(visits, loose, is_jittery=True, is_other=False)
     steady = _likeliest(visits, loose, is_jittery=False, is_other=False)
+    if any(len(np.unique(visit.nodes)) < len(visit.nodes) for visit in visits):
+        floor = replace(loose, is_floor=True)
+        jittery = min(
+            jittery, _likeliest(visits, floor, is_jittery=True, is_other=False), key=_cost
+        )
     if steady[1] - jittery[1] < chdtri(2, _SIGNIFICANCE):
         jittery = steady
     start = replace(jittery[0], odometry=1.0, slip=1.0)
     stated = _likeliest(visits, start, is_jittery=False, is_other=False)
     other = _likeliest(visits, start, is_jittery=False, is_other=True)
     found = other[0] if stated[1] - other[1] > chdtri(2, _SIGNIFICANCE) else start
-    return Noise(*(in_steps(x) for x in (found.tilt, found.sway, found.odometry, found.slip)))
+    tilt, sway, odometry, slip = map(in_steps, (found.tilt, found.sway, found.odometry, found.slip))
+    return Noise(tilt, sway, found.is_floor, odometry, slip)
+
+
+def _cost(found: tuple[Noise, float]) -> float:
+    return found[1]
 
 
 # Fewer residuals than these leave a variance open by more than a factor of two.
@@ -122,8 +156,8 @@ def _likeliest(
         if is_jittery:
             tilt, sway = _TILT * math.exp(next(parts)), _SWAY * math.exp(next(parts))
         if not is_other:
-            return Noise(tilt, sway, base.odometry, base.slip)
-        return Noise(tilt, sway, math.exp(next(parts)), math.exp(next(parts)))
+            return replace(base, tilt=tilt, sway=sway)
+        return Noise(tilt, sway, base.is_floor, math.exp(next(parts)), math.exp(next(parts)))
 
     def cost(x: Array) -> float:
         noise = noise_of(x)

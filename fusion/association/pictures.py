@@ -42,7 +42,7 @@ class PictureReader:
             flat = by_base[~wild].reshape(-1, 6)
             own = np.linalg.pinv(flat.T @ flat, hermitian=True)
             # What the nearest picture says of the robot is as uncertain as this one.
-            spread = 2 * own + drift + (0.0 if jitter is None else 2 * np.diag(jitter))
+            spread = 2 * own + drift + (0.0 if jitter is None else 2 * np.diag(jitter.variances))
             spread = 0.5 * (spread + spread.T) + 1e-12 * np.eye(6)
             score = float(step @ np.linalg.solve(spread, step))
             score += min(float(np.linalg.slogdet(spread)[1]), self.events.pose_score)

@@ -13,7 +13,7 @@ from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.reading.faces import best_reading
 from trigpoint.fusion.solver.levenberg_marquardt import Solution
-from trigpoint.fusion.solver.picture_jitter import Jitter
+from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -198,7 +198,7 @@ def _leave_out(data: DataSet, wrong: _Wrong) -> None:
 def _lengths(problem: Problem, batch: Batch, state: State) -> Array:
     """Length of each corner's residual, sigmas, (n, K); NaN where its weight is 0."""
     residual = batch_residual(problem, batch, state)
-    jitter = Jitter.of(problem, batch, state)
+    jitter = PictureJitter.of(problem, batch, state)
     if jitter is not None:
         flat = residual.reshape(len(residual), -1)
         residual = jitter.compensated(flat).reshape(residual.shape)

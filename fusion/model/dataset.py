@@ -12,6 +12,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network
 from trigpoint.target import Target
 
+from .jitter import Jitter
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import OdometryTrack
 from .problem import CameraState, RobotState, State
@@ -91,10 +92,9 @@ class DataSet:
 
     `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
     of time; `events`: what nobody has been told yet; `changes`: lifts and moves that sightings
-    show, for each those that explain them alike; `jitter`: by robot the variances (6,) of how it
-    stands otherwise in a picture than its odometry's plane says (see `picture_jitter`), where it
-    does; `odometry_scale`: by robot what the stated sigmas of its odometry, and its slip, are
-    multiplied by.
+    show, for each those that explain them alike; `jitter`: of robots that stand otherwise in a
+    picture than their odometry's plane says; `odometry_scale`: by robot what the stated sigmas of
+    its odometry, and its slip, are multiplied by.
     """
 
     site: Site
@@ -106,7 +106,7 @@ class DataSet:
     moves: list[Move] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     changes: list[tuple[SiteChange, ...]] = field(default_factory=list)
-    jitter: dict[str, Array] = field(default_factory=dict)
+    jitter: dict[str, Jitter] = field(default_factory=dict)
     odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)

@@ -9,7 +9,7 @@ from trigpoint.fusion.model.problem import Batch, Chain, Problem, RobotState, St
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
-from .picture_jitter import Jitter
+from .picture_jitter import PictureJitter
 
 # Information of a pose that is known exactly: 0.3 µm and µrad.
 EXACT = 1e13
@@ -139,7 +139,7 @@ def _add_batch(
     equations: NormalEquations, problem: Problem, batch: Batch, state: State, huber: float
 ) -> None:
     jacobian, residual, columns = batch_jacobian(problem, batch, state)
-    jitter = Jitter.of(problem, batch, state)
+    jitter = PictureJitter.of(problem, batch, state)
     left = residual
     if jitter is not None:
         left = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
@@ -156,9 +156,7 @@ def _add_batch(
     flat = jacobian.reshape(n, -1, q)
     if jitter is not None:
         shared = np.broadcast_to(root, residual.shape).reshape(n, -1)
-        weighted = Jitter.from_jacobian(
-            jitter.jacobian * shared[..., None], batch.nodes, jitter.variances
-        )
+        weighted = PictureJitter.by(jitter.jacobian * shared[..., None], batch.nodes, jitter.jitter)
         hessian, gradient, cost = weighted.eliminated(flat, residual.reshape(n, -1))
         equations.cost += cost + float(np.sum(np.where(weight < 1, huber * (length - huber), 0.0)))
         equations.log_determinant += weighted.log_determinant

@@ -62,7 +62,7 @@ def _excesses(
             own = np.linalg.inv(normal)
             step = -own @ (flat.T @ residual[row, part].reshape(-1))
             if batch.jitter is not None:
-                own = own + np.diag(batch.jitter)
+                own = own + np.diag(batch.jitter.variances)
             chi2 = float(step @ np.linalg.solve(own, step))
             excess = chi2 + float(np.linalg.slogdet(own)[1]) - limit
             if excess > 0:

@@ -6,6 +6,7 @@ import pytest
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
 from trigpoint.fusion.association.masks import likeliest_wrong
+from trigpoint.fusion.model.jitter import Jitter
 
 SIGMA = 1e-3
 DISPLACED = np.array([0.03, 0.0, 0.02, 0.0, 0.005, 0.0])
@@ -33,6 +34,7 @@ def visit(wrong: tuple[int, ...], pictures: int = 10, seed: int = 0) -> Linear:
         own=np.tile(SIGMA**2 * np.eye(6), (pictures, 1, 1)),
         by_unknowns=by_unknowns,
         parts=list(range(pictures)),
+        nodes=np.arange(pictures),
         steps=random.normal(size=(pictures - 1, 3)) * 0.01,
         steps_by_unknowns=by_steps,
         spread=spread,
@@ -50,5 +52,5 @@ def test_wrong_sightings_are_found_though_they_agree(wrong: tuple[int, ...]) -> 
 
 
 def test_what_a_mast_sways_by_is_no_wrong_sighting() -> None:
-    jitter = np.full(6, 0.03**2)
+    jitter = Jitter(sway=0.03, tilt=0.03)
     assert not any(likeliest_wrong(visit((0, 2)), jitter, Events())[0])

@@ -9,12 +9,12 @@ from trigpoint.fusion.association.linear import Linear
 from trigpoint.fusion.association.noise import Noise, corner_scale, learn
 
 
-def visit(seed: int, noise: Noise, pictures: int = 12) -> Linear:
+def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Linear:
     """A visit to a camera of a robot that is moved in space: pictures of 2 mm and 1 mrad, odometry
-    of 5 mm and 5 mrad a step, with the noise."""
+    of 5 mm and 5 mrad a step, with the noise; so many `pictures` share a floor `at_a_stop`."""
     random = np.random.default_rng(seed)
     own = np.diag([4e-6, 4e-6, 4e-6, 1e-6, 1e-6, 1e-6])
-    jitter = np.zeros(6) if noise.jitter is None else noise.jitter
+    jitter = np.zeros(6) if noise.jitter is None else noise.jitter.variances
     step = np.diag([25e-6, 25e-6, 25e-6])
     slip = np.diag([1e-6, 1e-6, 1e-12])
     count = 3 * (pictures - 1) + 6
@@ -30,11 +30,17 @@ def visit(seed: int, noise: Noise, pictures: int = 12) -> Linear:
             by_steps[number, :, 3 * number - 3 : 3 * number] = -np.eye(3)
     spread = np.sqrt(np.diagonal(own) + jitter)
     walk = np.sqrt(noise.odometry**2 * np.diagonal(step) + noise.slip**2 * np.diagonal(slip))
+    shifts = random.normal(size=(pictures, 6)) * spread
+    if noise.is_floor:
+        scatter = random.normal(size=(pictures, 3)) * np.sqrt(np.diagonal(own)[3:])
+        floor = random.normal(size=(pictures, 3)) * noise.tilt
+        shifts[:, 3:] = scatter + floor[np.arange(pictures) // at_a_stop]
     return Linear(
-        shifts=random.normal(size=(pictures, 6)) * spread,
+        shifts=shifts,
         own=np.tile(own, (pictures, 1, 1)),
         by_unknowns=by_unknowns,
         parts=list(range(pictures)),
+        nodes=np.arange(pictures) // at_a_stop,
         steps=random.normal(size=(pictures - 1, 3)) * walk,
         steps_by_unknowns=by_steps,
         spread=np.tile(step + slip, (pictures - 1, 1, 1)),
@@ -70,3 +76,12 @@ def test_corner_scale_leaves_what_is_no_board_out() -> None:
     assert corner_scale([3.9, 4.0, 4.1, 4.0, 900.0]) == pytest.approx(2.0, rel=0.06)
     assert corner_scale([0.8, 0.9, 0.95, 0.9]) == 1.0  # so few may scatter so by chance
     assert corner_scale([]) == 1.0
+
+
+@pytest.mark.parametrize("is_floor", [False, True])
+def test_a_tilt_that_stays_while_the_robot_stands_is_the_floors(is_floor: bool) -> None:
+    true = Noise(tilt=math.radians(0.3), sway=3e-3, is_floor=is_floor)
+    found = learn([visit(seed, true, at_a_stop=3) for seed in range(8)])
+    assert found is not None
+    assert found.is_floor is is_floor
+    assert found.tilt == pytest.approx(true.tilt, rel=0.3)
