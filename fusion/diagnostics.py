@@ -1,4 +1,4 @@
-"""What is wrong with what comes in, for as long as it is: in words, for the diagnostics.
+"""What is wrong with the input, as text for the diagnostics, for as long as it lasts.
 
 Pure: no bus, no clock.
 """
@@ -20,7 +20,7 @@ _TOLD_NS = to_ns(5.0)
 
 
 class Diagnostics:
-    """One site's. Not thread-safe. Times are monotonic, ns."""
+    """The diagnostics of one site's input. Not thread-safe. Times are monotonic, ns."""
 
     def __init__(self, site: Site, admission: Admission) -> None:
         self._site, self._admission = site, admission
@@ -30,17 +30,17 @@ class Diagnostics:
         self._heard_ns: dict[str, int] = {}
 
     def heard(self, key: str, now_ns: int) -> None:
-        """Something was taken of a key."""
+        """A message of a key was accepted."""
         self._heard_ns[key] = now_ns
 
     def restart(self) -> None:
-        """The pipeline is a new one, whose counts begin anew."""
+        """The pipeline is a new one, whose counts start at zero."""
         self._reported.clear()
         self._reported.update(self._admission.counts)
         self._stale_since_ns.clear()
 
     def left_out(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, int]]:
-        """(reason, how many more were left out than when this was asked last)."""
+        """(reason, how many more were left out since the last call)."""
         for reason, count in (Counter(pipeline.left_out) + self._admission.counts).items():
             more = count - self._reported[reason]
             if more > 0:  # what is cleared up later was left out all the same
@@ -58,7 +58,7 @@ class Diagnostics:
         return found | dict(self._stale(pipeline, now_ns)) | dict(self._silent(pipeline, now_ns))
 
     def _stale(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
-        """Robots whose odometry is old for seconds."""
+        """Robots whose odometry has been old for seconds."""
         stale_ns = pipeline.stale_ns
         for robot in self._stale_since_ns.keys() - stale_ns.keys():
             del self._stale_since_ns[robot]
@@ -72,7 +72,7 @@ class Diagnostics:
                 )
 
     def _silent(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
-        """Robots whose odometry does not come any more while cameras see them."""
+        """Robots whose odometry has stopped while cameras see them."""
         for robot in self._site.robots:
             heard_ns = self._heard_ns.get(topics.ODOMETRY.key(self._site.name, robot))
             if heard_ns is None or now_ns - heard_ns < _STALE_NS or not pipeline.waits_for(robot):

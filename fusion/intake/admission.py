@@ -1,7 +1,8 @@
-"""Who is heard: nobody unknown, nobody twice, nobody from the future, nobody without measure.
+"""Which messages are accepted: from known senders, one sender a key, stamps not in the future, and
+not more than the rate allows.
 
-Pure: no bus, no clock. What is refused here is never stored, so nothing that one sender does can
-make another's messages useless, now or after a restart.
+Pure: no bus, no clock. A refused message is never stored, so that no sender can make another's
+messages useless, now or after a restart.
 """
 
 from collections import Counter
@@ -30,11 +31,11 @@ _MOST_SENDERS = 8
 
 
 class Budget:
-    """How much of one key is taken: `rate_hz` on average, and `burst` at once, which is what comes
-    when a connection is back.
+    """How many messages of one key are accepted: `rate_hz` on average, and `burst` at once, which
+    is what arrives when a connection returns.
 
-    By the clock or by the stamps, whichever goes on faster: a session that is replayed at ten times
-    its pace is no flood.
+    Time is that of the clock or of the stamps, whichever advances faster: a session that is
+    replayed at ten times its pace is not a flood.
     """
 
     def __init__(self, rate_hz: float, burst: int) -> None:
@@ -44,7 +45,7 @@ class Budget:
         self._stamp_ns = 0
 
     def takes(self, stamp_ns: int, at_ns: int) -> bool:
-        """Whether one more is within the budget; `at_ns`: monotonic time."""
+        """Whether one more message is within the budget; `at_ns`: monotonic time."""
         if self._at_ns is not None:
             gone_ns = max(at_ns - self._at_ns, stamp_ns - self._stamp_ns, 0)
             self._left_ns = min(self._left_ns + gone_ns, self._burst_ns)
@@ -58,7 +59,7 @@ class Budget:
 
 @dataclass(slots=True)
 class _Sender:
-    """When a sender was heard last, monotonic, ns, and how often after another one."""
+    """When a sender was last heard, monotonic, ns, and how often after another sender."""
 
     last_ns: int
     turns: int = 0
@@ -66,7 +67,7 @@ class _Sender:
 
 @dataclass(slots=True)
 class _Speaker:
-    """Who is heard on a key: `current`, whoever was heard last, and all of late."""
+    """The senders of a key: `current`, the last one heard, and all recent ones."""
 
     current: str = ""
     last: str = ""
@@ -75,9 +76,9 @@ class _Speaker:
 
 
 class Admission:
-    """One site's senders. Not thread-safe.
+    """The admission of one site's messages. Not thread-safe.
 
-    `counts`: what was refused, by reason; `troubles`: name -> what is wrong now, in words.
+    `counts`: what was refused, by reason; `troubles`: name -> what is wrong now, as text.
     """
 
     def __init__(self, site: Site) -> None:
@@ -98,7 +99,8 @@ class Admission:
         self._speakers[key] = _Speaker()
 
     def knows(self, key: str) -> bool:
-        """Whether the site file has the camera or robot of a key; counted where not. Any thread."""
+        """Whether the site file has the camera or robot of a key; unknown ones are counted. Any
+        thread."""
         if key in self._budgets:
             return True
         self.counts["unknown_sender"] += 1
@@ -150,7 +152,7 @@ class Admission:
         return sender == speaker.current
 
     def _hear(self, speaker: _Speaker, sender: str, at_ns: int) -> bool:
-        """Note who is heard; whether another was heard before."""
+        """Note the sender; whether another one was heard before it."""
         is_turn, speaker.last = speaker.last != sender, sender
         known = speaker.senders.get(sender)
         if known is not None:
@@ -161,7 +163,7 @@ class Admission:
         return is_turn
 
     def troubles(self, at_ns: int) -> Mapping[str, str]:
-        """Name -> what is wrong now, in words."""
+        """Name -> what is wrong now, as text."""
         found = {}
         for key, speaker in self._speakers.items():
             if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:

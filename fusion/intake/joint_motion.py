@@ -1,8 +1,9 @@
-"""Whether a robot's motion as other cameras saw it at the time explains a visit to one more camera.
+"""Whether a robot's motion, as other cameras saw it at the time, explains a visit to one more
+camera.
 
 Two robots that report the same motion do not move the same: what a second camera saw meanwhile
-tells it far better than odometry. So a visit is worked out together with all that located cameras
-saw of the robot at the time, and the χ² that it adds is what speaks against that robot.
+tells them apart far better than odometry. So a visit is solved together with all that located
+cameras saw of the robot at the time, and the χ² that it adds is the evidence against that robot.
 """
 
 from dataclasses import replace
@@ -29,10 +30,10 @@ def added_chi2(
     state: CameraState,
     visit: list[Entry],
 ) -> float:
-    """χ² that a visit (read, with places) to a camera, thought to be at `state`, adds to what the
-    located `cameras` saw of its robot then; infinite where it cannot be worked out.
+    """χ² that a visit (read, with poses) to a camera, assumed at `state`, adds to what the located
+    `cameras` saw of its robot then; infinite where it cannot be solved.
 
-    All these cameras may move, so that only what they saw in that time counts.
+    All these cameras are free, so that only what they saw in that time counts.
     """
     robot = visit[0].observation.robot
     stamps = [entry.observation.stamp_ns for entry in visit]

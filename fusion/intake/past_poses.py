@@ -1,7 +1,7 @@
-"""Where robots stood and cameras hang by what any estimator knows at the moment.
+"""Poses of robots and cameras at past moments, by what any estimator knows now.
 
-For whoever asks after moments that are past: in go an estimator and the odometry, out come poses
-with what they may be off by at the most, rather than with their exact covariance.
+From an estimator and the odometry; with an upper bound of the error rather than the exact
+covariance.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ _FLOOR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
 
 
 class PastPoses:
-    """As of when it is made; whoever asks again later makes another one."""
+    """A snapshot of the moment at which it is made."""
 
     def __init__(self, data: DataSet, estimator: Live) -> None:
         self._data, self._estimator = data, estimator
@@ -27,7 +27,7 @@ class PastPoses:
         self._seen: dict[str, np.ndarray] = {}
 
     def camera(self, name: str) -> CameraEstimate | None:
-        """Where a camera hangs; None where that is not known."""
+        """A camera's pose; None where it is not known."""
         return self._cameras.get(name)
 
     def camera_states(self) -> dict[str, CameraState]:
@@ -38,7 +38,7 @@ class PastPoses:
         }
 
     def robot(self, name: str, stamp_ns: int) -> RobotEstimate | None:
-        """Where a robot stood; None where nothing leads there from where it is known to be."""
+        """A robot's pose; None where odometry does not connect the moment to a known pose."""
         track = self._data.tracks[name]
         if not len(track) or not track.covers(stamp_ns):
             return None
@@ -51,7 +51,7 @@ class PastPoses:
         return self._drifted(name, pose, stamp_ns, last.stamp_ns, last.covariance)
 
     def _on_way(self, name: str, stamp_ns: int) -> RobotEstimate | None:
-        """By the whole way that an estimator gives, which is sure where the robot was seen."""
+        """By the estimator's whole trajectory, which is certain where the robot was seen."""
         if name not in self._ways:
             assert isinstance(self._estimator, Estimator)
             self._ways[name] = self._estimator.trajectory(name)
@@ -65,7 +65,7 @@ class PastPoses:
         return self._drifted(name, pose, stamp_ns, near_ns, np.zeros((6, 6)))
 
     def _seen_ns(self, name: str) -> np.ndarray:
-        """When a robot's place was known without its odometry, (n,)."""
+        """When a robot's pose was known without its odometry, (n,)."""
         track = self._data.tracks[name]
         stamps = [
             entry.observation.stamp_ns
@@ -76,7 +76,7 @@ class PastPoses:
         return np.clip(np.array([*origin, *stamps], dtype=np.int64), track.first_ns, track.last_ns)
 
     def _carried(self, name: str, pose: Pose, from_ns: int, to_ns: int) -> Pose:
-        """A pose moved on, or back, by odometry."""
+        """A pose propagated forwards or backwards by odometry."""
         if from_ns == to_ns:
             return pose
         moments = np.array(sorted([from_ns, to_ns]))
@@ -86,7 +86,7 @@ class PastPoses:
     def _drifted(
         self, name: str, pose: Pose, stamp_ns: int, known_ns: int, covariance: np.ndarray
     ) -> RobotEstimate | None:
-        """With what odometry may have drifted since a moment; None across a break of it."""
+        """With the drift of odometry since a moment; None across a break of it."""
         track, covariance = self._data.tracks[name], covariance + _FLOOR
         moments = np.array(sorted([known_ns, stamp_ns]))
         if len(set(track.pieces(moments).tolist())) > 1:

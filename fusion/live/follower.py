@@ -1,11 +1,10 @@
-"""The smoother's live side, where somebody else does the solving.
+"""The live side of the smoother, where a solver process does the solving.
 
-The filter takes every sighting at once. All that came in goes on to the solver, in order of time
-and so much later that nothing that may still make a correction comes before it. What the solver
-found is taken over sighting by sighting: its filter is first brought up to now with what came since
-the moment that it knows, a few sightings a turn and most while no robot waits; until then the old
-one goes on making corrections. So no turn takes long, and sightings that come late have their place
-in the new filter as well.
+The filter uses every sighting at once. All input is passed on to the solver in order of time, so
+much later that nothing that may still make a correction precedes it. A solution is taken over
+sighting by sighting: its filter first catches up with what has come since the moment that it knows,
+a few sightings a turn and most while no robot waits; until then the old filter makes the
+corrections. So no turn takes long, and late sightings enter the new filter as well.
 """
 
 from collections import deque
@@ -47,7 +46,7 @@ _CATCHING_UP = 2
 
 @dataclass(slots=True)
 class _Recent:
-    """An observation that no solution knows yet; `number`: what it was told to the solver as."""
+    """An observation that is not part of any solution yet; `number`: its number with the solver."""
 
     observation: Observation
     number: int | None = None
@@ -55,14 +54,14 @@ class _Recent:
 
 @dataclass(slots=True)
 class _Coming:
-    """A solution's filter on its way to now, and what it lacks, in order."""
+    """A solution's filter that is catching up, and the observations that it lacks, in order."""
 
     current: CurrentFilter
     missing: deque[Observation]
 
 
 class Follower:
-    """See `Live`; what a solver is needed for comes with the solver's news. Not thread-safe."""
+    """See `Live`; results that need a solver come with the solver's news. Not thread-safe."""
 
     def __init__(self, data: DataSet, solver: Solver) -> None:
         self.data, self._solver = data, solver
@@ -120,7 +119,7 @@ class Follower:
     # -- the solver -------------------------------------------------------------------------------
 
     def attend(self) -> Iterator[Suggested | Happened]:
-        """Take the solver's news and give it what it lacks; what is to be said of it.
+        """Take the solver's news and give it what it lacks; what is to be reported of it.
 
         Called at every turn.
         """
@@ -138,7 +137,7 @@ class Follower:
             yield news
 
     def _take_over(self, solved: Solved) -> None:
-        """Begin to go on from a solution."""
+        """Begin to take over a solution."""
         self.data.moves = list(solved.moves)
         for robot, rows in solved.jumps.items():
             self.data.tracks[robot].jump_at(rows)
@@ -152,7 +151,7 @@ class Follower:
         self._coming = _Coming(current, deque(missing))
 
     def _catch_up(self) -> None:
-        """Bring a new filter on; it is taken once it lacks nothing."""
+        """Advance a new filter; it replaces the old one once it lacks nothing."""
         came, before = self._came, self._came_before
         self._came, self._came_before = 0, came
         coming = self._coming
@@ -170,7 +169,7 @@ class Follower:
             self.has_new_camera |= bool(_cameras(coming.current) - _cameras(old))
 
     def _hand_over(self, *, is_all: bool) -> None:
-        """Tell the solver what is old enough, in order of time."""
+        """Pass on to the solver what is old enough, in order of time."""
         ready = [r for r in self._recent if r.number is None and (is_all or self._is_old(r))]
         for recent in sorted(ready, key=lambda r: r.observation.stamp_ns):
             self._tell(recent.observation)
@@ -199,15 +198,15 @@ class Follower:
 
     @property
     def is_idle(self) -> bool:
-        """Whether the solver owes no answer."""
+        """Whether the solver has answered everything."""
         return not self._asked or self.is_answered
 
     def finish(self) -> None:
-        """Have everything solved to the end; the report of it comes with the solver's news."""
+        """Have everything solved to the end; the report comes with the solver's news."""
         self._ask(Finish())
 
     def ask(self) -> None:
-        """Have what is known now reported."""
+        """Request a report of what is known now."""
         self._ask(Report())
 
     def _ask(self, order: Report | Finish) -> None:
@@ -217,7 +216,7 @@ class Follower:
 
     @property
     def is_answered(self) -> bool:
-        """Whether everything that was asked for was reported."""
+        """Whether every requested report has come."""
         reported = self.reported
         return reported is not None and reported.orders >= self._asked
 

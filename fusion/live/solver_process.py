@@ -2,7 +2,7 @@
 
 A thread would not do: it holds the interpreter between its many small numpy calls, and a filter's
 step needs the interpreter as often. Orders and news go through a pipe each; a thread at either end
-sees to it that neither side ever waits for the other.
+ensures that neither side ever waits for the other.
 """
 
 import logging
@@ -43,14 +43,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Alive:
-    """A sign of life of the thread that solves; the next comes within this time."""
+    """A sign of life of the thread that solves; the next one comes within this time."""
 
     within_s: float
 
 
 class SolverProcess:
-    """See `Solver`. `data`: empty but for what is known beforehand; used by nobody else. `pulse` is
-    beaten by the work in the process."""
+    """See `Solver`. `data`: empty but for what is known beforehand; not used by anyone else.
+    `pulse` is beaten by the work in the process."""
 
     def __init__(self, data: DataSet, pulse: Pulse | None = None) -> None:
         self._pulse = pulse
@@ -94,7 +94,7 @@ class SolverProcess:
         self._outbox.put(tuple(orders))
 
     def news(self) -> list[News]:
-        """What came since the last call; raise OperationError where the process has died."""
+        """The news since the last call; raise OperationError where the process has died."""
         found = []
         while not self._inbox.empty():
             found.append(self._inbox.get())
@@ -107,7 +107,7 @@ class SolverProcess:
         return found
 
     def close(self) -> None:
-        """End the process, whatever it is at."""
+        """End the process, whatever it is doing."""
         self._process.kill()
         self._outbox.put(None)
         for thread in self._threads:
@@ -141,7 +141,7 @@ class SolverProcess:
 
 @contextmanager
 def _held_back(*signals: signal.Signals) -> Iterator[None]:
-    """These do not reach the calling thread meanwhile, nor ever a process that it starts."""
+    """Block these signals for the calling thread and for processes that it starts."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
@@ -190,10 +190,10 @@ def _listen(orders: Connection, backlog: "Backlog") -> None:
 
 
 class Backlog:
-    """Orders that wait, in the order in which they came. One thread puts, another takes.
+    """Orders that wait, in the order of their arrival. One thread puts, another takes.
 
-    Observations that wait before a `Finish` are left to its solution: those in between would only
-    hold it up, and whoever stops us may not wait for it.
+    Observations that wait before a `Finish` are left to its solution: solutions in between would
+    only delay it, and a stop has a time limit.
     """
 
     def __init__(self) -> None:
@@ -206,7 +206,7 @@ class Backlog:
             self._orders.put(order)
 
     def take(self, timeout_s: float) -> Order | None:
-        """The next one; None where none comes in time."""
+        """The next order; None where none comes in time."""
         try:
             order = self._orders.get(timeout=timeout_s)
         except queue.Empty:
@@ -219,8 +219,8 @@ class Backlog:
 
 
 class Heartbeat:
-    """Says that the work goes on, once a second at most. What may be waited for grows with the
-    longest time between two calls, since solutions take longer as a session grows."""
+    """Reports that the work goes on, at most once a second. The time limit that it announces grows
+    with the longest time between two calls, since solutions take longer as a session grows."""
 
     def __init__(self, say: Callable[[Alive], None], seconds: Callable[[], float]) -> None:
         self._say, self._seconds = say, seconds
@@ -236,7 +236,7 @@ class Heartbeat:
 
 
 class _NewsPipe:
-    """Says news and signs of life, one at a time."""
+    """Sends news and signs of life, one at a time."""
 
     def __init__(self, news: Connection) -> None:
         self._news, self._lock = news, threading.Lock()
@@ -247,7 +247,7 @@ class _NewsPipe:
 
 
 def _guide(world: Callable[[], GuidanceWorld | None], say: Callable[[News], None]) -> None:
-    """Say every few seconds where each robot should go next."""
+    """Suggest every few seconds where each robot should go next."""
     while True:
         time.sleep(_GUIDANCE_PERIOD_S)
         known = world()

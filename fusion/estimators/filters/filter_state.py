@@ -1,4 +1,4 @@
-"""What a recursive filter believes at a moment; immutable, so that going back costs nothing."""
+"""What a recursive filter knows at a moment; immutable, so that going back costs nothing."""
 
 from dataclasses import dataclass
 from typing import Protocol, Self
@@ -20,8 +20,8 @@ _VELOCITY_WINDOW_NS = to_ns(0.02)
 
 @dataclass(frozen=True, slots=True)
 class ReadSighting:
-    """An observation made ready for a filter: read, its wild corners marked, and about where it
-    puts the robot, `map_from_base`. `places_robot`: nothing else says where the robot is."""
+    """An observation prepared for a filter: read, its wild corners marked, and the approximate pose
+    of the robot by it, `map_from_base`. `places_robot`: the robot's pose is not known otherwise."""
 
     observation: Observation
     map_from_base: Pose
@@ -30,7 +30,7 @@ class ReadSighting:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """How far an observation lay from what was expected.
+    """How far an observation was from its prediction.
 
     `chi2` over `freedom`: of the innovation; `total`, `total_freedom`: with what no pose explains;
     `rms_px`: of a coordinate, afterwards.
@@ -44,7 +44,7 @@ class Innovation:
 
 
 class FilterState(Protocol):
-    """Robots at their last nodes and the located cameras, with what is known of them together."""
+    """Robots at their last nodes and the located cameras, with their joint uncertainty."""
 
     @property
     def stamps_ns(self) -> dict[str, int]:
@@ -101,8 +101,8 @@ class FilterState(Protocol):
 class OdometryStep:
     """A robot's step by odometry; leading dimensions as its pose has.
 
-    `end`: where it leads; a disturbance of the start moves the end by `by_start` (…, 6, 6), one of
-    the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
+    `end`: the pose after it; a disturbance of the start moves the end by `by_start` (…, 6, 6), one
+    of the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
     """
 
     end: Pose

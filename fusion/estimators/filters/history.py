@@ -1,5 +1,5 @@
-"""What became of each sighting that a filter went through: the robots' ways by that, and how well
-it all fits."""
+"""The outcome of each sighting that a filter processed: the robots' trajectories by it, and how
+well everything fits."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _IN_A_ROW = 4
 
 @dataclass(slots=True)
 class Step:
-    """What became of one sighting. `before`: the filter state before it, None where that is too
+    """The outcome of one sighting. `before`: the filter state before it, None where that is too
     long ago; `map_from_base`: afterwards; `innovation`: None where it was set aside."""
 
     time_ns: int
@@ -99,8 +99,8 @@ def chi2_per_dof(steps: list[Step]) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Sightings in a row by one camera or of one robot, `what`, all of which contradict what is
-    believed: noise or a wrong reading does not do that."""
+    """Sightings in a row by one camera or of one robot, `what`, all of which contradict the filter
+    state: noise or a wrong reading does not do that."""
 
     what: str
     since_ns: int

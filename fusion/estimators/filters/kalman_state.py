@@ -35,7 +35,7 @@ class KalmanState:
     columns: dict[Part, slice]
     covariance: Array
 
-    # -- what is believed -------------------------------------------------------------------------
+    # -- the estimate -----------------------------------------------------------------------------
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
-"""The walk of a filter through its sightings, in order of time.
+"""A filter's pass through its sightings, in order of time.
 
-Filter states are immutable: a late sighting goes back to the filter state before it and takes what
-followed again, as far as the last 64 sightings reach; an older one enters when the session is
-worked out to the end. A camera that is located goes back to its first sighting alike.
+Filter states are immutable: for a late sighting the filter goes back to the state before it and
+processes what followed again, as far as the last 64 sightings reach; an older one is used when the
+session is finished. A camera that is located goes back to its first sighting likewise.
 """
 
 import bisect
@@ -44,7 +44,7 @@ class Replay:
         self._first_seen: dict[str, tuple[int, FilterState]] = {}
 
     def copy(self) -> "Replay":
-        """What it is now, to go on from if what comes next is unusable."""
+        """A copy, to continue from if the next observation is unusable."""
         other = copy(self)
         other.steps, other.located = list(self.steps), dict(self.located)
         other._first_seen = dict(self._first_seen)
@@ -54,7 +54,7 @@ class Replay:
         return camera in self.located or camera in self._data.known.poses
 
     def state(self) -> State:
-        """What is believed, as `locate` takes it."""
+        """The estimate in the form that `initialisation.cameras.locate` takes."""
         first, filter_state = self._data.first_state(), self.filter_state
         cameras = {name: filter_state.camera(name) for name in filter_state.cameras}
         robots = {
@@ -83,8 +83,8 @@ class Replay:
             self._first_seen[camera] = (len(self.steps), self.filter_state)
 
     def enter(self, camera: str, indices: Iterable[int]) -> bool:
-        """Go back to where a located camera was first seen and take its sightings too; whether it
-        is part of what is believed then."""
+        """Go back to where a located camera was first seen and process its sightings too; whether
+        the camera is part of the filter state then."""
         first = self._first_seen.pop(camera)
         later = [step.entry for step in self._back_to(*first)]
         since_ns = self.steps[-1].time_ns if self.steps else 0
@@ -95,13 +95,13 @@ class Replay:
         return False
 
     def restart(self) -> None:
-        """Take every sighting of the located cameras anew, from the beginning."""
+        """Process every sighting of the located cameras again, from the beginning."""
         chosen = self._usable()
         self.filter_state, self.steps, self._first_seen = self._origin(self._data), [], {}
         self._take_all(chosen)
 
     def is_complete(self) -> bool:
-        """Whether every sighting of a located camera was gone through."""
+        """Whether every sighting of a located camera was processed."""
         return len(self._usable()) == len(self.steps)
 
     def _usable(self) -> list[int]:
@@ -121,7 +121,7 @@ class Replay:
         return int(np.clip(observation.stamp_ns - to_ns(offset_s), track.first_ns, track.last_ns))
 
     def _rewind(self, place: int) -> list[Step] | None:
-        """Go back before a step; the steps to do again, None where that is too long ago."""
+        """Go back before a step; the steps to process again, None where that is too long ago."""
         if place == len(self.steps):
             return []
         before = self.steps[place].before
@@ -138,7 +138,7 @@ class Replay:
     # -- one sighting -----------------------------------------------------------------------------
 
     def _take(self, index: int) -> RobotEstimate | None:
-        """Go on by one sighting; where the robot is then, None where it makes no correction."""
+        """Process one sighting; the robot's pose then, None where it makes no correction."""
         before, entry = self.filter_state, self._data.entries[index]
         robot, camera = entry.observation.robot, entry.observation.camera
         time_ns = max(self._time_ns(index), before.stamps_ns.get(robot, 0))
@@ -160,8 +160,8 @@ class Replay:
         return estimate if not is_new and is_placed(estimate.covariance) else None
 
     def _is_used(self, filter_state: FilterState, index: int) -> bool:
-        """Whether a sighting could have been used: what comes before its camera's first sighting,
-        or while the robot may be anywhere, says nothing yet."""
+        """Whether a sighting could have been used: one before its camera's first sighting, or while
+        the robot's pose is unknown, carries no information yet."""
         observation = self._data.entries[index].observation
         if observation.camera in filter_state.cameras:
             return True
@@ -172,7 +172,8 @@ class Replay:
     def _used(
         self, before: FilterState, index: int, time_ns: int
     ) -> tuple[FilterState, Innovation] | None:
-        """With a sighting by a camera of the filter state, where it does not contradict it."""
+        """The state updated by a sighting of one of its cameras, where it does not contradict
+        it."""
         entry = self._data.entries[index]
         filter_state, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
         if predicted is not None:

@@ -1,7 +1,7 @@
-"""An estimator that goes through the sightings one by one, in order of time: both filters do.
+"""An estimator that processes the sightings one by one, in order of time, as both filters do.
 
-`replay` says which sighting comes next and how it is read; what is believed then is the filter's
-own affair (`filter_state`). Here is when a camera is located, and what is given out.
+`replay` decides which sighting comes next and how it is read; `filter_state` is the filter's own.
+Here cameras are located and results given out.
 """
 
 from collections.abc import Callable
@@ -64,7 +64,7 @@ class SequentialEstimator:
         try:
             return self._use(self._replay, index)
         except (LinAlgError, ValueError) as reason:
-            # Numbers that no arithmetic survives: the rest goes on as if they had not come.
+            # Discard a numerically unusable observation; the state is as before it.
             self.data.forget_from(index)
             self._replay = before
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
@@ -100,7 +100,7 @@ class SequentialEstimator:
         return [i for i, e in enumerate(self.data.entries) if e.observation.camera == camera]
 
     def _locate(self, replay: Replay, camera: str) -> bool:
-        """Find a camera by all of its sightings, from where the robot is believed to have been."""
+        """Locate a camera by all of its sightings, from the estimated poses of the robot."""
         place(self.data, replay.filter_state, replay.steps, self._entries_of(camera))
         result = locate(self.data, replay.state(), camera)
         if isinstance(result, Undetermined):
@@ -120,7 +120,7 @@ class SequentialEstimator:
             entry.observation = entry.observation.judged(Verdict.PENDING)
 
     def _drop_misplaced(self, replay: Replay, camera: str) -> None:
-        """A camera most of whose sightings contradict its place loses it, and starts anew."""
+        """Drop a camera most of whose sightings contradict its pose; it is located anew."""
         if camera in self.data.known.poses:
             return
         entries = self.data.of_camera(camera)
@@ -133,7 +133,7 @@ class SequentialEstimator:
         replay.wait(camera)
 
     def _tell(self, steps: list[Step]) -> None:
-        """Have people told, once, of sightings in a row among these that contradict the rest."""
+        """Report once each run of sightings among these that contradict the rest."""
         for found in contradictions(self.data, steps):
             if found.since_ns > self._told_ns.get(found.what, -1):
                 self.data.note("contradictions", found.text)
@@ -142,13 +142,13 @@ class SequentialEstimator:
     # -- all of it anew ---------------------------------------------------------------------------
 
     def solve(self) -> None:
-        """Go through everything from the beginning, in order of time."""
+        """Process everything from the beginning, in order of time."""
         if self._replay is not None:
             self.iterations += 1
             self._replay.restart()
 
     def finish(self) -> None:
-        """Locate every camera that can be located, and take every sighting that came too late."""
+        """Locate every camera that can be located, and process the sightings that came too late."""
         replay = self._replay
         if replay is None:
             return
@@ -184,7 +184,7 @@ class SequentialEstimator:
         return now.particles(robot)
 
     def cameras(self) -> dict[str, CameraEstimate]:
-        """The located cameras that are located in the map, in the site's order."""
+        """The located cameras whose pose in the map is known, in the site's order."""
         if self._replay is None:
             return {}
         filter_state = self._replay.filter_state

@@ -1,4 +1,4 @@
-"""How a filter takes one sighting: how it is read, where it puts the robot, whether it is noise."""
+"""How a filter uses one sighting: its reading, the robot's pose by it, and the gate on it."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from .relative_pose import relative_view, without_wild_corners
 def predicted_at(
     data: DataSet, before: FilterState, robot: str, time_ns: int
 ) -> tuple[FilterState, RobotEstimate | None]:
-    """The filter state at a later time, and the robot there; None where it may be anywhere."""
+    """The filter state at a later time, and the robot there; None where its pose is not known."""
     if robot not in before.stamps_ns:
         return before, None
     filter_state = before.advanced(data, robot, time_ns)
@@ -34,7 +34,7 @@ def read_sighting(
     observation: Observation,
     predicted: RobotEstimate | None,
 ) -> ReadSighting | None:
-    """The observation as it is read best; None where that is not clear or nothing fits."""
+    """The observation in its best reading; None where that is ambiguous or nothing fits."""
     estimate = filter_state.estimate(observation.camera)
     lens, map_from_camera = estimate.lens, estimate.map_from_camera
     target = data.targets[observation.robot]

@@ -1,11 +1,10 @@
-"""What sightings mean that contradict the rest: a wrong one, a moved camera, or a lifted robot.
+"""Live change detection: what sightings that contradict the rest mean.
 
-- One alone is wrong, and rejected.
-- A camera was moved where it alone contradicts, again and again, while others agree.
-- A robot was lifted where every camera contradicts it from a moment on; the
-  association looks for when.
+- One alone is an outlier, and is rejected.
+- A camera was moved where it alone contradicts, repeatedly, while others agree.
+- A robot was lifted where every camera contradicts it from a moment on; the association finds when.
 
-Until it is decided nothing contradicting is used, and so nothing is corrected by it.
+Until it is decided contradicting sightings are not used, so that no correction rests on them.
 """
 
 from collections import defaultdict
@@ -33,13 +32,13 @@ class ChangeDetector:
 
     @property
     def undecided(self) -> set[int]:
-        """The sightings of which it is not known yet what they mean."""
+        """The sightings whose meaning is not known yet."""
         runs = [*self._of_robot.values(), *self._of_camera.values()]
         return {index for run in runs for index in run}
 
     def note(self, index: int, known: Filter) -> bool:
-        """Take note of what became of a located camera's sighting; whether the data set changed by
-        it, so that everything must be solved anew."""
+        """Note the verdict on a located camera's sighting; whether the data set changed, so that
+        everything must be solved again."""
         observation = self._batch.data.entries[index].observation
         camera, robot = observation.camera, observation.robot
         if observation.verdict is Verdict.ACCEPTED:
@@ -77,7 +76,7 @@ class ChangeDetector:
         )
 
     def is_robot_lifted(self, robot: str) -> bool:
-        """Whether it is time to look for when a robot was lifted: every camera contradicts it."""
+        """Whether to look for a lift of the robot now: every camera contradicts it."""
         wrong = self._of_robot.get(robot, [])
         cameras = {self._batch.data.entries[index].observation.camera for index in wrong}
         if len(wrong) < _LEAST_WRONG or len(cameras) < 2:
@@ -91,7 +90,7 @@ class ChangeDetector:
             del self._of_camera[camera]
 
     def _is_worth_trying(self, camera: str, count: int) -> bool:
-        """Whether there is half as much again as at the last try."""
+        """Whether there are half as many again as at the last try."""
         if count < _GROWTH * self._tried.get(camera, 0):
             return False
         self._tried[camera] = count

@@ -1,7 +1,7 @@
-"""What is known at the moment: a filter, carried on sighting by sighting, and its last steps.
+"""The filter of the moment and its last steps.
 
-A sighting that comes late is put before the ones that are later than it, which are then taken in
-again. Filters are immutable and share what a step leaves alone, so that going back costs nothing.
+A late sighting is inserted at its place in time, and the later ones are applied again. Filters are
+immutable and share what a step does not change, so that going back costs nothing.
 """
 
 from collections.abc import Iterable
@@ -49,18 +49,19 @@ class CurrentFilter:
         self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
 
     def begin(self, robot: str) -> None:
-        """Take note of a robot's odometry: the first robot's first message is where the map is."""
+        """Note a robot's odometry: the first robot's first message is the map's origin."""
         if self.known is None and (robot == self.data.anchored_robot or self.data.known.poses):
             self.known = Filter.at_origin(self.data)
 
     def settle(self) -> None:
-        """Do now, where nobody waits, what one of the next sightings would have to wait for."""
+        """Do ahead of time, while no robot waits, the work that one of the next sightings would
+        have to wait for."""
         known = self.known
         if known is not None and known.is_worth_settling:
             self.known = known.settled()
 
     def go_on_from(self, known: Filter | None, entries: Iterable[Entry] = ()) -> None:
-        """Replace what is known; `entries`: whose shares are to be gone on from, in order."""
+        """Replace the filter; `entries`: those whose shares are continued, in order."""
         self.known = known
         self._steps.clear()
         for entry in entries:
@@ -72,7 +73,7 @@ class CurrentFilter:
         return dict(self._shares)
 
     def take_shares(self, shares: dict[tuple[str, str], tuple[int, float]]) -> None:
-        """Go on from the shares of another."""
+        """Continue from the shares of another filter."""
         self._shares = dict(shares)
 
     # -- an observation of a located camera by a robot that is located in the map
@@ -94,7 +95,7 @@ class CurrentFilter:
         return correction
 
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
-        """Go back before everything of this robot that is later; the steps to do again."""
+        """Go back before all later steps of this robot; the steps to apply again."""
         assert self.known is not None
         if self.known.stamps_ns[robot] <= time_ns:
             return []

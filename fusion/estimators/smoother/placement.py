@@ -1,8 +1,8 @@
-"""Where a robot stood at observations that no solution has seen yet: by odometry from where it is
+"""The robot's pose at observations that no solution has included yet: by odometry from where it is
 known, corrected wherever a located camera saw it.
 
-This is what the live filter does sighting by sighting, for a whole stretch and without the filter:
-it gives a batch solution its start, and ambiguous views their readings.
+The live filter does the same sighting by sighting; here it is done for a whole stretch without the
+filter. It gives a batch solution its initial values, and ambiguous views their readings.
 """
 
 from dataclasses import dataclass, replace
@@ -99,7 +99,7 @@ def _place_piece(
 
 
 def _take(data: DataSet, located: RobotLocation, rows: dict[int, int]) -> _Anchor:
-    """Put what tied the robot into the data set; the first of it."""
+    """Put the location found into the data set; the first of its poses."""
     for index, map_from_base in located.map_from_base.items():
         entry = data.entries[index]
         entry.observation = entry.observation.read_as(located.readings[index])
@@ -151,8 +151,8 @@ def _placed(
 def align_to(
     data: DataSet, known: Filter, observation: Observation, predicted: RobotEstimate | None
 ) -> tuple[Observation, Pose] | None:
-    """A located camera's observation as it is read best, and where that puts the robot; None where
-    nothing fits or two readings fit alike."""
+    """A located camera's observation in its best reading, and the robot's pose by it; None where
+    nothing fits or two readings fit equally well."""
     camera = known.state.cameras[observation.camera]
     prior, distance = None, 3.0
     if predicted is not None:

@@ -65,7 +65,7 @@ class Smoother:
         try:
             return self._add(observation)
         except (LinAlgError, ValueError) as reason:
-            # Numbers that no arithmetic survives: the rest goes on as if they had not come.
+            # Discard a numerically unusable observation; the state is as before it.
             self.data.forget_from(count)
             batch.state, known, batch.solution, batch.assembled = before
             self._current.go_on_from(known)
@@ -103,7 +103,7 @@ class Smoother:
             report_changes(self.data, self._batch.state)
 
     def _explain(self) -> bool:
-        """Look for what else happened where everything contradicts a robot; whether it did."""
+        """Look for a change that explains what contradicts a robot; whether there was one."""
         before = list(self.data.changes)
         self.finish()
         self._change_detector = ChangeDetector(self._batch)
@@ -132,13 +132,13 @@ class Smoother:
             return Update()
         robot = entry.observation.robot
         if self._change_detector.is_robot_lifted(robot) and not self._explain():
-            # Nothing that may have happened explains it, so it was the filter that went astray.
+            # No change explains it, so it was the filter that was wrong.
             self._change_detector.forget(robot)
             self._batch.undecided = self._change_detector.undecided
         return Update(correction=correction)
 
     def _locate_robot(self, index: int) -> Update:
-        """A robot meets its first located cameras: its odometry gets its place in the map."""
+        """A robot meets its first located cameras: locate its odometry frame in the map."""
         robot = self.data.entries[index].observation.robot
         if self._batch.locate_robot(robot, self._current.known):
             self.solve()
@@ -147,7 +147,7 @@ class Smoother:
     # -- an observation of a camera that is not located -------------------------------------------
 
     def _guess(self, index: int) -> None:
-        """Where the robot stood, as far as it is known now."""
+        """The robot's pose, as far as it is known now."""
         entry = self.data.entries[index]
         observation = entry.observation
         entry.map_from_base = self._batch.pose_at(
