@@ -1,7 +1,7 @@
-"""What is said of the located cameras: their poses, and the floor that they see.
+"""Announcements of the located cameras: their poses, and the floor that they see.
 
-A hundred cameras at once would keep a robot waiting for its correction. So a few are said a turn,
-new ones first, and the floor of one, in turns in which no robot waits.
+A hundred cameras at once would keep a robot waiting for its correction. So a few are announced a
+turn, new ones first, and the floor of one, in turns in which no robot waits.
 """
 
 from collections.abc import Iterator
@@ -43,14 +43,14 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """A camera as it was known at a moment."""
+    """A camera's estimate at a moment."""
 
     stamp_ns: int
     camera: CameraEstimate
 
 
 class CameraAnnouncements:
-    """The cameras that are to be said, and those that were. Not thread-safe.
+    """The cameras that are to be announced, and those that were. Not thread-safe.
 
     `target`: the one that the cameras are to see.
     """
@@ -67,12 +67,12 @@ class CameraAnnouncements:
         self._floor_from: dict[str, Pose] = {}
 
     def is_due(self, stamp_ns: int, *, is_quiet: bool) -> bool:
-        """Whether it is time to say all cameras again; `is_quiet`: no robot waits."""
+        """Whether it is time to announce all cameras again; `is_quiet`: no robot waits."""
         return _has_passed(self._taken_ns, stamp_ns, _PERIOD_NS if is_quiet else _LONG_NS)
 
     def take(self, stamp_ns: int, cameras: dict[str, CameraEstimate], *, is_urgent: bool) -> None:
-        """Have the cameras said, as they are known at a moment; `is_urgent`: and
-        every floor that changed. One that is not located any more is not said."""
+        """Set the cameras to announce, as estimated at a moment; `is_urgent`: and every floor that
+        changed. One that is no longer located is not announced."""
         self._taken_ns = stamp_ns
         known = {name: _Known(stamp_ns, camera) for name, camera in cameras.items()}
         new = {name: one for name, one in known.items() if name not in self._said}
@@ -94,13 +94,13 @@ class CameraAnnouncements:
         return bool(shift > _SAME_FLOOR_M or turn > _SAME_FLOOR_RAD)
 
     def next(self, *, is_quiet: bool) -> Iterator[Output]:
-        """What is to be said this turn; `is_quiet`: no robot waits."""
+        """What to announce this turn; `is_quiet`: no robot waits."""
         yield from self._say_poses(_MOST_A_TURN if is_quiet else _MOST_IN_BETWEEN)
         if is_quiet:
             yield from self._say_floor()
 
     def rest(self) -> Iterator[Output]:
-        """Everything that is still to be said."""
+        """Everything that is still to be announced."""
         yield from self._say_poses(len(self._poses))
         while self._floors:
             yield from self._say_floor()

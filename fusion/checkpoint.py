@@ -1,10 +1,9 @@
-"""The checkpoint: everything that came in, written as it comes, so that a killed fusion goes on.
+"""The checkpoint: all input, written as it comes, so that a killed fusion can resume.
 
 A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack array of key and
-payload. Reading it again through the pipeline gives the same map under the same UUID. What is
-damaged, or was cut off as it was written, is passed over to the next sound record. The file is only
-ever appended to: what is not one of these is kept under another name, and so is a map that is given
-up.
+payload. Reading it again through the pipeline gives the same map under the same UUID. Damaged or
+truncated records are skipped up to the next sound one. The file is only ever appended to: another
+kind of file is kept under another name, and so is a map that is given up.
 """
 
 import logging
@@ -39,8 +38,8 @@ _DECODER = msgspec.msgpack.Decoder(tuple[str, bytes])
 class Checkpoint:
     """An open checkpoint file; used by one thread.
 
-    `trouble`: why what comes now is not kept, "" while all is well; what was written before stays
-    good, and once there is room again it goes on. `written_ns`: when the file was written to last,
+    `trouble`: why what comes now is not stored, "" while all is well; what was written before stays
+    valid, and writing goes on once there is room. `written_ns`: when the file was last written to,
     Unix time; 0 where it is new.
     """
 
@@ -49,7 +48,7 @@ class Checkpoint:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.exists() and not _is_ours(path):
-                _log.error("%s is no checkpoint; it is kept as %s", path, set_aside(path))
+                _log.error("%s is not a checkpoint; it is kept as %s", path, set_aside(path))
             self._open()
         except OSError as reason:
             raise OperationError(
@@ -89,7 +88,7 @@ class Checkpoint:
             self._try(self._synchronise)
 
     def restart(self) -> None:
-        """Begin anew; what was there is kept under another name."""
+        """Begin a new file; the old one is kept under another name."""
         self._try(self._synchronise)
         with suppress(OSError):  # told already
             self._file.close()
@@ -130,7 +129,7 @@ class Checkpoint:
             why = reason.strerror if isinstance(reason, OSError) else str(reason)
             self.trouble = (
                 f"{self._path}: the checkpoint cannot be written now ({why}); fusion goes on, "
-                "but started again it will know only what came before; make room"
+                "but after a restart it will know only what came before; make room"
             )
 
 

@@ -1,7 +1,7 @@
-"""A lock that is handed on in the order in which it was asked for.
+"""A lock that is granted in the order of the requests.
 
-A plain lock goes to whoever asks again first: a thread that works in turns and is never idle would
-keep all others out for as long as it has work.
+An ordinary lock goes to whichever thread asks first: one that works in turns and is never idle
+would keep all others out for as long as it has work.
 """
 
 import threading
@@ -18,7 +18,7 @@ class FairLock:
         self._is_held = False
 
     def acquire(self, timeout_s: float = -1.0) -> bool:
-        """Whether it was one's turn within the time; -1: wait for ever."""
+        """Whether the lock was granted within the time; -1: wait for ever."""
         with self._lock:
             if not self._is_held:
                 self._is_held = True
@@ -35,7 +35,7 @@ class FairLock:
         return True  # handed over just as the time was over
 
     def release(self) -> None:
-        """Hand it to whoever waits longest."""
+        """Grant it to the thread that has waited longest."""
         with self._lock:
             if self._waiting:
                 self._waiting.popleft().release()

@@ -68,7 +68,7 @@ class FusionNode:
         *,
         solver: Callable[[], Solver] | None = None,
     ) -> None:
-        """`solver`: makes somebody who solves for one map, so that no turn takes long."""
+        """`solver`: makes the solver of one map, so that no turn takes long."""
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
         self._signer = correction_signer(inputs.site, clock)
@@ -113,10 +113,10 @@ class FusionNode:
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
-        """Write what is known, worked out to the end where that is quick enough for a stop.
+        """Write the results, solved to the end where that is quick enough for a stop.
 
-        Called after the working thread ended. Raises OperationError where what should be written
-        is not.
+        Called after the working thread ended. Raises OperationError where what should be written is
+        not.
         """
         if not self._lock.acquire(ENDING.left_s(_WRITING_S) if ENDING.is_asked else -1.0):
             raise OperationError(
@@ -149,8 +149,8 @@ class FusionNode:
                 self._pipeline.finish()
         if not is_final:
             _log.warning(
-                "the last solution would take longer than a stop may, so what is kept is the one "
-                "before; `trigpoint calibrate` over the recording works the last one out"
+                "the last solution would take longer than a stop may; the previous one is kept; "
+                "run `trigpoint calibrate` over the recording for the last one"
             )
         if not self._pipeline.has_results:
             _log.warning("no network is written: nothing is worked out yet")
@@ -160,7 +160,7 @@ class FusionNode:
         _log.info("the network is in %s", self._out / "network.json")
 
     def _is_solved_in_time(self) -> bool:
-        """Have the solver solve to the end; whether it did within what a stop may take."""
+        """Have the solver solve to the end; whether it did within the time that a stop may take."""
         within_s = min(_LAST_SOLUTION_S, ENDING.left_s(_WRITING_S))
         until_ns = self._clock.elapsed_ns() + to_ns(within_s)
         try:
@@ -189,7 +189,7 @@ class FusionNode:
             self._report()
 
     def _turn(self) -> list[Output]:
-        """Take in what has come, and use it; what is to be sent."""
+        """Take in and use what has come; the messages to send."""
         for topic, sample in self._waiting():
             self._take(topic, sample)
         began_ns = self._clock.elapsed_ns()
@@ -256,7 +256,7 @@ class FusionNode:
             return self._pipeline.guidance_world()
 
     def _report(self) -> None:
-        """Bring what was left out, and what is or went wrong, into the diagnostics."""
+        """Put what was left out, and what is or went wrong, into the diagnostics."""
         now_ns, health = self._clock.elapsed_ns(), self._node.health
         for reason, more in self._diagnostics.left_out(self._pipeline, now_ns):
             health.count(f"left_out.{reason}", more)
@@ -291,8 +291,8 @@ class FusionNode:
         return self._is_read.is_set()
 
     def _resume(self, pulse: Pulse) -> bool:
-        """Take up the map that a killed fusion left; on the working thread. What comes meanwhile is
-        set aside, and follows. False where it was stopped before the end."""
+        """Resume the map that a killed fusion left; on the working thread. Messages that come
+        meanwhile are set aside, and follow. False where it was stopped before the end."""
         with self._lock:
             self._checkpoint = Checkpoint(self._path, self._clock)
         pipeline, count = self._pipeline, 0
@@ -369,7 +369,7 @@ class FusionNode:
     # -- commands, on the bus's threads -----------------------------------------------------------
 
     def _wait_for_the_checkpoint(self) -> None:
-        """Until it is read there is a part of a map at most; nobody is told of that one."""
+        """Refuse commands until the checkpoint is read, since the map is incomplete."""
         if not self._is_read.wait(_ANSWER_S):
             raise OperationError(f"fusion is still reading {self._path}; ask again in a moment")
 

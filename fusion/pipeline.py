@@ -108,12 +108,12 @@ class Pipeline:
 
     @property
     def last_problem(self) -> str:
-        """The last message that could not be used, in words; "" where there was none."""
+        """The last message that could not be used, as text; "" where there was none."""
         return self._problem or self._intake.last_problem
 
     @property
     def problems(self) -> dict[str, str]:
-        """Reason of `left_out` -> what was wrong the last time, in words, where that is known."""
+        """Reason of `left_out` -> the last such problem, as text, where it is known."""
         return self._intake.problems | self._problems
 
     @property
@@ -156,7 +156,7 @@ class Pipeline:
     # -- input ------------------------------------------------------------------------------------
 
     def push(self, node: str, message: Message) -> None:
-        """Take a message of a camera or robot; one of nobody in the site file is counted."""
+        """Take a message of a camera or robot; one that is not in the site file is counted."""
         if isinstance(message, Odometry) and node in self.site.robots:
             self._push_odometry(node, message)
         elif isinstance(message, Sightings) and node in self.site.cameras:
@@ -276,8 +276,8 @@ class Pipeline:
         return outputs
 
     def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
-        """Have everything worked out to the end whenever much has come in since the last time, and
-        once nothing has come in for a while."""
+        """Have everything solved to the end whenever much has come in since the last time, and once
+        nothing has come in for a while."""
         if now_ns is None:
             return
         if not is_quiet:
@@ -332,7 +332,7 @@ class Pipeline:
             self._take_cameras(observation.stamp_ns, is_urgent=True)
 
     def _note_events(self) -> None:
-        """Count what happened to the site, and say it."""
+        """Count and report the changes of the site."""
         events, self._data.events = self._data.events, []
         for event in events:
             self._note(event)
@@ -364,7 +364,7 @@ class Pipeline:
         return True
 
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
-        """Have the cameras said as they are known now."""
+        """Announce the cameras as they are estimated now."""
         cameras = self._estimator.cameras() if self._is_live else {}
         if not cameras:
             return
@@ -385,7 +385,7 @@ class Pipeline:
     # -- results ----------------------------------------------------------------------------------
 
     def finish(self) -> list[Output]:
-        """Work everything out to the end from all that came in; what is to be sent last.
+        """Solve everything to the end from all that came in; the last messages to send.
 
         Where a solver does that, `is_answered` says when it has.
         """

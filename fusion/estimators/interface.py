@@ -30,7 +30,7 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class CameraCount:
-    """How a camera's sightings (faces, not pictures) fared. `rejected`: those that a located camera
+    """Counts of a camera's sightings (faces, not pictures). `rejected`: those that a located camera
     does not rest on; `reprojection_rms`: of a coordinate, pixels."""
 
     sightings: int
@@ -40,7 +40,7 @@ class CameraCount:
 
 @dataclass(frozen=True, slots=True)
 class Update:
-    """What an observation did: `correction`, where it was one of a camera located before;
+    """The effect of an observation: `correction`, where it was one of a camera located before;
     `problem`: why it could not be used at all, "" where it could."""
 
     correction: RobotEstimate | None = None
@@ -50,7 +50,7 @@ class Update:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A robot's way: `map_from_base` (n) at each odometry message's stamp (n,)."""
+    """A robot's trajectory: `map_from_base` (n) at each odometry message's stamp (n,)."""
 
     stamps_ns: np.ndarray
     map_from_base: Pose
@@ -66,8 +66,7 @@ class Live(Protocol):
         ...
 
     def finish(self) -> None:
-        """Work everything out to the end: locate every camera that can be located from all that
-        came in, and solve."""
+        """Locate every camera that can be located from all that came in, and solve to the end."""
         ...
 
     def robot(self, robot: str) -> RobotEstimate | None:
@@ -86,10 +85,10 @@ class Live(Protocol):
 
 @runtime_checkable
 class Estimator(Live, Protocol):
-    """With everything else that the network file says."""
+    """The rest of what the network file says."""
 
     def solve(self) -> None:
-        """Work everything out anew from all that came in."""
+        """Solve anew from all that came in."""
         ...
 
     def joint_covariance(self) -> Array:
@@ -97,11 +96,11 @@ class Estimator(Live, Protocol):
         ...
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
-        """Cameras that were seen by, but could not be located: what is not known of them."""
+        """Cameras that saw a robot but could not be located: what is not known of them."""
         ...
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
-        """The places that are left open for a camera that is not located, best first."""
+        """The possible poses of a camera that is not located, best first."""
         ...
 
     def is_confirmed(self, camera: str) -> bool:
@@ -127,7 +126,7 @@ class Estimator(Live, Protocol):
 
 @runtime_checkable
 class Collecting(Protocol):
-    """An estimator that needs no estimate on the way to the end, where nobody listens to it."""
+    """An estimator that can defer all work to `finish`, where live results are not needed."""
 
     def collect(self, observation: Observation) -> None:
         """Take an observation for `finish` alone."""

@@ -1,4 +1,4 @@
-"""What a filter knows of the cameras, in the form in which it is given out."""
+"""Poses and marginal covariances of the cameras, from a filter."""
 
 import numpy as np
 

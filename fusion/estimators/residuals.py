@@ -1,4 +1,4 @@
-"""What a solution leaves over of the corners that a camera saw."""
+"""The residuals of a camera's corners at a solution."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from trigpoint.geometry.rotation import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResiduals:
-    """One camera's corners in its used observations, at all places where it hung.
+    """One camera's corners in its used observations, at all poses that it had.
 
     `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
     `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`

@@ -1,5 +1,5 @@
-"""One belief of where an unlocated camera is, worked out to its best: the camera, the robot's poses
-before it, and odometry between them, as a small problem of its own."""
+"""A hypothesis of an unlocated camera's pose, refined: the camera, the robot's poses before it, and
+odometry between them, as a small problem of its own."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -35,7 +35,8 @@ class Located:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """A camera as it may be; `cost`: χ² with the odometry's, `rms`: of a coordinate, sigmas."""
+    """A possible pose of a camera; `cost`: χ² with the odometry's, `rms`: of a coordinate,
+    sigmas."""
 
     located: Located
     cost: float
@@ -62,7 +63,7 @@ def distinct(found: Iterable[Hypothesis | None]) -> list[Hypothesis]:
 def refine(
     data: DataSet, state: State, camera: str, start: Pose, indices: list[int]
 ) -> Hypothesis | None:
-    """The best near a start, by these observations, whose robot pose must be known.
+    """The best solution near a start, by these observations, whose robot pose must be known.
 
     Each is read as it fits best, again whenever the solution has moved; None where nothing fits.
     """
@@ -82,7 +83,7 @@ def refine(
 
 
 def placed(entry: Entry) -> Pose:
-    """Where the robot stood at an observation that was chosen because that is known."""
+    """The robot's pose at an observation for which it is known."""
     assert entry.map_from_base is not None
     return entry.map_from_base
 
@@ -90,7 +91,7 @@ def placed(entry: Entry) -> Pose:
 def _readings(
     data: DataSet, camera: CameraState, poses: dict[int, Pose]
 ) -> dict[int, tuple[Reading, ...]]:
-    """How each observation is read best, left out where it fits in no way."""
+    """The best reading of each observation; those that fit in no way are left out."""
     found = {}
     from_map = camera.map_from_camera.inverse()
     possible = _possible(data, from_map, poses)

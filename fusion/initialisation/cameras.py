@@ -1,7 +1,8 @@
-"""Finds an unlocated camera's pose from its observations, without a guess.
+"""Initialisation of a camera: its pose from its observations, without an initial guess.
 
-Candidates come from single observations (`start_poses`); the best are worked out to their end
-(`camera_hypotheses`), and the best of those is taken only where it fits and no other comes near.
+Candidates come from single observations (`start_poses`); the best are refined
+(`camera_hypotheses`), and the best of those is accepted only where it fits and no other is nearly
+as good.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ _ACCEPTABLE_RMS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """Why a camera could not be located, in words; `rivals`: the poses that fit alike."""
+    """Why a camera could not be located, as text; `rivals`: the poses that fit equally well."""
 
     reasons: tuple[str, ...]
     rivals: tuple[Hypothesis, ...] = ()

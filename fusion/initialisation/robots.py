@@ -1,8 +1,8 @@
-"""How a robot that nothing locates in the map yet stands in it, by what located cameras see of it.
+"""Initialisation of a robot in the map, by what located cameras see of it.
 
-One picture of a face that others look like allows several places, and so does a robot that turns on
-the spot. So every place that single pictures of a visit to a camera allow is worked out over the
-visit and its odometry, and over the visits that follow, until one alone is left that fits.
+One picture of a face that others look like allows several poses, and so does a robot that turns on
+the spot. So every pose that single pictures of a visit to a camera allow is refined over the visit
+and its odometry, and over the visits that follow, until only one is left that fits.
 """
 
 from collections.abc import Iterable
@@ -53,8 +53,8 @@ _FLOOR = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class RobotLocation:
-    """One way in which a robot may stand in the map: where it stood at observations, and how they
-    are read; `cost`: χ² with the odometry's; `rms`: of a coordinate, sigmas."""
+    """One possible location of a robot in the map: its poses at observations, and their readings;
+    `cost`: χ² with the odometry's; `rms`: of a coordinate, sigmas."""
 
     map_from_base: dict[int, Pose]
     readings: dict[int, tuple[Reading, ...]]
@@ -74,7 +74,7 @@ class RobotLocation:
 
 @dataclass(frozen=True, slots=True)
 class RobotUndetermined:
-    """Why a robot could not be located in the map, in words."""
+    """Why a robot could not be located in the map, as text."""
 
     reason: str
 
@@ -117,8 +117,8 @@ class _Search:
             self.path = composed(steps)
 
     def _visits(self, seen: list[int]) -> list[list[int]]:
-        """Runs of entries of one camera each, the earliest first: one that was moved must not spoil
-        what the others say."""
+        """Runs of entries of one camera each, the earliest first: a camera that was moved must not
+        spoil the evidence of the others."""
         visits: list[list[int]] = []
         last: dict[str, list[int]] = {}
         for index in seen:
@@ -169,7 +169,7 @@ class _Search:
         return [index for visit in window for index in spread(visit, most)]
 
     def _starts(self, visit: list[int]) -> list[dict[int, Pose]]:
-        """Where the robot may have stood at one of the visit's pictures."""
+        """The robot's possible poses at one of the visit's pictures."""
         starts: list[tuple[int, Pose]] = []
         for index in spread(visit, _MOST_SEEDS):
             observation = self.data.entries[index].observation
@@ -198,8 +198,8 @@ class _Search:
         return [dict(starts[i : i + 1]) for i in kept]
 
     def _mean_cost(self, first: int, here: Pose, chosen: list[int]) -> Array:
-        """How badly looks fit where the robot stands at one of them (n): the mean over their views
-        of the least mean-square error, pixels², each capped, (n,)."""
+        """How badly the pictures fit where the robot stands at the first of them (n): the mean over
+        their views of the least mean-square error, pixels², each capped, (n,)."""
         total, views = np.zeros(len(here)), 0
         for index in chosen:
             observation = self.data.entries[index].observation
@@ -215,7 +215,7 @@ class _Search:
         return total / max(views, 1)
 
     def _carried(self, where: dict[int, Pose], index: int) -> Pose:
-        """Where the robot stood at an entry, by odometry from the nearest place."""
+        """The robot's pose at an entry, by odometry from the nearest known pose."""
         if index in where:
             return where[index]
         stamp_ns = self._stamp_ns(index)
@@ -224,8 +224,8 @@ class _Search:
         return where[nearest] @ between
 
     def _refined(self, where: dict[int, Pose], chosen: list[int]) -> RobotLocation | None:
-        """The best near a start; each look is read as it fits best, again whenever the solution
-        has moved; None where nothing fits."""
+        """The best solution near a start; each picture is read as it fits best, again whenever the
+        solution has moved; None where nothing fits."""
         poses = {index: self._carried(where, index) for index in chosen}
         before, found = None, None
         for _ in range(_MOST_ROUNDS):
@@ -239,7 +239,7 @@ class _Search:
         return found
 
     def _readings(self, poses: dict[int, Pose]) -> dict[int, tuple[Reading, ...]]:
-        """How each look is read best, left out where it fits in no way."""
+        """The best reading of each picture; those that fit in no way are left out."""
         found = {}
         for index, map_from_base in poses.items():
             observation = self.data.entries[index].observation

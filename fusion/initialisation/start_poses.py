@@ -1,5 +1,5 @@
-"""Where the search for an unlocated camera starts: poses that single pictures allow, drawn to where
-they fit the other pictures too."""
+"""Start poses of the search for an unlocated camera: those that single pictures allow, refined to
+fit the other pictures too."""
 
 from itertools import chain
 

@@ -129,7 +129,7 @@ class Admission:
         self._ahead[sample.key] = (
             at_ns,
             f"what comes on {sample.key} is stamped {to_seconds(ahead_ns):.0f} s ahead of this "
-            "machine's clock and is not used; set the clock of its sender, or this one",
+            "machine's clock and is not used; set the clock of its sender, or of this machine",
         )
         return False
 
@@ -167,7 +167,7 @@ class Admission:
         found = {}
         for key, speaker in self._speakers.items():
             if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:
-                names = " and ".join(name or "one that says no name" for name in speaker.senders)
+                names = " and ".join(name or "one without a name" for name in speaker.senders)
                 found[f"two on {key}"] = (
                     f"two send on {key}: the sessions {names}; neither is used, stop one of them"
                 )
@@ -177,7 +177,7 @@ class Admission:
         for key, shed_at_ns in self._shed.items():
             if at_ns - shed_at_ns < _REMEMBERED_NS:
                 found[f"shed {key}"] = (
-                    f"more comes on {key} than its `rate` allows twice over, and what is too much "
-                    "is left out; see who sends it"
+                    f"{key} gets more than twice the messages that its `rate` allows; the excess "
+                    "is left out; see who sends them"
                 )
         return found

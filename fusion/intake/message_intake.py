@@ -1,6 +1,6 @@
-"""From messages to observations in order of time: what fits, what is late, what came twice.
+"""From messages to observations in order of time; mismatched, late and repeated ones are left out.
 
-Pure: no bus, no clock. A sighting waits here until the odometry of its robot reaches its moment,
+Pure: no bus, no clock. A sighting waits here until the odometry of its robot covers its moment,
 which is only known as well as its camera's time offset.
 """
 
@@ -27,7 +27,7 @@ _SIGMAS = 3.0
 
 @dataclass(order=True, slots=True)
 class _Waiting:
-    """`latest_ns`: the robot was seen at this moment, true time, at the latest."""
+    """`latest_ns`: the latest true time at which the robot may have been seen."""
 
     latest_ns: int
     order: int
@@ -38,8 +38,8 @@ class Intake:
     """Sightings on their way to the estimator. Not thread-safe.
 
     `counts`: what was left out, by reason; every message that is not used is counted here;
-    `problems`: reason -> what was wrong the last time, in words.
-    `shared`: tells robots apart that carry the same target; None: what they show is left out.
+    `problems`: reason -> the last such problem, as text. `shared`: identifies robots that carry the
+    same target; None: their sightings are left out.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Intake:
         }
 
     def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:
-        """What is known of a camera's time offset by now."""
+        """Set what is known of a camera's time offset."""
         self._ahead_ns[camera] = to_ns(_SIGMAS * sigma_s - offset_s)
 
     @property
@@ -133,7 +133,7 @@ class Intake:
         return views
 
     def _tell_apart(self, *, is_end: bool = False) -> None:
-        """Queue what is clear by now of robots that look alike."""
+        """Queue the sightings of identical targets whose robot is identified."""
         if self._shared is None:
             return
         for observation in self._shared.ready(is_end=is_end):
@@ -141,8 +141,9 @@ class Intake:
         self._count_untold(self._shared)
 
     def tell_by_place(self, estimator: Live, *, is_end: bool = False) -> bool:
-        """Queue what is clear of robots that look alike by where the estimator has them; whether
-        anything was. `is_end`: also where nothing has come in since it was last asked."""
+        """Queue the sightings of identical targets whose robot is identified by the estimator's
+        poses; whether there were any. `is_end`: also where nothing has come in since the last
+        call."""
         if self._shared is None:
             return False
         found = self._shared.by_place(estimator, is_end=is_end)
@@ -179,8 +180,8 @@ class Intake:
     def ready(
         self, robot: str, first_ns: int, last_ns: int, most: int | None = None
     ) -> list[Observation]:
-        """The observations of a robot whose moments odometry covers now, in order of time; `most`
-        of them, where it says so.
+        """The observations of a robot whose moments odometry covers now, in order of time; at most
+        `most` of them.
 
         Those from before its odometry began are left out.
         """
@@ -205,7 +206,8 @@ class Intake:
         return bool(self._waiting[robot])
 
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
-        """At the end of the odometry: those of its last moments, which may be within it."""
+        """At the end of the odometry: the observations of its last moments, which may be within
+        it."""
         self._tell_apart(is_end=True)
         queue = self._waiting[robot]
         kept, found = [], []
@@ -216,7 +218,7 @@ class Intake:
         return [waiting.observation for waiting in found]
 
     def _drop_far_ahead(self, robot: str, last_ns: int) -> None:
-        """A camera whose clock is far ahead would wait for ever."""
+        """Drop the sightings of a camera whose clock is far ahead, which would wait for ever."""
         queue = self._waiting[robot]
         ahead = [w for w in queue if w.observation.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
         if len(ahead) > 64:

@@ -2,9 +2,9 @@
 
 They look alike, but they do not drive alike: over a visit to a camera only the robot that was there
 moved as its pictures show. So every robot is a hypothesis, and a visit is a robot's where its
-odometry alone fits, wherever the camera may be. Robots that drove alike are told apart once they
-have their places in the map: by who stood where a located camera shows it, or by how other cameras
-saw each drive meanwhile.
+odometry alone fits, wherever the camera may be. Robots that drove alike are identified once their
+poses in the map are known: by which of them was where a located camera shows it, or by how other
+cameras saw each of them drive meanwhile.
 """
 
 from collections import deque
@@ -54,8 +54,8 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Whose a visit seems to be; `is_clear`: no other robot's odometry comes near; `every`: how
-    each robot fits that does at all."""
+    """The robot that a visit seems to be of; `is_clear`: no other robot's odometry fits nearly as
+    well; `every`: how each robot fits that does at all."""
 
     robot: str
     hypothesis: Hypothesis
@@ -64,9 +64,10 @@ class _Fit:
 
 
 class RobotIdentification:
-    """Pictures of targets that several robots carry, until it is clear whose. Not thread-safe.
+    """Pictures of targets that several robots carry, until the robot is identified. Not
+    thread-safe.
 
-    `untold`: how many pictures it is unclear for; `problem`: why, in words.
+    `untold`: how many pictures are not identified; `problem`: why, as text.
     """
 
     def __init__(self, data: DataSet) -> None:
@@ -79,8 +80,8 @@ class RobotIdentification:
         self.problem = ""
 
     def add(self, camera: str, stamp_ns: int, faces: tuple[dict[str, View], ...]) -> None:
-        """Take what one picture shows, each face as a view of every robot that may carry
-        it; a picture that comes late joins the visit that goes on."""
+        """Take one picture, each face as a view of every robot that may carry it; a late picture
+        joins the visit that goes on."""
         visit = self._open.setdefault(camera, [])
         is_over = visit and stamp_ns - visit[-1].stamp_ns > _AWAY_NS
         if is_over or len(visit) >= _MOST_PICTURES:
@@ -89,7 +90,8 @@ class RobotIdentification:
         visit.append(_Picture(stamp_ns, faces))
 
     def ready(self, *, is_end: bool = False) -> list[Observation]:
-        """What is clear of the visits that are over by all robots' odometry, or all at the end."""
+        """The identified observations of the visits that have ended by all robots' odometry, or of
+        all visits at the end."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
@@ -105,8 +107,8 @@ class RobotIdentification:
         return found
 
     def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
-        """What of the pictures that were left out is clear by where robots and cameras are now;
-        tried again where there are more of either, or pictures, and at the end."""
+        """The pictures left out so far that the poses of robots and cameras identify now; tried
+        again where there are more of either, or more pictures, and at the end."""
         if not self._left:
             return []
         tied = sum(estimator.robot(robot) is not None for robot in self._data.site.robots)
@@ -118,7 +120,7 @@ class RobotIdentification:
         return self._shown_by_cameras(places) + self._told_by_other_cameras(places)
 
     def _shown_by_cameras(self, places: PastPoses) -> list[Observation]:
-        """What located cameras show where one robot alone stood."""
+        """Pictures of located cameras where only one robot stood."""
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
         for camera, picture in left:
@@ -143,7 +145,7 @@ class RobotIdentification:
     def _stood_there(
         self, places: PastPoses, camera: str, stamp_ns: int, face: dict[str, View]
     ) -> str | None:
-        """Which robot stood where a located camera shows the face, while every other one that may
+        """The robot that was where a located camera shows the face, while every other one that may
         carry it was elsewhere; None where that is not known."""
         apart = {
             robot: self._apart(places, camera, robot, stamp_ns, view)
@@ -196,8 +198,8 @@ class RobotIdentification:
     def _alone(
         self, places: PastPoses, camera: str, visit: list[_Picture]
     ) -> tuple[str, Hypothesis] | None:
-        """The robot to which a visit adds so little χ² that every other one is out of the
-        question; None where there is none, or it does not fit."""
+        """The robot to which a visit adds so little χ² that every other one is excluded; None where
+        there is none, or it does not fit."""
         best = self._best(camera, visit)
         if best is None:
             return None
@@ -223,18 +225,18 @@ class RobotIdentification:
         visit: list[_Picture],
     ) -> float:
         """χ² that a visit adds to what located cameras saw of a robot at the time."""
-        looks = fit.located.map_from_base
-        middle = list(looks)[len(looks) // 2]
+        poses = fit.located.map_from_base
+        middle = list(poses)[len(poses) // 2]
         stood = places.robot(robot, visit[middle].stamp_ns)
         seen, shift = self._as_of(camera, robot, visit).entries, Pose.identity()
         if stood is not None:
-            shift = stood.map_from_base @ looks[middle].inverse()
+            shift = stood.map_from_base @ poses[middle].inverse()
         entries = [
             Entry(
                 seen[i].observation.read_as(fit.located.readings[i]).judged(Verdict.ACCEPTED),
                 shift @ pose,
             )
-            for i, pose in looks.items()
+            for i, pose in poses.items()
         ]
         state = replace(
             fit.located.camera, map_from_camera=shift @ fit.located.camera.map_from_camera
@@ -242,7 +244,7 @@ class RobotIdentification:
         return added_chi2(self._data, places.camera_states(), camera, state, entries)
 
     def _told(self, camera: str, visit: list[_Picture]) -> list[Observation]:
-        """Whose the faces of a visit are; one that may be another's is left out."""
+        """The observations of a visit by their robots; a face that may be another's is left out."""
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
         best = self._best(camera, visit)
         if best is None:
@@ -296,10 +298,10 @@ class RobotIdentification:
         where it does not at all."""
         data = self._as_of(camera, robot, visit)
         indices = [i for i, entry in enumerate(data.entries) if entry.map_from_base is not None]
-        looks = spread(indices, _MOST_OBSERVATIONS)
-        starts = starts_of(data, camera, looks, most=_MOST_HYPOTHESES) if looks else []
+        chosen = spread(indices, _MOST_OBSERVATIONS)
+        starts = starts_of(data, camera, chosen, most=_MOST_HYPOTHESES) if chosen else []
         state = data.first_state()
-        found = distinct(refine(data, state, camera, start, looks) for start in starts)
+        found = distinct(refine(data, state, camera, start, chosen) for start in starts)
         return found[0] if found else None
 
     def _as_of(self, camera: str, robot: str, visit: list[_Picture]) -> DataSet:

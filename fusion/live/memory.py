@@ -1,8 +1,8 @@
-"""Gives the memory of large arrays back to the system as soon as they are freed.
+"""Returns the memory of large arrays to the system as soon as they are freed.
 
-glibc takes an array that is larger than a limit from the system and gives it back, but raises that
-limit to the size of whatever is given back. From then on the arrays of a long session's solutions
-lie among small things that stay, and what they took stays with them.
+glibc takes an array that is larger than a limit from the system and returns it when freed, but
+raises that limit to the size of the array. From then on the arrays of a long session's solutions
+lie among small objects that stay, and their memory stays with them.
 """
 
 import ctypes

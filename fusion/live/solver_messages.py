@@ -1,4 +1,4 @@
-"""What the live estimator and whoever solves for it tell each other; all of it can be pickled."""
+"""Messages between the live estimator and its solver; all of them can be pickled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ class Solved:
 
 @dataclass(frozen=True, slots=True)
 class Happened:
-    """What people should be told."""
+    """An event to report."""
 
     event: Event
 
@@ -103,16 +103,16 @@ News = Solved | Happened | Reported | Suggested
 
 
 class Solver(Protocol):
-    """Whoever takes orders and has news for the live estimator; used by one thread."""
+    """A solver that takes orders and has news for the live estimator; used by one thread."""
 
     def tell(self, orders: Sequence[Order]) -> None:
         """Hand orders over, to be carried out in this order; never waits."""
         ...
 
     def news(self) -> list[News]:
-        """What came since the last call; raise OperationError where none will come any more."""
+        """The news since the last call; raise OperationError where none will come any more."""
         ...
 
     def close(self) -> None:
-        """End it, whatever it is at."""
+        """End it, whatever it is doing."""
         ...

@@ -1,6 +1,6 @@
-"""Solves for a live estimator: its orders in, news out.
+"""Solves for a live estimator: orders in, news out.
 
-Pure: it runs wherever it is put, in a process of its own (`solver_process`) or in place.
+Pure: it runs in a process of its own (`solver_process`) or in place.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,7 +39,7 @@ class SolverWorker:
         self._orders = 0
 
     def carry_out(self, order: Order) -> Iterator[News]:
-        """Do what an order says; what is to be told by it."""
+        """Carry out an order; the news from it."""
         began, solutions = self._seconds(), self._smoother.solutions
         if isinstance(order, TakeLens):
             self._data.lenses[order.camera] = order.lens

@@ -1,4 +1,4 @@
-"""Everything that came in: the robots' odometry and the observations, and what is held of them."""
+"""All input: the robots' odometry and the observations, and the verdicts on them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -20,10 +20,9 @@ from .problem import CameraState, RobotState, State
 
 @dataclass(slots=True)
 class Entry:
-    """An observation and where the robot is believed to have been then (None: not known).
+    """An observation and the robot's estimated pose at it (None: not known).
 
-    `share`: how much it counts, below 1 where it repeats the errors of others (see
-    `standstill_noise`).
+    `share`: its weight, below 1 where it repeats the errors of others (see `standstill_noise`).
     """
 
     observation: Observation
@@ -58,7 +57,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Lift:
-    """A robot was put down elsewhere between two moments, and its odometry shows nothing of it."""
+    """A robot was put down elsewhere between two moments, which its odometry does not show."""
 
     robot: str
     after_ns: int
@@ -80,7 +79,7 @@ SiteChange = Lift | CameraMove
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What happened to the site, for people: `kind` is counted."""
+    """A change of the site, as text; `kind` is counted."""
 
     kind: str
     text: str
@@ -91,7 +90,7 @@ class DataSet:
     """The estimator's inputs so far. Not thread-safe.
 
     `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
-    of time; `events`: what nobody has been told yet; `changes`: lifts and moves that sightings
+    of time; `events`: not reported yet; `changes`: lifts and moves that sightings
     show, for each those that explain them alike; `jitter`: of robots that stand otherwise in a
     picture than their odometry's plane says; `odometry_scale`: by robot what the stated sigmas of
     its odometry, and its slip, are multiplied by.
@@ -150,7 +149,7 @@ class DataSet:
         return [*(move.name for move in self.moves if move.camera == camera), camera]
 
     def rename(self, camera: str, name: str, *, until_ns: int) -> None:
-        """Let a camera's observations before a moment be those of another."""
+        """Attribute a camera's observations before a moment to another camera."""
         for entry in self.entries:
             observation = entry.observation
             if observation.camera == camera and observation.stamp_ns < until_ns:
@@ -159,7 +158,7 @@ class DataSet:
         self._sorted = 0
 
     def note(self, kind: str, text: str) -> None:
-        """Have people told."""
+        """Add an event to report."""
         self.events.append(Event(kind, text))
 
     def of_camera(self, camera: str) -> list[Entry]:

@@ -26,7 +26,7 @@ LEAST_SIGMA_PX = float(np.float32(0.02))
 
 
 class Verdict(Enum):
-    """What the estimator makes of an observation."""
+    """What the estimator decided about an observation."""
 
     PENDING = "its camera is not located yet, or it is not clear which face it shows"
     ACCEPTED = "used"
@@ -73,7 +73,7 @@ class Observation:
     outliers: tuple[np.ndarray, ...] = ()
 
     def read_as(self, chosen: tuple[Reading, ...]) -> "Observation":
-        """The same with other readings; what was an outlier is looked at anew."""
+        """The same with other readings and no outliers."""
         return replace(self, chosen=chosen, outliers=())
 
     def judged(self, verdict: Verdict) -> "Observation":

@@ -51,7 +51,7 @@ SLIP = 0.001  # m per √rad
 
 
 class Added(Enum):
-    """What became of an odometry message."""
+    """The outcome of adding an odometry message."""
 
     TAKEN = "taken"
     STALE = "not newer than the last one"
@@ -186,9 +186,10 @@ class OdometryTrack:
         return Added.JUMP
 
     def break_between(self, after_ns: int, before_ns: int) -> None:
-        """Between two moments the robot was moved in a way that odometry does not show.
+        """Mark the motion as unknown between two moments, where the robot was moved and odometry
+        does not show it.
 
-        It was while it stood, as far as that is known: the motion of that step is unknown then.
+        It is taken to have happened while the robot stood, as far as that is known.
         """
         first = int(np.searchsorted(self.stamps_ns, after_ns, "left")) + 1
         last = int(np.searchsorted(self.stamps_ns, before_ns, "right")) - 1
@@ -217,7 +218,7 @@ class OdometryTrack:
         return track
 
     def mend(self) -> None:
-        """Take every break back."""
+        """Remove every break."""
         self._jumps[self._broken_rows] = False
         self._jump_rows = [row for row in self._jump_rows if row not in self._broken_rows]
         self._broken_rows = []
@@ -282,7 +283,7 @@ class OdometryTrack:
         return end @ moved(self._twists[rows] * left[:, None])
 
     def is_in_gap(self, stamp_ns: int) -> bool:
-        """Whether a moment lies where odometry was away, so that the way there is not known."""
+        """Whether a moment lies in a gap of the odometry, so that the motion to it is not known."""
         row = int(np.searchsorted(self.stamps_ns, stamp_ns))
         is_between = 0 < row < self._count and self._stamps[row] != stamp_ns
         return bool(is_between and self._gaps[row] > 0)

@@ -1,4 +1,4 @@
-"""Where a robot stands before a located camera, and how what the camera saw is read."""
+"""A robot's pose before a located camera, and the reading of what the camera saw."""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -19,13 +19,15 @@ from .visibility import body_of
 # many sigmas away, so that only readings near the prior need to be looked at.
 _TIGHT_M = 0.15
 _TIGHT_RAD = 0.15
-# A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is none.
+# A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is
+# nothing.
 _HOPELESS = 100.0
 # A corner that is farther off than this at its view's best near the prior is wild; a view with more
 # wild ones than this share, or that moves the robot by so many of the prior's sigmas, is wrong.
 _FITS_SIGMAS = 6.0
 _WILD_SHARE = 0.25
-# A place from which all corners are this far off is none: what one flat face leaves open is less.
+# A pose from which all corners are this far off is impossible: what one flat face leaves open is
+# less.
 _FAR_RMS_SIGMAS = 100.0
 _MOST_STEPS = 12
 # After a step this small, m and rad, the next one would be its square: nothing.
@@ -34,8 +36,8 @@ _SMALL_STEP = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Where a robot stands before a located camera; `cost`: χ² with the prior's; `margin`: how much
-    worse the next reading is; `wild`: (n,) bool over all corners, those that took no part."""
+    """A robot's pose before a located camera; `cost`: χ² with the prior's; `margin`: how much worse
+    the next reading is; `wild`: (n,) bool over all corners, those that were not used."""
 
     map_from_base: Pose
     readings: tuple[Reading, ...]
@@ -54,13 +56,13 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """What is known of map_from_base before a look: covariance (6, 6) of its disturbance."""
+    """What is known of map_from_base before a sighting: covariance (6, 6) of its disturbance."""
 
     map_from_base: Pose
     covariance: Array
 
     def is_tight(self, tangent: list[int]) -> bool:
-        """Whether it tells faces that look alike apart."""
+        """Whether it distinguishes faces that look alike."""
         sigma = np.sqrt(np.diagonal(self.covariance)[tangent])
         return bool(sigma[:2].max() < _TIGHT_M and sigma[-1] < _TIGHT_RAD)
 
@@ -100,7 +102,7 @@ def placements(
     *,
     tangent: list[int],
 ) -> list[Pose]:
-    """Everywhere that a robot may stand before a located camera by one observation, best first."""
+    """Every pose of a robot before a located camera that one observation allows, best first."""
     search = _Search(observation, target, lens, map_from_camera, tangent, None, 0.0)
     starts, readings = search._starts()
     if not starts:

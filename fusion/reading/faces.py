@@ -1,7 +1,7 @@
-"""Which face a picture shows, which way up, and where that puts the camera.
+"""Which face a picture shows, which way up, and the camera's pose by it.
 
-Nothing is guessed: every reading of every view and both solutions of every plane are candidates
-until the evidence decides between them.
+Every reading of every view and both solutions of every plane are candidates until the evidence
+decides between them.
 """
 
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ def candidates(
 def _candidates(
     views: tuple[View, ...], target: Target, lens: CameraModel
 ) -> tuple[Candidate, ...]:
-    """They hang on nothing else, and the same pictures are looked at again and again."""
+    """Cached, since they depend on nothing else and the same pictures are read repeatedly."""
     observation = observation_of("", "", 0, views)
     for index in range(len(views)):
         reads = _by_view(observation, index, target, lens)

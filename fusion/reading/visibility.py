@@ -1,7 +1,7 @@
-"""A target as an opaque solid: where its corners are, and which of them can be seen from where.
+"""A target as an opaque solid: where its corners are, and which of them are visible from where.
 
-A face shows its pattern on its front alone, and no corner can be seen through another face. So a
-reading that would need either is none, however well its corners fit.
+A face shows its pattern on its front alone, and no corner is visible through another face. So a
+reading that would need either is impossible, however well its corners fit.
 """
 
 from dataclasses import dataclass

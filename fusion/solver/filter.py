@@ -33,7 +33,8 @@ from .gaussian import Gaussian
 from .levenberg_marquardt import Reduced, covariance_of
 from .normal_equations import EXACT
 
-# A pose with a larger sigma is none: behind a jump of the odometry nothing connects it to the map.
+# A pose with a larger sigma counts as unknown: behind a jump of the odometry nothing connects it to
+# the map.
 _LOOSE_M = 20.0
 _LOOSE_RAD = 1.0
 

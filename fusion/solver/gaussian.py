@@ -1,7 +1,7 @@
-"""A Gaussian of many unknowns that is updated by looks at few of them.
+"""A Gaussian of many unknowns that is updated by measurements of few of them.
 
 A sighting bears on one robot and one camera, and what it says of all the others follows from their
-covariance with those two. So only the columns that were looked at lately, the near ones (n), are
+covariance with those two. So only the columns that were used lately, the near ones (n), are
 kept as they are now; of the far ones (f) it is kept how they follow from a Gaussian of before,
 marked by ⁰ (Guivant and Nebot, «Optimization of the simultaneous localization and map-building
 algorithm for real-time implementation», 2001):
@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 from trigpoint.geometry.rotation import Array
 
 # So many columns are near at most: a step by all of them is still quicker than anything else in it.
-# Whoever has the time works everything out at half of that.
+# Where there is time everything is worked out at half of that.
 _MOST_NEAR = 64
 
 

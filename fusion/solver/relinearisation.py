@@ -1,7 +1,7 @@
-"""Solves until what the making of the problem rests on, scales and time offsets, stays put.
+"""Solves repeatedly until the linearisation point, odometry scales and time offsets, is stable.
 
 Nodes stand at true times, which time offsets move, and odometry between them is integrated with its
-scales; a problem holds both to first order, and is made again where they have changed.
+scales; a problem holds both to first order, and is assembled again where they have changed.
 """
 
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ class Solved:
 def solve_consistently(
     data: DataSet, state: State, used: list[int], *, huber: float, tolerance: float
 ) -> Solved:
-    """Solve over these entries of the data set, and put the robot's places into them.
+    """Solve over these entries of the data set, and put the robot's poses into them.
 
-    With a finite `huber` (a rough solution) the problem is made once.
+    With a finite `huber` (a rough solution) the problem is assembled once.
     """
     solved = _solve_once(data, state, used, huber, tolerance)
     iterations = solved.iterations

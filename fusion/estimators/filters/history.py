@@ -112,7 +112,7 @@ class Contradiction:
         return (
             f"{_IN_A_ROW} pictures or more in a row {self.what} contradict the rest: a robot was "
             "carried, a camera was moved, or the filter went wrong and with it the cameras that it "
-            'located meanwhile; work the session out by estimator = "smoother"'
+            'located meanwhile; run the session with estimator = "smoother"'
         )
 
 

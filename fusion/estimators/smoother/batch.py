@@ -87,7 +87,7 @@ class BatchSolution:
     # -- solving ----------------------------------------------------------------------------------
 
     def finish(self, known: Filter | None) -> Filter | None:
-        """Work out from all that came in what explains it, and solve that to the end."""
+        """Find what explains all that came in, and solve that to the end."""
         if not any(len(track) for track in self.data.tracks.values()):
             return known
         if not self._is_explainable():
@@ -140,7 +140,8 @@ class BatchSolution:
         return self._settle(known)
 
     def _settle(self, known: Filter | None) -> Filter | None:
-        """Solve until what is rejected stays the same: a wrong observation draws good ones off."""
+        """Solve until the set of rejected observations is stable: a wrong one pulls good ones
+        away."""
         for _ in range(_MOST_SETTLING):
             before = self._rejected()
             if not before:
@@ -155,7 +156,7 @@ class BatchSolution:
         return {i for i, e in enumerate(entries) if e.observation.verdict is Verdict.REJECTED}
 
     def _take_in(self, known: Filter | None) -> Filter | None:
-        """Take in what was collected without an estimate, in ever larger stretches of time."""
+        """Add what was collected without an estimate, in ever larger stretches of time."""
         while known is not None:
             has_grown = self._extend()
             without_place = self._without_place()
@@ -173,14 +174,14 @@ class BatchSolution:
         return known
 
     def _extend(self) -> bool:
-        """Put the next stretch of what was collected into the data set; whether there was one."""
+        """Add the next stretch of collected observations to the data set; whether there was one."""
         count = max(_FIRST_STRETCH, (_GROWTH - 1) * len(self.data.entries))
         stretch, self.collected = self.collected[:count], self.collected[count:]
         self.data.entries.extend(Entry(observation) for observation in stretch)
         return bool(stretch)
 
     def _solved_as_explained(self) -> Filter:
-        """Solve over what the explanation uses, until the noise of it stays the same."""
+        """Solve over what the explanation uses, until its noise is stable."""
         used = self.data.usable(self.state.cameras)
         if not used:
             self.assembled = self.solution = None
@@ -220,7 +221,7 @@ class BatchSolution:
         return sorted(found, key=lambda observation: observation.stamp_ns)
 
     def _without_place(self) -> dict[str, list[int]]:
-        """By robot the entries without a place, in the order in which they came."""
+        """By robot the entries without a pose of it, in the order in which they came."""
         found: dict[str, list[int]] = {}
         for index, entry in enumerate(self.data.entries):
             if entry.map_from_base is None:
@@ -228,19 +229,18 @@ class BatchSolution:
         return found
 
     def is_due(self, camera: str) -> bool:
-        """Whether a camera's pictures have grown by half since it was last tried to locate it."""
+        """Whether a camera's pictures have grown by half since the last attempt to locate it."""
         pictures = self._placed_count(camera)
         return pictures >= max(_LEAST_PICTURES, 1.5 * self.tries.get(camera, 0))
 
     def _placed_count(self, camera: str) -> int:
-        """How many of a camera's pictures show a robot whose place is known."""
+        """How many of a camera's pictures show a robot whose pose is known."""
         return sum(entry.map_from_base is not None for entry in self.data.of_camera(camera))
 
     def locate_robot(self, robot: str, known: Filter | None) -> bool:
-        """Try to locate a robot in the map, or what hangs loose of its way, where more of it was
-        seen by located cameras than at the last try; whether that succeeded. The next solution uses
-        it.
-        """
+        """Try to locate a robot, or a disconnected part of its trajectory, in the map, where
+        located cameras saw more of it than at the last attempt; whether that succeeded. The next
+        solution uses it."""
         if known is None:
             return False
         indices = self._without_place().get(robot, [])
@@ -258,8 +258,8 @@ class BatchSolution:
     def solve(self, known: Filter | None, *, is_rough: bool = False) -> Filter | None:
         """Solve over everything; observations that contradict the rest are set aside.
 
-        `known`: what is known up to now; `is_rough`: well enough to go on from. Returns what is
-        known then; `known`, where there is nothing to solve.
+        `known`: the estimate so far; `is_rough`: only as exactly as needed to continue. Returns the
+        new estimate; `known`, where there is nothing to solve.
         """
         self._readmit(known)
         rounds = self._rounds(is_rough=is_rough)
@@ -274,7 +274,7 @@ class BatchSolution:
         return self.solve(known, is_rough=is_rough) if dropped else known
 
     def _say_earlier(self, known: Filter) -> None:
-        """Where cameras were before they were moved, as it is known now."""
+        """Set the poses that cameras had before they were moved, as known now."""
         estimates = camera_estimates(known, [move.name for move in self.data.moves])
         for move in self.data.moves:
             if move.name in estimates:
@@ -311,7 +311,7 @@ class BatchSolution:
     # -- what was set aside -----------------------------------------------------------------------
 
     def _readmit(self, known: Filter | None) -> None:
-        """Give observations that were set aside another chance, and place those without a place."""
+        """Retry observations that were set aside, and set the missing poses of robots."""
         for index, entry in enumerate(self.data.entries):
             observation = entry.observation
             if observation.camera not in self.state.cameras or index in self.undecided:
@@ -327,12 +327,12 @@ class BatchSolution:
             self._readmission.look_again(index, known, chains.get(observation.robot))
 
     def _forget_unused(self, assembled: Assembled) -> None:
-        """Cameras all of whose observations were rejected are not located any more."""
+        """Cameras all of whose observations were rejected are no longer located."""
         kept = {n: c for n, c in self.state.cameras.items() if n in assembled.problem.layout.pose}
         self.state = State(kept, self.state.robots)
 
     def _guess_rest(self) -> None:
-        """Place every observation that is not used, by the new solution."""
+        """Set the robot's pose at every observation that is not used, by the new solution."""
         open_: dict[str, list[Entry]] = {}
         for entry in self.data.entries:
             if entry.observation.verdict is not Verdict.ACCEPTED:
@@ -355,8 +355,8 @@ class BatchSolution:
         return [poses[i] if is_reached[i] else None for i in range(len(entries))]
 
     def _is_reached(self, robot: str, moments: np.ndarray) -> np.ndarray:
-        """Whether a robot's odometry leads to moments (n,) from where a used sighting, or the map's
-        origin, says where it is: across a jump or a break it leads nowhere."""
+        """Whether odometry connects moments (n,) of a robot to a used sighting or to the map's
+        origin: it does not across a jump or a break."""
         assert self.assembled is not None
         track, problem = self.data.tracks[robot], self.assembled.problem
         chain = problem.chains[robot]
@@ -365,7 +365,7 @@ class BatchSolution:
         return np.isin(track.pieces(moments), track.pieces(chain.stamps_ns[nodes]))
 
     def pose_at(self, known: Filter | None, robot: str, stamp_ns: int) -> Pose | None:
-        """Where the robot stood at a moment, as far as it is known now."""
+        """The robot's pose at a moment, as far as it is known now."""
         if known is None or not known.has_robot(robot):
             return None
         track, moment = self.data.tracks[robot], np.array([stamp_ns])
@@ -409,8 +409,8 @@ class BatchSolution:
             entry.map_from_base = located.map_from_base.get(index, entry.map_from_base)
 
     def _drop_misplaced(self) -> bool:
-        """A camera most of whose observations contradict its place loses it, and starts anew;
-        whether there was one."""
+        """Drop the pose of a camera most of whose observations contradict it, so that it is located
+        anew; whether there was one."""
         for camera in list(self.state.cameras):
             if camera in self.data.known.poses:
                 continue
@@ -424,7 +424,7 @@ class BatchSolution:
         return False
 
     def _drop(self, camera: str, why: str) -> None:
-        """Take the place from a camera; its observations are looked at anew."""
+        """Drop a camera's pose; its observations are judged anew."""
         cameras = {n: c for n, c in self.state.cameras.items() if n != camera}
         self.state = State(cameras, self.state.robots)
         entries = self.data.of_camera(camera)

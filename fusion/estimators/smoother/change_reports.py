@@ -1,4 +1,4 @@
-"""What people are told of a lifted robot and of a moved camera."""
+"""Reports of lifted robots and moved cameras, as text."""
 
 from collections.abc import Collection, Mapping
 
@@ -16,7 +16,7 @@ _BEHIND_A_JUMP = (
 
 
 def report_changes(data: DataSet, state: State) -> None:
-    """Have people told what happened to the site."""
+    """Add an event for each change of the site."""
     for alike in data.changes:
         lifts = [event for event in alike if isinstance(event, Lift)]
         moves = [event for event in alike if isinstance(event, CameraMove)]
@@ -69,9 +69,9 @@ def _of_either(data: DataSet, alike: tuple[SiteChange, ...]) -> str:
 def why_undetermined(
     data: DataSet, camera: str, chains: Collection[str], robot_reasons: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """In words, why nothing is known of where the robots stood that a camera saw.
+    """Why the robots' poses are not known at a camera's observations, as text.
 
-    `chains`: the robots that the last solution has; `robot_reasons`: by robot, why it could not be
+    `chains`: the robots of the last solution; `robot_reasons`: by robot, why it could not be
     located in the map.
     """
     if (reason := _behind_a_change(data, camera)) is not None:
@@ -87,8 +87,8 @@ def why_undetermined(
 
 
 def _behind_a_change(data: DataSet, camera: str) -> str | None:
-    """In words, why a camera before which a robot's way hangs loose has no place; None where that
-    is not why."""
+    """Why a camera has no pose whose robot's trajectory is disconnected by a change, as text; None
+    where that is not the reason."""
     entries = [entry.observation for entry in data.of_camera(camera) if entry.map_from_base is None]
     robots = {observation.robot for observation in entries}
     for alike in data.changes:

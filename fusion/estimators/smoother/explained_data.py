@@ -1,4 +1,4 @@
-"""Puts an explanation into the data set: what the solution then takes as given."""
+"""Applies an explanation to the data set, for the solution to take as given."""
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from trigpoint.fusion.model.problem import State
 
 
 def apply_explanation(data: DataSet, explanation: Explanation) -> State:
-    """Make a data set one in which this happened, and nothing else; the state to solve from.
+    """Make the data set what the explanation says, and nothing else; the state to solve from.
 
     Its entries are the explanation's observations, in their order.
     """
@@ -54,7 +54,7 @@ def _take_lifts(data: DataSet, explanation: Explanation) -> None:
 
 
 def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int], str]:
-    """Have a camera for each earlier place of one; the name of each place."""
+    """Add a camera for each earlier pose of one; the name of each."""
     first = {data.site_camera(name): pose for name, pose in data.known.poses.items()}
     data.moves = []
     names = {(camera, 0): camera for camera in data.site.cameras}

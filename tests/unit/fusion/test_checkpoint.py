@@ -88,7 +88,7 @@ def test_foreign_file_is_named_and_kept(tmp_path: Path, caplog: pytest.LogCaptur
     path.write_bytes(content)
     assert list(read_checkpoint(path)) == []
     write(path, RECORDS)
-    assert "is no checkpoint; it is kept as" in caplog.text
+    assert "is not a checkpoint; it is kept as" in caplog.text
     assert (tmp_path / "checkpoint.1.bin").read_bytes() == content
     assert list(read_checkpoint(path)) == RECORDS
 
