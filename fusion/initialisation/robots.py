@@ -42,7 +42,7 @@ _MOST_STARTS = 3
 _MOST_ROUNDS = 3
 _HUBER = 4.0
 _MOST_ITERATIONS = 15
-# As in `cameras`; a place this much worse (χ²) than the best one is none, whatever follows.
+# As in `cameras`; a pose this much worse (χ²) than the best one is excluded, whatever follows.
 _ACCEPTABLE_RMS = 3.0
 _HOPELESS = 100.0
 # Of the corners, how many must fit: a whole visit of several that does not must not be outvoted.

@@ -130,10 +130,6 @@ class Filter:
         """Whether the camera is part of the state."""
         return camera in self.layout.pose
 
-    def mean_step(self) -> Array:
-        """The step (size,) from the fixed point to the estimate."""
-        return self.known.mean
-
     def robot(self, data: DataSet, robot: str, stamp_ns: int | None = None) -> RobotEstimate:
         """The robot at its last node, or later by its odometry.
 

@@ -51,7 +51,7 @@ def test_steps_end_where_the_batch_over_everything_ends(data: DataSet) -> None:
     covariance = whole.reduced.covariance()
     sigma = np.sqrt(np.diagonal(covariance))
     # The same sums in another order: what is left is rounding over the EXACT first pose.
-    apart = (current.mean_step() - whole.mean_step()) / sigma
+    apart = (current.known.mean - whole.known.mean) / sigma
     np.testing.assert_allclose(apart, 0.0, atol=1e-4)
     ratio = current.reduced.covariance() / sigma[:, None] / sigma
     np.testing.assert_allclose(ratio, covariance / sigma[:, None] / sigma, atol=1e-4)
@@ -107,7 +107,7 @@ def test_robot_ahead_of_its_last_node_is_dead_reckoned_with_what_the_scales_add(
     found = before.robot(data, robot, stamp_ns)
     assert found.stamp_ns == stamp_ns
     plain = carried_on(data, robot, before.robot(data, robot), stamp_ns, before.scales(robot))
-    layout, step = before.reduced.layout, before.mean_step()
+    layout, step = before.reduced.layout, before.known.mean
     motion = data.tracks[robot].motion(
         np.array([before.stamps_ns[robot], stamp_ns]), before.scales(robot)
     )
@@ -239,7 +239,7 @@ def test_camera_sigma_grows_with_its_turn_and_falls_with_distance(data: DataSet)
 
 def shaken(current: Filter, data: DataSet) -> Filter:
     """The same, but that it is not known by a metre and 0.02 rad where the map as a whole is."""
-    together, step = np.zeros((current.layout.size, 3)), current.mean_step()
+    together, step = np.zeros((current.layout.size, 3)), current.known.mean
     places = []
     for name, columns in current.layout.pose.items():
         pose = current.state.cameras[name].map_from_camera.disturbed(step[columns])
@@ -274,7 +274,7 @@ def test_where_a_camera_has_a_robot_follows_both_disturbances(data: DataSet) -> 
     current, entry = batch_filter(data, BATCH), data.entries[BATCH]
     robot, camera = entry.observation.robot, entry.observation.camera
     place = current.robot(data, robot)
-    step = current.mean_step()[current.layout.pose[camera]]
+    step = current.known.mean[current.layout.pose[camera]]
     eye = current.state.cameras[camera].map_from_camera.disturbed(step)
     base = place.map_from_base
     by_camera = np.stack(
