@@ -13,6 +13,7 @@ import pytest
 from builders import eventually, make_site
 
 from trigpoint.bus import Bus, Subscription
+from trigpoint.bus_opening import open_patiently
 from trigpoint.bus_settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
 from trigpoint.topics import ODOMETRY
@@ -124,6 +125,12 @@ def drain(subscription: Subscription, last: bytes) -> list[bytes]:
     return payloads
 
 
+def client_of(endpoint: str) -> ZenohBus:
+    """As the programs open it: one try may be too short on a busy machine."""
+    settings = Settings("client", connect=(endpoint,))
+    return ZenohBus(open_patiently(lambda: open_session(settings), settings, 60.0))
+
+
 def test_samples_of_a_broken_link_are_recovered_in_order_and_once(
     stack: ExitStack, free_port: Callable[[], int]
 ) -> None:
@@ -132,9 +139,7 @@ def test_samples_of_a_broken_link_are_recovered_in_order_and_once(
     sender = stack.enter_context(ZenohBus(open_session(listening)))
     proxy = Proxy(port)
     stack.callback(proxy.close)
-    receiver = stack.enter_context(
-        ZenohBus(open_session(Settings("client", connect=(proxy.locator,))))
-    )
+    receiver = stack.enter_context(client_of(proxy.locator))
     subscription = receiver.subscribe(ODOMETRY, KEY)
     publisher = sender.publisher(ODOMETRY, KEY)
     assert eventually(lambda: publisher.has_listener)
@@ -210,7 +215,7 @@ def test_the_gate_is_taken_over_and_clients_come_back(
     stack.callback(owner.close)
     standby = stack.enter_context(open_bus(served))
     assert owner.locators == standby.locators == (endpoint,)
-    client = stack.enter_context(ZenohBus(open_session(Settings("client", connect=(endpoint,)))))
+    client = stack.enter_context(client_of(endpoint))
     subscription = client.subscribe(ODOMETRY, KEY)
     assert heard(standby, client)
     owner.close()
