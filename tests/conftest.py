@@ -10,15 +10,23 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from trigpoint.ending import ENDING
 
 # As the program does it, and before numpy is loaded: BLAS threads only get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# A deadline would assert a speed.
-settings.register_profile("trigpoint", deadline=None, max_examples=50)
+# A deadline would assert a speed, and so does the look at how slow examples are made. Every run
+# draws the same ones, so that a change is not stopped by what another one broke;
+# TRIGPOINT_EXPLORE=1 draws others.
+settings.register_profile(
+    "trigpoint",
+    deadline=None,
+    derandomize="TRIGPOINT_EXPLORE" not in os.environ,
+    max_examples=50,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("trigpoint")
 
 _PATIENCE_S = 20.0

@@ -103,13 +103,13 @@ def test_two_cameras_of_one_agent_play_to_their_ends(tmp_path: Path, free_port) 
         for name in ("one", "two"):
             (tmp_path / name).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / name / f"{number}.png"), picture)
-    more = '[cameras.c2]\nsource = "dir://two"\nrate = 2.0'
-    site = write_site(tmp_path, free_port(), 'source = "dir://one"\nrate = 2.0', more=more)
+    more = '[cameras.c2]\nsource = "dir://two"\nrate = 1.0'
+    site = write_site(tmp_path, free_port(), 'source = "dir://one"\nrate = 1.0', more=more)
     with open_bus(site) as bus:
         ears = {c: bus.subscribe(SIGHTINGS, SIGHTINGS.key("lab", c)) for c in ("c1", "c2")}
         with agent(tmp_path, "--camera", "c1", "--camera", "c2") as process:
             for camera, subscription in ears.items():
-                found = [taken(subscription, 30.0) for _ in range(3)]
+                found = [taken(subscription, 60.0) for _ in range(3)]
                 counts = [len(m.faces) for m in found if isinstance(m, Sightings)]
                 assert counts == [0, 1, 0], camera
                 seen = found[1]

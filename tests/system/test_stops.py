@@ -107,10 +107,11 @@ def test_idle_connections_at_its_listener_do_not_hold_a_stop_up(
     assert eventually(lambda: "runs on site" in fusion.said, 60.0)
     assert all(is_open() for _ in range(5))
     time.sleep(0.3)
-    took_s = fusion.stop()
-    # It took over nine seconds; those who connected say nothing for ten.
-    assert 0 <= took_s < 6.0, fusion.said
-    assert fusion.process.returncode == 0
+    # It took over nine seconds; those who connected say nothing for ten. By its own clock it may
+    # take two, after which it leaves by force with another status.
+    assert fusion.stop() >= 0, fusion.said
+    assert fusion.process.returncode == 0, fusion.said
+    assert "left by force" not in fusion.said
 
 
 def test_stops_at_drawn_moments_leave_a_network_or_say_why_not(

@@ -68,7 +68,8 @@ def test_a_folder_stands_for_the_session_in_it(session_file: Path) -> None:
 
 @given(st.lists(st.lists(st.integers(0, 50), min_size=1, max_size=8), min_size=1, max_size=6))
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 def test_messages_come_in_log_order_and_stable(tmp_path: Path, chunks: list[list[int]]) -> None:
     recording = open_recording(write(tmp_path / "s.mcap", chunks))

@@ -3,7 +3,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -142,7 +142,7 @@ def test_garbage_is_a_message_error(topic: object, payload: bytes) -> None:
     assert is_refused_or_decoded(getattr(topic, "type_name"), payload)  # noqa: B009
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=200)
 @given(every_message, st.data())
 def test_damaged_message_is_decoded_or_a_message_error(
     message: Message, data: st.DataObject

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -78,7 +78,7 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition() -> None:
     assert cdr_layout.odometry_bytes(Odometry(-1, "", "", Pose.identity())) is None
 
 
-@settings(max_examples=800, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=800)
 @given(either, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
     message: Odometry | Sightings, data: st.DataObject

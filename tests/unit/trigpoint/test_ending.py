@@ -18,7 +18,7 @@ def main() -> None:
         with ENDING.writing():
             time.sleep(3.5)
         print("written", flush=True)
-    time.sleep(60)
+    time.sleep(600)
 kind = sys.argv[1]
 sys.argv[1:] = ["edge"]
 sys.argv.append(kind)
@@ -40,14 +40,14 @@ def stopped(kind: str) -> tuple[int, float, str]:
     assert process.stdout.readline() == "ready\n"
     began_s = time.monotonic()
     process.terminate()
-    said, _ = process.communicate(timeout=30)
+    said, _ = process.communicate(timeout=200)
     return process.returncode, time.monotonic() - began_s, said
 
 
 def test_program_that_hangs_ends_all_the_same() -> None:
     status, took_s, _ = stopped("hangs")
     assert status == 1
-    assert took_s < STOP_S + 6.0  # it would have gone on for a minute
+    assert took_s < 30 * STOP_S  # it would have gone on for ten minutes
 
 
 def test_file_that_is_being_written_is_finished() -> None:
