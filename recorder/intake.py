@@ -2,6 +2,8 @@
 
 import logging
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
@@ -26,6 +28,9 @@ _CATCH_UP_S = 0.4
 _REST_S = 1.5
 """How long a stop may wait for what is on its way (an answer takes milliseconds where nobody
 hangs), and what is kept of its time for what follows."""
+_SETTLE_S = 2.0
+_LOOK_S = 0.01
+"""How long a session's end may wait for what waits in the queues, and how often it looks."""
 _LEAST_QUEUE = 64
 """The topics' own queues are for those who want the newest; here every sample is wanted."""
 
@@ -62,10 +67,13 @@ class Intake:
         """`lose` is told how many more samples of a key the bus's full queue has dropped."""
         self._bus, self._node, self._site, self._take, self._lose = bus, node, site, take, lose
         self._is_caught_up = threading.Event()
+        self._subscriptions: list[Subscription] = []
+        self._handed: Counter[str] = Counter()
         cdr.warm_up()
         for topic in topics:
             deep = replace(topic, queue=max(topic.queue, _LEAST_QUEUE))
             subscription = bus.subscribe(deep, topic.expression(site.name))
+            self._subscriptions.append(subscription)
             node.health.watch(topic.name, subscription)
             node.work(topic.name, partial(self._run, topic, subscription))
         node.thread("catches up", self._catch_up)
@@ -76,23 +84,41 @@ class Intake:
             pulse.beat()
             if sample := subscription.take(_PATIENCE_S):
                 self._hand_on(topic, sample)
+                self._handed[topic.name] += 1
             self._tell_losses(subscription, told)
         subscription.close()
         while sample := subscription.take(0.0):
             self._hand_on(topic, sample)
         self._tell_losses(subscription, told)
 
+    def settle(self) -> None:
+        """Wait until what was sent before is handed on, while the topics' threads go on."""
+        self._wait_for_what_is_sent(_CATCH_UP_S)
+        came = sum(subscription.received for subscription in self._subscriptions)
+        deadline = time.monotonic() + _SETTLE_S
+        while self._taken < came and time.monotonic() < deadline:
+            time.sleep(_LOOK_S)
+
+    @property
+    def _taken(self) -> int:
+        """How many samples were handed on, or dropped from a full queue."""
+        dropped = sum(sum(one.losses.values()) for one in self._subscriptions)
+        return sum(self._handed.values()) + dropped
+
     def _catch_up(self) -> None:
         """After the node's stop, have the topics' threads go on until all came that was sent."""
         self._node.stopping.wait()
-        within_s = min(_CATCH_UP_S, ENDING.left_s(_REST_S))
+        try:
+            self._wait_for_what_is_sent(min(_CATCH_UP_S, ENDING.left_s(_REST_S)))
+        finally:
+            self._is_caught_up.set()
+
+    def _wait_for_what_is_sent(self, within_s: float) -> None:
         try:
             if not self._bus.catch_up(self._site.name, within_s):
                 _log.warning("somebody did not say in %.1f s that all it sent is here", within_s)
         except BusError as reason:
             _log.warning("what is still on its way may be missing: %s", reason)
-        finally:
-            self._is_caught_up.set()
 
     def _tell_losses(self, subscription: Subscription, told: dict[str, int]) -> None:
         if subscription.dropped == 0:

@@ -69,6 +69,7 @@ class Recorder:
         self._files = [AttachedFile(*file, now_ns) for file in site_files(site)]
         self._network = b""
         self._node: Node | None = None
+        self._intake: Intake | None = None
         self._pulse: Pulse | None = None
         self._lock = threading.Lock()  # of starting and stopping
         self._moved = MovedCameras()
@@ -92,7 +93,7 @@ class Recorder:
         self._bus, self._node = bus, node
         node.health.gauge("file.depth", self._depth)
         topics = recorded_topics(self._site)
-        Intake(bus, node, self._site, topics, self._write, self._lose)
+        self._intake = Intake(bus, node, self._site, topics, self._write, self._lose)
         self._pulse = node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S)
         if self._sink is not None:
             self._sink.watch(self._pulse)
@@ -169,6 +170,8 @@ class Recorder:
 
     def _stop(self) -> None:
         sink = self._running()
+        if self._intake is not None:
+            self._intake.settle()
         if self._network:
             sink.attach(NETWORK_ATTACHMENT, self._network, "application/json")
         self._sink = None

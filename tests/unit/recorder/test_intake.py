@@ -130,6 +130,26 @@ def test_what_is_on_its_way_when_the_node_stops_is_handed_on() -> None:
     assert len(taken) == 50
 
 
+def test_what_was_sent_before_a_session_ends_is_handed_on_first() -> None:
+    broker, taken = MemoryBroker(), []
+
+    def arrive() -> None:
+        if not taken:  # once more when the node stops
+            for _ in range(50):
+                publisher.put(PAYLOAD)
+
+    with (
+        Way(broker, arrive) as bus,
+        broker.session() as sender,
+        Node(bus, site="lab", kind="recorder", name="main") as node,
+    ):
+        publisher = sender.publisher(ODOMETRY, KEY)
+        intake = Intake(bus, node, SITE, [ODOMETRY], lambda *received: taken.append(received))
+        intake.settle()
+        assert len(taken) == 50
+        node.stop()
+
+
 def test_what_the_buss_queue_drops_is_told_by_key() -> None:
     broker, taken, lost = MemoryBroker(), [], Counter()
     first, may_go_on = threading.Event(), threading.Event()
