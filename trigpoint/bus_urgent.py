@@ -7,6 +7,7 @@ datagrams. The stream still carries every one, for those whose datagrams come to
 """
 
 import threading
+from collections.abc import Callable
 
 AGAIN_S = 0.01
 """When the second datagram follows: packets that are lost together left together."""
@@ -22,11 +23,11 @@ class Newest:
         self._last: dict[str, tuple[str, int]] = {}
         self._lock = threading.Lock()
 
-    def is_new(self, key: str, sender: str, sent_ns: int) -> bool:
-        """`sent_ns`: by the sender's clock, the same in all copies."""
+    def hand_on(self, key: str, sender: str, sent_ns: int, push: Callable[[], object]) -> None:
+        """`push` what is newer, before anything that is newer still. `sent_ns`: by the sender's
+        clock, the same in all copies."""
         with self._lock:
             last = self._last.get(key)
-            if last is not None and last[0] == sender and sent_ns <= last[1]:
-                return False
-            self._last[key] = (sender, sent_ns)
-            return True
+            if last is None or last[0] != sender or sent_ns > last[1]:
+                self._last[key] = (sender, sent_ns)
+                push()

@@ -124,7 +124,7 @@ def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datag
         return Datagrams(session, is_beside=False)
     try:
         opened = open_patiently(lambda: open_session(beside), beside, _DATAGRAM_PATIENCE_S)
-        return Datagrams(opened, is_beside=True)
+        return Datagrams(opened, is_beside=True, connect=beside.connect)
     except BusError as reason:
         _log.warning("%s; until the next start corrections go without datagrams", reason)
         return None
@@ -189,15 +189,6 @@ def _share_of(arrival: _Arrival) -> str:
     return f"{arrival[1].key_expr} {stamp.get_id() if stamp is not None else ''}"
 
 
-def _is_new(newest: Newest, sample: zenoh.Sample) -> bool:
-    """Whether a sample is no copy of what came before."""
-    stamp = sample.timestamp
-    if stamp is None:
-        return True
-    sent_ns = stamp.get_time_as_ntp64().as_nanos()
-    return newest.is_new(str(sample.key_expr), str(stamp.get_id()), sent_ns)
-
-
 def _key_of(arrival: _Arrival) -> str:
     return str(arrival[1].key_expr)
 
@@ -208,10 +199,13 @@ def _has_link(session: zenoh.Session) -> bool:
 
 
 class Datagrams:
-    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one."""
+    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one;
+    `connect`: where the one beside connects to."""
 
-    def __init__(self, session: zenoh.Session, *, is_beside: bool) -> None:
-        self.session, self.is_beside = session, is_beside
+    def __init__(
+        self, session: zenoh.Session, *, is_beside: bool, connect: tuple[str, ...] = ()
+    ) -> None:
+        self.session, self.is_beside, self._connect = session, is_beside, connect
         self._again = Outbox("bus sends again", WAITING)
 
     def publisher(self, topic: Topic, key: str) -> zenoh.Publisher:
@@ -224,6 +218,11 @@ class Datagrams:
             express=express,
             reliability=Reliability.BEST_EFFORT,
         )
+
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        """Where nobody answers now."""
+        return self._connect if self._connect and not _has_link(self.session) else ()
 
     def put(self, send: Callable[[], None]) -> None:
         """Send now, and soon again."""
@@ -339,9 +338,14 @@ def _subscribe_urgent(
     newest = Newest()
 
     def receive(sample: zenoh.Sample) -> None:
-        received_ns = time.time_ns()
-        if _is_new(newest, sample):
-            queue.push((received_ns, sample))
+        arrival = (time.time_ns(), sample)
+        stamp = sample.timestamp
+        if stamp is None:  # of a sender that makes no copies
+            queue.push(arrival)
+            return
+        sent_ns = stamp.get_time_as_ntp64().as_nanos()
+        sender = str(stamp.get_id())
+        newest.hand_on(str(sample.key_expr), sender, sent_ns, lambda: queue.push(arrival))
 
     arrived = zenoh.handlers.Callback(receive, indirect=False)
     subscribers = [session.declare_subscriber(expression, arrived) for session in sessions]
@@ -475,7 +479,8 @@ class ZenohBus:
 
     @property
     def unreached(self) -> tuple[str, ...]:
-        return self._connect if self._connect and not self.peers else ()
+        missing = self._connect if self._connect and not self.peers else ()
+        return (*missing, *(self._datagrams.unreached if self._datagrams else ()))
 
     @property
     def unsent(self) -> int:

@@ -132,7 +132,7 @@ def test_correction_by_stream_and_datagrams_comes_once(
     port = free_port()
     endpoints = [f"{protocol}/127.0.0.1:{port}" for protocol in ("tls", "quic")]
     site = SecuredSite(tmp_path, port, bus=f"listen = {json.dumps(endpoints)}", protocol=streams)
-    stack.enter_context(open_router(site.listening))
+    router = stack.enter_context(open_router(site.listening))
     fusion, robot = (_with_datagrams(site, endpoints[1], *who, stack) for who in (FUSION, ROBOT))
     key = CORRECTION.key("lab", "r1")
     corrections, publisher = robot.subscribe(CORRECTION, key), fusion.publisher(CORRECTION, key)
@@ -145,6 +145,9 @@ def test_correction_by_stream_and_datagrams_comes_once(
     assert {sample.sender for sample in samples if sample} == {fusion.identity}
     time.sleep(10 * AGAIN_S)
     assert corrections.take(0.0) is None
+    assert robot.unreached == ()
+    router.close()
+    assert eventually(lambda: robot.unreached == ((endpoints[1],) if streams == "tls" else ()))
 
 
 def _with_datagrams(
@@ -154,7 +157,10 @@ def _with_datagrams(
     is_beside = not site.endpoint.startswith("quic/")
     beside = replace(site.settings(kind, name), connect=(quic,))
     by = open_patiently(lambda: open_session(beside), beside, 60.0) if is_beside else session
-    return stack.enter_context(ZenohBus(session, datagrams=Datagrams(by, is_beside=is_beside)))
+    connect = beside.connect if is_beside else ()
+    return stack.enter_context(
+        ZenohBus(session, datagrams=Datagrams(by, is_beside=is_beside, connect=connect))
+    )
 
 
 class Outsider:
