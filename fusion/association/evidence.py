@@ -37,17 +37,21 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
     weights /= weights.sum()
     leaders: list[Place] = []
     masses: list[float] = []
+    spreads: list[Array] = []
     for place, weight in zip(ordered, weights.tolist(), strict=True):
         for order, leader in enumerate(leaders):
             if is_same_place(leader, place):
+                apart = place.map_from_camera.difference(leader.map_from_camera)
                 masses[order] += weight
+                spreads[order] += weight * np.outer(apart, apart)
                 break
         else:
             leaders.append(place)
             masses.append(weight)
+            spreads.append(np.zeros((6, 6)))
     found = [
-        Alternative(leader.map_from_camera, leader.covariance, mass)
-        for leader, mass in zip(leaders, masses, strict=True)
+        Alternative(leader.map_from_camera, leader.covariance, mass, spread / mass)
+        for leader, mass, spread in zip(leaders, masses, spreads, strict=True)
     ]
     found.sort(key=lambda alternative: -alternative.probability)
     rest = 1.0

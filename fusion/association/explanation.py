@@ -14,11 +14,13 @@ from .noise import Noise
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A place that is left open: `covariance` (6, 6), and the share of the posterior."""
+    """A place that is left open: `covariance` (6, 6), and the share of the posterior; `spread`
+    (6, 6): how far explanations that put the camera here put it from one another."""
 
     map_from_camera: Pose
     covariance: Array
     probability: float
+    spread: Array
 
 
 @dataclass(frozen=True, slots=True)

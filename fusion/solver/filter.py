@@ -122,6 +122,16 @@ class Filter:
             stamps[name] = int(chain.stamps_ns[-1])
         return cls(State(state.cameras, robots), stamps, reduced.layout, reduced)
 
+    def spread(self, covariances: dict[str, Array]) -> "Filter":
+        """The same with these covariances (6, 6) added to those of cameras' poses."""
+        if not covariances:
+            return self
+        whole = self.known.covariance.copy()
+        for camera, covariance in covariances.items():
+            columns = self._columns(self.layout.pose[camera])
+            whole[np.ix_(columns, columns)] += covariance
+        return replace(self, source=Gaussian.of(self.known.mean, whole))
+
     def has_robot(self, robot: str) -> bool:
         """Whether the robot is located in the map."""
         return robot in self.stamps_ns

@@ -33,6 +33,7 @@ from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.levenberg_marquardt import Solution
 from trigpoint.fusion.solver.relinearisation import solve_consistently
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
 from .change_reports import why_undetermined
 from .contradicting_sightings import leave_out_contradicting
@@ -56,6 +57,8 @@ _ROUGH_TOLERANCE = 0.1
 LIVE_TOLERANCE = 1e-2
 FINAL_TOLERANCE = 1e-4
 _LEAST_PICTURES = 3
+# Of a variance: what changes no sigma by more than a two-hundredth.
+_LITTLE_SPREAD = 0.01
 _GROWTH_TO_RETRY = 1.2
 
 
@@ -202,9 +205,23 @@ class BatchSolution:
         assert self.solution is not None
         self._forget_unused(self.assembled)
         known = Filter.after(self.state, self.assembled.problem, self.solution.reduced)
+        known = known.spread(self._left_open())
         self._say_earlier(known)
         self._guess_rest()
         return known
+
+    def _left_open(self) -> dict[str, Array]:
+        """By located camera, the covariance (6, 6) of what explanations that put it at one place
+        leave open there: which of two faces that contradict each other is wrong, say."""
+        found = {}
+        for camera in self.state.cameras:
+            finding = self.finding(camera)
+            if finding is None or not finding.is_located:
+                continue
+            place = finding.alternatives[0]
+            if np.trace(np.linalg.solve(place.covariance, place.spread)) > _LITTLE_SPREAD:
+                found[camera] = place.spread
+        return found
 
     def finding(self, camera: str) -> CameraFinding | None:
         """What the last explanation says of a camera."""

@@ -20,4 +20,4 @@ def test_either_of_two_sightings_that_contradict_each_other_may_be_wrong(tmp_pat
         assert name in cameras
         camera = cameras[name]
         error = camera.map_from_camera.difference(place)
-        assert np.all(np.abs(error) < 5 * np.sqrt(np.diagonal(camera.covariance))), name
+        assert error @ np.linalg.solve(camera.covariance, error) < 6 * 2**2, name
