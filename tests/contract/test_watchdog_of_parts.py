@@ -107,7 +107,7 @@ class Desk:
         self.clock.advance(LATER_S)
         said: list[str] = []
         # The first may have been on its way when the clock was set.
-        return eventually(lambda: bool(said.extend(self._told()) or len(said) > 1), timeout_s=60.0)
+        return eventually(lambda: bool(said.extend(self._told()) or len(said) > 1), timeout_s=200.0)
 
     def is_silenced_by(self, name: str) -> bool:
         """Whether the manager is told nothing any more for the sake of one thread. Its last sign
