@@ -24,15 +24,21 @@ def page(record: "Record") -> str:
         "<style>body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto}"
         "td,th{padding:2px 12px;text-align:left}svg{display:block}</style>",
         f"<h1>Soak run of {record.seconds / 60:.0f} minutes</h1>",
-        _backs(record),
+        _maps(record),
         _memory_table(record),
         _drawn("Resident memory, MB", _of_programs(record, "resident", 1e-6), record),
         _drawn("Open files", _of_programs(record, "files", 1.0), record),
         _drawn("Threads", _of_programs(record, "threads", 1.0), record),
         _drawn("Latency from the stamp, 95th percentile of 10 s, ms", _latencies(record), record),
         _losses(record),
+        _backs(record),
     ]
     return "\n".join(parts) + "\n"
+
+
+def _maps(record: "Record") -> str:
+    maps = record.heard[-1]["maps"] if record.heard else []
+    return f"<p>Maps of fusion from begin to end, in order (one is right): {', '.join(maps)}</p>"
 
 
 def _backs(record: "Record") -> str:
@@ -40,9 +46,7 @@ def _backs(record: "Record") -> str:
         f"<tr><td>{b.t_s:.0f} s<td>{html.escape(b.kind)}<td>{b.key}<td>{b.back_s:.1f} s"
         for b in record.breaks
     ]
-    maps = record.heard[-1]["maps"] if record.heard else []
     return (
-        f"<p>Maps of fusion from begin to end, in order (one is right): {', '.join(maps)}</p>"
         "<h2>What broke</h2><table><tr><th>when<th>what<th>seen by<th>back after mending"
         f"{''.join(rows)}</table>"
     )
