@@ -13,10 +13,9 @@ KINDS ?=
 demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
 
-# Three at a time, also on two cores: they compute for about half of their time, and wait for processes
-# that they started, and for time to pass, the rest.
+# Two at a time: the longest wait for processes that they started, and for time to pass.
 test: $(INSTALLED)  ## every test
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: lint types imports test  ## what CI runs
 

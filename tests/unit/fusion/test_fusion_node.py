@@ -108,7 +108,6 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         run.feed(charuco.messages)
         odometry = sum(isinstance(m, Odometry) for _, m in charuco.messages)
         assert eventually(lambda: heard["robot_pose"].depth == odometry)
-        answered = run.ask("fusion/network")
         covered: set[str] = set()
         coverage = heard.pop("coverage")
         assert eventually(
@@ -118,6 +117,7 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         map_id = run.ask("fusion/map")["map_id"]
         assert run.node.health.total("rejected") == 0
         assert eventually(lambda: run.node.health.report().values["cameras_located"] == "3")
+        answered = run.ask("fusion/network")
     run.fusion.finish()
     network = load_network(tmp_path)
     assert {camera["status"] for camera in answered["cameras"].values()} == {"located"}
