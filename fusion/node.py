@@ -37,6 +37,7 @@ _MOST_AT_ONCE = 512
 # A turn takes samples in for so long, and uses so many observations of a robot; so commands, which
 # wait for its end, and a stop are answered whatever comes.
 _TAKING_NS = to_ns(0.05)
+_LAST_TAKING_NS = to_ns(0.25)
 _MOST_USED = 16
 # While a checkpoint is read, what comes is taken in every so many records.
 _RECORDS_AT_ONCE = 256
@@ -187,6 +188,18 @@ class FusionNode:
             for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
                 self._publish(output)
             self._report()
+        with self._lock:
+            self._take_last()
+
+    def _take_last(self) -> None:
+        """Take in what had come before the stop, for a part of the time that a stop has."""
+        until_ns = self._clock.elapsed_ns() + _LAST_TAKING_NS
+        while self._clock.elapsed_ns() < until_ns:
+            came = list(self._waiting())
+            for topic, sample in came:
+                self._take(topic, sample)
+            if not came:
+                break
 
     def _turn(self) -> list[Output]:
         """Take in and use what has come; the messages to send."""

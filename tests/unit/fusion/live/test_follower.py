@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pytest
@@ -231,10 +232,16 @@ def test_new_filter_gains_on_what_comes_in_any_pattern(turns: tuple[int, ...]) -
 # -- in a process of its own, on a bus ------------------------------------------------------------
 
 
+class Feed(Protocol):
+    """Publishes messages, and waits until their odometry has been taken in."""
+
+    def __call__(self, messages: Messages, *, is_awaited: bool = True) -> None: ...
+
+
 @contextmanager
 def running(
     inputs: Inputs, out: Path, make: Callable[[], Solver]
-) -> Iterator[tuple[FusionNode, Node, Callable[[Messages], None]]]:
+) -> Iterator[tuple[FusionNode, Node, Feed]]:
     """A fusion node with a solver, and what publishes messages to it."""
     broker = MemoryBroker()
     with (
@@ -245,7 +252,7 @@ def running(
         fusion = FusionNode(bus, node, inputs, out, SystemClock(), solver=make)
         fusion.start()
 
-        def feed(messages: Messages) -> None:
+        def feed(messages: Messages, *, is_awaited: bool = True) -> None:
             publishers: dict[str, Publisher] = {}
             before = node.health.total("received lab/robot/r1/odom")
             for name, message in messages:
@@ -256,7 +263,8 @@ def running(
                 publishers[key].put(cdr.encode(message))
             count = before + sum(isinstance(m, Odometry) for _, m in messages)
             received = node.health.total
-            until(node, lambda: received("received lab/robot/r1/odom") == count)
+            if is_awaited:
+                until(node, lambda: received("received lab/robot/r1/odom") == count)
 
         try:
             yield fusion, node, feed
@@ -281,6 +289,15 @@ def test_process_solves_and_a_stop_has_its_last_solution(
         until(node, lambda: node.health.report().values["cameras_located"] == "3")
     fusion.finish()
     assert_same_places(load_network(tmp_path), charuco_results.network)
+
+
+def test_what_came_before_a_stop_is_taken_in(charuco: Session, tmp_path: Path) -> None:
+    odometry = tuple((n, m) for n, m in charuco.messages if isinstance(m, Odometry))[:200]
+    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (_, node, feed):
+        feed(odometry[:100])
+        feed(odometry[100:], is_awaited=False)
+        node.stop()
+    assert node.health.total("received lab/robot/r1/odom") == len(odometry)
 
 
 @pytest.mark.parametrize("megabytes", [0, 2], ids=["small", "large"])
