@@ -20,7 +20,7 @@ import numpy as np
 
 from trigpoint import cdr, topics
 from trigpoint.clock import to_ns, to_seconds
-from trigpoint.fusion.live.memory import give_back_large
+from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.messages import CameraInfo, Odometry, Sightings
@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 3, 10])
     parser.add_argument("--pictures", type=float, nargs="+", default=[5.0, 10.0])
     given = parser.parse_args()
-    give_back_large()  # as the command does it
+    return_large_arrays()  # as the command does it
     print(
         "| cameras | robots | messages/s | sightings/s | thread | solver | update p50, p99 ", end=""
     )
