@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from types import TracebackType
 from typing import Self, TypeVar
@@ -38,7 +39,7 @@ from .bus_urgent import AGAIN_S, WAITING, Newest
 from .config import Site
 from .ending import ENDING
 from .errors import BusError
-from .topics import Delivery, Topic, sent_key
+from .topics import Delivery, Topic, key_matches, recovered_keys, sent_key
 
 _log = logging.getLogger(__name__)
 
@@ -77,6 +78,7 @@ _QOS: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
 
 _Arrival = tuple[int, zenoh.Sample]
 _Declared = TypeVar("_Declared", bound=Closable)
+_Said = TypeVar("_Said")
 
 
 def open_bus(
@@ -106,6 +108,7 @@ def open_bus(
             gate=gate,
             warning=means.warning,
             datagrams=_datagrams(site, settings, session),
+            named=recovered_keys(site.name, site.cameras, site.robots),
         )
     except BaseException:
         session.close()
@@ -347,7 +350,7 @@ def _subscribe_urgent(
         sender = str(stamp.get_id())
         newest.hand_on(str(sample.key_expr), sender, sent_ns, lambda: queue.push(arrival))
 
-    arrived = zenoh.handlers.Callback(receive, indirect=False)
+    arrived = _called_at_once(receive)
     subscribers = [session.declare_subscriber(expression, arrived) for session in sessions]
 
     def undeclare() -> None:
@@ -358,20 +361,52 @@ def _subscribe_urgent(
 
 
 def _subscribe(
-    session: zenoh.Session, topic: Topic, expression: str, queue: SampleQueue[_Arrival]
+    session: zenoh.Session,
+    topic: Topic,
+    expression: str,
+    queue: SampleQueue[_Arrival],
+    named: frozenset[str],
 ) -> Callable[[], None]:
-    """Declare the subscriber that fills `queue`; return what takes it back."""
+    """Declare what fills `queue`; return what takes it back.
+
+    What is recovered after a break has a subscriber for each of the `named` keys, and what others
+    send is taken as it comes. One for all of them hands on only the end of a sender's history where
+    the answer about another's ends meanwhile: 23 of 120 starts lost up to 288 of 300 messages,
+    which nothing counted; with one for each key, none of 150 did (zenoh-ext 1.10.2).
+    """
 
     def receive(sample: zenoh.Sample) -> None:
         queue.push((time.time_ns(), sample))
 
-    arrived = zenoh.handlers.Callback(receive, indirect=False)
+    def receive_of_others(sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) not in named:
+            receive(sample)
+
     if not topic.cache:
-        return session.declare_subscriber(expression, arrived).undeclare
+        return session.declare_subscriber(expression, _called_at_once(receive)).undeclare
+    if not named:
+        return _subscribe_with_history(session, topic, expression, receive, queue)
+    undeclare = ExitStack()
+    for key in sorted(named):
+        undeclare.callback(_subscribe_with_history(session, topic, key, receive, queue))
+    others = session.declare_subscriber(expression, _called_at_once(receive_of_others))
+    undeclare.callback(others.undeclare)
+    return undeclare.close
+
+
+def _subscribe_with_history(
+    session: zenoh.Session,
+    topic: Topic,
+    expression: str,
+    receive: Callable[[zenoh.Sample], None],
+    queue: SampleQueue[_Arrival],
+) -> Callable[[], None]:
+    """Of what the senders keep, and of what was sent during a break, too; return what takes it
+    back."""
     subscriber = ext.declare_advanced_subscriber(
         session,
         expression,
-        arrived,
+        _called_at_once(receive),
         history=ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.cache),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
@@ -379,13 +414,18 @@ def _subscribe(
     def miss(missed: ext.Miss) -> None:
         queue.miss(missed.nb)
 
-    listener = subscriber.sample_miss_listener(zenoh.handlers.Callback(miss, indirect=False))
+    listener = subscriber.sample_miss_listener(_called_at_once(miss))
 
     def undeclare() -> None:
         listener.undeclare()
         subscriber.undeclare()
 
     return undeclare
+
+
+def _called_at_once(function: Callable[[_Said], None]) -> "zenoh.handlers.Callback[_Said]":
+    """On the thread that receives."""
+    return zenoh.handlers.Callback(function, indirect=False)
 
 
 class _Request:
@@ -435,8 +475,10 @@ class ZenohBus:
         gate: Gate | None = None,
         warning: Callable[[], str] = str,
         datagrams: Datagrams | None = None,
+        named: frozenset[str] = frozenset(),
     ) -> None:
-        self._datagrams = datagrams
+        """`named`: the keys of the site's own cameras and robots."""
+        self._datagrams, self._named = datagrams, named
         self._session, self._locators, self._gate = session, locators, gate
         self._warning = warning
         self._connect = connect
@@ -540,7 +582,10 @@ class ZenohBus:
             if topic.delivery is Delivery.URGENT:
                 undeclare = _subscribe_urgent(self._ways, expression, queue)
             else:
-                undeclare = _subscribe(self._session, topic, expression, queue)
+                named = frozenset(
+                    key for key in self._named if topic.match(key) and key_matches(expression, key)
+                )
+                undeclare = _subscribe(self._session, topic, expression, queue, named)
             return queue
 
         return self._declare(expression, declare)
@@ -566,9 +611,7 @@ class ZenohBus:
 
             server = Server(key, answer)
             try:
-                queryable = self._session.declare_queryable(
-                    key, zenoh.handlers.Callback(arrive, indirect=False)
-                )
+                queryable = self._session.declare_queryable(key, _called_at_once(arrive))
             except zenoh.ZError:
                 server.close()
                 raise
