@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.projection import by_disturbance
 from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
 from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
@@ -167,8 +168,7 @@ def _covariances(
     pose = Pose.stack([candidate.camera_from_base for candidate in found])
     arm = by_reading(view, body_of(target))[chosen] @ np.swapaxes(pose.rotation, 1, 2)
     _, by_point, by_lens = lens.project_jacobians(arm + pose.translation[:, None])
-    jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1) / view.sigma
-    flat = jacobian.reshape(len(found), -1, 6)
+    flat = (by_disturbance(by_point, arm) / view.sigma).reshape(len(found), -1, 6)
     transposed = np.swapaxes(flat, 1, 2)
     own = np.linalg.pinv(transposed @ flat, rcond=1e-14, hermitian=True)
     covariance = own * scale**2

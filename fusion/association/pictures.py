@@ -4,10 +4,10 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.faces import best_reading
 from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
@@ -59,12 +59,5 @@ class PictureReader:
         camera = self.mode.camera
         body = body_of(self.data.targets[observation.robot])
         points = by_reading(view, body)[view.readings.index(reading)]
-        arm = points @ map_from_base.rotation.T
-        rotation = camera.map_from_camera.rotation
-        away = arm + map_from_base.translation - camera.map_from_camera.translation
-        optical = away @ rotation
-        optical[:, 2] = np.maximum(optical[:, 2], 1e-2)
-        projected, by_point = camera.lens.project_by_point(optical)
-        by_map = by_point @ rotation.T
-        jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1) / view.sigma
-        return jacobian, (projected - view.pixels) / view.sigma
+        found = projected(camera.lens, map_from_base, points, camera.map_from_camera)
+        return found.by_body / view.sigma, (found.pixels - view.pixels) / view.sigma

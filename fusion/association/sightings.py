@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points
+from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
@@ -135,9 +135,5 @@ def _step(by_pose: Array, residual: Array, weight: Array) -> Array:
 
 
 def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:
-    arm = points @ pose.rotation.T
-    optical = arm + pose.translation
-    optical[:, 2] = np.maximum(optical[:, 2], 1e-2)
-    projected, by_point = lens.project_by_point(optical)
-    jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1) / view.sigma
-    return jacobian, (projected - view.pixels) / view.sigma
+    found = projected(lens, pose, points)
+    return found.by_body / view.sigma, (found.pixels - view.pixels) / view.sigma

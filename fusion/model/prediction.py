@@ -14,6 +14,7 @@ from trigpoint.geometry.rotation import Array
 
 from .odometry import Motion
 from .problem import Batch, Problem, State
+from .projection import before_camera, by_disturbance
 
 
 def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
@@ -26,15 +27,15 @@ def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
 def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
     """Weighted Jacobian (n, K, 2, d + q), residual (n, K, 2) and dense columns (q,) of a batch.
 
-    Residual = (projection - pixel)/sigma. With p the corner in the map and o in the optical frame,
-    o = R_cᵀ(p - t_c): ∂o/∂δt_c = -R_cᵀ, ∂o/∂δθ_c = R_cᵀ[p - t_c]×, ∂p/∂δt_b = I,
-    ∂p/∂δθ_b = -[R_b p_b]×, and likewise for a face on the base.
+    Residual = (projection - pixel)/sigma; d columns of the node, the dense ones from the camera's
+    pose on.
     """
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain, layout = problem.chains[batch.robot], problem.layout
     scene = _scene(problem, batch, state)
     weights = batch.weights[..., None]
-    parts, columns = [], [layout.pose[batch.camera]]
+    parts: list[Array] = []
+    columns = [layout.pose[batch.camera]]
     if batch.camera in layout.lens:
         pixels, by_optical, by_lens = camera.lens.project_jacobians(scene.optical)
         parts.append(by_lens * weights[..., None])
@@ -52,17 +53,18 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
         columns.append(layout.time_offset[batch.camera])
     if batch.robot in layout.faces:
         by_base = by_map @ scene.seen.rotation[:, None]
-        by_face = np.concatenate([by_base, -by_base @ so3.hat(scene.in_face_axes)], axis=-1)
+        by_face = by_disturbance(by_base, scene.in_face_axes)
         count = len(robot.base_from_face)
         mine = batch.faces[..., None] == np.arange(count)
         parts.append(
             (by_face[..., None, :] * mine[..., None, :, None]).reshape(*by_face.shape[:3], -1)
         )
         columns.append(layout.faces[batch.robot])
-    by_poses = _by_poses(by_map, scene, chain.tangent)
+    by_node = by_disturbance(by_map, scene.arm, chain.tangent)
+    by_camera = by_disturbance(-by_map, scene.from_camera)
     every = np.arange(layout.size)
     return (
-        np.concatenate([by_poses, *parts], axis=-1) if parts else by_poses,
+        np.concatenate([by_node, by_camera, *parts], axis=-1),
         residual,
         np.concatenate([every[column] for column in columns]),
     )
@@ -75,11 +77,7 @@ def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
     scene = _scene(problem, batch, state)
     by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
     by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
-    by_base = np.empty((*by_map.shape[:-1], 6))
-    by_base[..., :3] = by_map
-    for axis in range(3):
-        by_base[..., 3 + axis] = -_cross(by_map, scene.in_seen_axes, axis)
-    return by_base
+    return by_disturbance(by_map, scene.in_seen_axes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,37 +114,14 @@ def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
         arm = in_seen_axes + (seen.translation - node.translation)[:, None]
     from_camera = arm + (node.translation - camera.map_from_camera.translation)[:, None]
     optical = _rotated(from_camera, camera.map_from_camera.rotation)
-    # A corner behind the camera has no projection: it is pushed back before it, where its residual
-    # is large and its derivative harmless.
-    optical[..., 2] = np.where(batch.weights > 0, np.maximum(optical[..., 2], 1e-2), 1.0)
+    optical = before_camera(optical)
+    optical[..., 2] = np.where(batch.weights > 0, optical[..., 2], 1.0)
     return _Scene(in_face_axes, in_seen_axes, arm, from_camera, optical, seen, twist)
 
 
 def _rotated(rows: Array, matrix: Array) -> Array:
     """Rows (…, 3) times one matrix, as one product: numpy would make it one each."""
     return (rows.reshape(-1, 3) @ matrix).reshape(rows.shape)
-
-
-def _by_poses(by_map: Array, scene: _Scene, tangent: list[int]) -> Array:
-    """Derivatives (n, K, 2, d + 6) by the node's pose and the camera's, from those by the corner in
-    the map (n, K, 2, 3); a row times [a]× is the cross product of both."""
-    d = len(tangent)
-    by_poses = np.empty((*by_map.shape[:-1], d + 6))
-    for column, free in enumerate(tangent):
-        if free < 3:
-            by_poses[..., column] = by_map[..., free]
-        else:
-            by_poses[..., column] = -_cross(by_map, scene.arm, free - 3)
-    np.negative(by_map, out=by_poses[..., d : d + 3])
-    for axis in range(3):
-        by_poses[..., d + 3 + axis] = _cross(by_map, scene.from_camera, axis)
-    return by_poses
-
-
-def _cross(rows: Array, points: Array, axis: int) -> Array:
-    """One component of the cross products of rows (n, K, 2, 3) with points (n, K, 3)."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    return rows[..., i] * points[..., j, None] - rows[..., j] * points[..., i, None]
 
 
 def _offset_and_drift(since_epoch_s: Array) -> Array:

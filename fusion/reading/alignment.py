@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
@@ -297,20 +297,12 @@ class _Search:
 
     def _linearised(self, poses: Pose, points: Array) -> tuple[Array, Array, np.ndarray]:
         """Jacobian (b, m, k) and residual (b, m) of poses (b) with the prior's; which are sound."""
-        eye, rotation = self.map_from_camera.translation, self.map_from_camera.rotation
-        arm = points @ np.swapaxes(poses.rotation, 1, 2)
-        optical = (arm + poses.translation[:, None] - eye) @ rotation
-        is_sound = np.all(optical[..., 2] > 1e-3, axis=1)
-        optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
-        projected, by_point = self.lens.project_by_point(optical)
-        residual = (projected - self.pixels) * self.weights[:, None]
-        by_map = by_point @ rotation.T
-        jacobian = np.concatenate([by_map, -by_map @ so3.hat(arm)], axis=-1)[..., self.tangent]
-        jacobian = (jacobian * self.weights[:, None, None]).reshape(
-            len(points), -1, len(self.tangent)
-        )
+        found = projected(self.lens, poses, points, self.map_from_camera)
+        residual = (found.pixels - self.pixels) * self.weights[:, None]
         residual = residual.reshape(len(points), -1)
-        is_sound &= np.all(np.isfinite(residual), axis=1)
+        jacobian = found.by_body[..., self.tangent] * self.weights[:, None, None]
+        jacobian = jacobian.reshape(*residual.shape, len(self.tangent))
+        is_sound = np.all(found.is_ahead, axis=1) & np.all(np.isfinite(residual), axis=1)
         if self.prior is None:
             return jacobian, residual, is_sound
         apart = poses.difference(self.prior.map_from_base)[:, self.tangent]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.projection import NEAREST_M, by_disturbance
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
@@ -14,7 +14,6 @@ from .visibility import Body, body_of, by_reading, can_be_seen, faces_of, outerm
 
 # What a corner costs at most, pixels: beyond it a view fits not at all.
 WORST_PX = 20.0
-_NEAREST_M = 1e-2
 # How far off a view may be to draw at full strength, step by step.
 _REACHES_PX = (60.0, 30.0, 15.0, 8.0)
 _LONGEST_STEP = 0.3  # m and rad
@@ -114,7 +113,7 @@ def _linearised(
     back = np.swapaxes(map_from_camera.rotation, 1, 2)
     by_map = (by_point @ back[:, None, None]) * weight[..., None]
     from_camera = optical @ back[:, None]
-    jacobian = np.concatenate([-by_map, by_map @ so3.hat(from_camera)], axis=-1)
+    jacobian = by_disturbance(-by_map, from_camera)
     return jacobian.reshape(len(best), -1, 6), residual.reshape(len(best), -1)
 
 
@@ -125,8 +124,8 @@ def _squares(lens: CameraModel, camera_from_base: Pose, batch: ViewBatch) -> tup
     shape = batch.points.shape
     optical = camera_from_base @ batch.points.reshape(shape[0], -1, 3)
     optical = optical.reshape(-1, *shape)
-    ahead = np.all(optical[..., 2] > _NEAREST_M, axis=-1)
-    optical = np.where(optical[..., 2:] > _NEAREST_M, optical, [0.0, 0.0, 1.0])
+    ahead = np.all(optical[..., 2] > NEAREST_M, axis=-1)
+    optical = np.where(optical[..., 2:] > NEAREST_M, optical, [0.0, 0.0, 1.0])
     square = np.mean((lens.project(optical) - batch.pixels[:, None]) ** 2, axis=(-1, -2))
     eyes = camera_from_base.inverse().translation
     is_seen = can_be_seen(batch.body, batch.faces, batch.points, eyes)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -76,15 +77,10 @@ def refined_poses(
     pose, rms = starts, np.full(len(points), np.nan)
     is_sound = np.ones(len(points), dtype=bool)
     for _ in range(_MOST_STEPS):
-        arm = points @ np.swapaxes(pose.rotation, 1, 2)
-        optical = arm + pose.translation[:, None]
-        is_sound &= np.all(optical[..., 2] > 1e-3, axis=1)
-        optical = np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0])
-        projected, by_point = lens.project_by_point(optical)
-        residual = ((projected - pixels) * weights).reshape(len(points), -1)
-        is_sound &= np.all(np.isfinite(residual), axis=1)
-        jacobian = np.concatenate([by_point, -by_point @ so3.hat(arm)], axis=-1)
-        jacobian = (jacobian * weights[..., None]).reshape(*residual.shape, 6)
+        found = projected(lens, pose, points)
+        residual = ((found.pixels - pixels) * weights).reshape(len(points), -1)
+        is_sound &= np.all(found.is_ahead, axis=1) & np.all(np.isfinite(residual), axis=1)
+        jacobian = (found.by_body * weights[..., None]).reshape(*residual.shape, 6)
         step = least_squares_steps(jacobian, residual, is_sound)
         rms = np.sqrt(np.mean(residual**2, axis=1))
         pose = pose.disturbed(step)

@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
+from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, hat
 from trigpoint.target import Target
@@ -56,16 +57,13 @@ def relative_view(
     """The view of a read observation at a pose; None where a corner lies behind the camera or too
     few are left."""
     points = points_of(observation, target)
-    arm = points.in_base(base_from_faces(target)) @ camera_from_base.rotation.T
-    optical = arm + camera_from_base.translation
     used = points.weights > 0
-    if np.any(optical[used, 2] < 1e-3) or used.sum() < _LEAST_CORNERS:
+    found = projected(lens, camera_from_base, points.in_base(base_from_faces(target))[used])
+    if not np.all(found.is_ahead) or used.sum() < _LEAST_CORNERS:
         return None
-    pixels, by_optical = lens.project_by_point(optical[used])
     weights = points.weights[used][:, None]
-    apart = pixels - points.pixels[used]
-    jacobian = np.concatenate([by_optical, -by_optical @ hat(arm[used])], axis=-1)
-    jacobian = (jacobian * weights[..., None]).reshape(2 * len(apart), 6)
+    apart = found.pixels - points.pixels[used]
+    jacobian = (found.by_body * weights[..., None]).reshape(2 * len(apart), 6)
     residual = (apart * weights).reshape(-1)
     if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(residual))):
         return None
@@ -86,14 +84,12 @@ def without_wild_corners(
     None where too many are wild, or nothing is left to fit.
     """
     points = points_of(observation.read_as(_readings(observation)), target)
-    arm = points.in_base(base_from_faces(target)) @ camera_from_base.rotation.T
-    optical = arm + camera_from_base.translation
-    if np.any(optical[:, 2] < 1e-3):
+    found = projected(lens, camera_from_base, points.in_base(base_from_faces(target)))
+    if not np.all(found.is_ahead):
         return None
-    pixels, by_optical = lens.project_by_point(optical)
     weights = points.weights[:, None]
-    jacobian = np.concatenate([by_optical, -by_optical @ hat(arm)], axis=-1) * weights[..., None]
-    residual = (pixels - points.pixels) * weights
+    jacobian = found.by_body * weights[..., None]
+    residual = (found.pixels - points.pixels) * weights
     kept = np.ones(len(residual), dtype=bool)
     most = max(int(_WILD_SHARE * len(kept)), 0)
     while kept.sum() >= _LEAST_CORNERS:
