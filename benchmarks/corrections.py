@@ -22,6 +22,7 @@ from trigpoint.config import OdometryNoise, RobotConfig
 from trigpoint.correction import CorrectionMark
 from trigpoint.geometry import Pose
 from trigpoint.messages import PoseEstimate
+from trigpoint.odometry_noise import step_variances
 from trigpoint.robot.odometry import Stamped
 from trigpoint.robot.safety import Approved, Refused, SafetyGate
 
@@ -68,12 +69,11 @@ class Drive:
         self.tick += 1
         self.now_ns += PERIOD_NS
         length, turn = 0.4 * 0.02, 0.6 * 0.02 * math.sin(0.02 * self.tick / 7)
-        noise = self.config.odometry
         # True motion is the reported one with the contract's noise and the scale errors.
-        along = noise.distance * math.sqrt(length) * self.random.standard_normal()
-        across = noise.lateral * math.sqrt(length) * self.random.standard_normal()
-        spread = math.sqrt(noise.heading_drive**2 * length + noise.heading_turn**2 * abs(turn))
-        turned = turn * self.scale[1] + spread * self.random.standard_normal()
+        variances = step_variances(self.config.odometry, length, abs(turn))
+        sigmas = np.sqrt([*variances.translation[:2], variances.rotation[2]])
+        along, across, swerve = sigmas * self.random.standard_normal(3)
+        turned = turn * self.scale[1] + swerve
         self.odom = self.odom @ Pose.planar(length, 0, turn)
         self.truth = self.truth @ Pose.planar(length * self.scale[0] + along, across, turned)
         self.gate.add_odometry(Stamped(self.now_ns, self.now_ns, self.odom))

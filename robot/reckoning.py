@@ -1,6 +1,6 @@
 """Dead reckoning: how odometry's errors grow along the way, in the frame of the moving base.
 
-The noise is the contract's (section 2, «Odometry noise»). The scale errors ride along as two more
+The noise is the contract's (`odometry_noise`). The scale errors ride along as two more
 unknowns, so that they add up over the whole way as they do in the robot. A covariance here is
 (8, 8): a disturbance of map_from_base in the base's own axes (map_from_base @ disturbance: shift,
 then rotation vector), then the scale errors of distance and heading. In those axes one step is the
@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, exp, hat, log
+from trigpoint.odometry_noise import step_variances
 
 POSE = slice(0, 6)
 
@@ -51,16 +52,13 @@ def _carry(way: Array, rotation: Array, turn: Array) -> Array:
 
 def _added(way: Array, rotation: Array, turn: Array, noise: OdometryNoise) -> Array:
     """Along and across the direction at mid-heading, given in the axes at the step's end."""
-    length = np.sqrt(np.sum(way * way, axis=-1))[:, None]
-    turned = np.sqrt(np.sum(turn * turn, axis=-1))[:, None]
+    length, turned = np.sqrt(np.sum(way * way, axis=-1)), np.sqrt(np.sum(turn * turn, axis=-1))
     end_from_begin = np.swapaxes(rotation, -1, -2)
     end_from_middle = end_from_begin @ exp(0.5 * turn)
-    along = length * np.square([noise.distance, noise.lateral, noise.vertical])
-    about = length * np.square([noise.tilt, noise.tilt, noise.heading_drive])
-    about += turned * np.square([noise.tilt_turn, noise.tilt_turn, noise.heading_turn])
+    variances = step_variances(noise, length, turned)
     added = np.zeros((len(way), 8, 8))
-    added[:, :3, :3] = _spread(end_from_middle, along)
-    added[:, 3:6, 3:6] = _spread(end_from_begin, about)
+    added[:, :3, :3] = _spread(end_from_middle, variances.translation)
+    added[:, 3:6, 3:6] = _spread(end_from_begin, variances.rotation)
     return added
 
 

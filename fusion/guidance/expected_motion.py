@@ -10,7 +10,9 @@ import numpy as np
 
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, RobotPlace
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import hat
+from trigpoint.odometry_noise import step_variances
 
 _FLOOR_VARIANCE = 1e-13
 
@@ -23,16 +25,18 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     first = _wrapped(bearing - float(start.heading)) if np.linalg.norm(arm[:2]) > 1e-6 else 0.0
     net = _wrapped(float(goal.heading) - float(start.heading))
     last = _wrapped(net - first)
-    turning = np.array([noise.tilt_turn, noise.tilt_turn, noise.heading_turn]) ** 2
-    driving = np.array([noise.tilt, noise.tilt, noise.heading_drive]) ** 2 * path_m
+    driving = step_variances(noise, path_m, 0.0)
+    at_start, at_end = step_variances(noise, 0.0, np.abs([first, last])).rotation
     lever = hat(arm)
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = _translation(place, bearing, path_m, abs(first) + abs(last))
-    at_start = turning * abs(first)
-    covariance[:3, :3] += lever @ np.diag(at_start + driving / 3) @ lever.T
-    covariance[:3, 3:] = -lever @ np.diag(at_start + driving / 2)
+    middle = so3.about_z(bearing)
+    covariance[:3, :3] = (middle * driving.translation) @ middle.T
+    slip = place.slip**2 * (abs(first) + abs(last))
+    covariance[:3, :3] += np.diag([slip, slip, 0.0])
+    covariance[:3, :3] += lever @ np.diag(at_start + driving.rotation / 3) @ lever.T
+    covariance[:3, 3:] = -lever @ np.diag(at_start + driving.rotation / 2)
     covariance[3:, :3] = covariance[:3, 3:].T
-    covariance[3:, 3:] = np.diag(at_start + driving + turning * abs(last))
+    covariance[3:, 3:] = np.diag(at_start + driving.rotation + at_end)
     by_start = np.eye(6)
     by_start[:3, 3:] = -lever
     by_scale = np.zeros((6, 2))
@@ -42,16 +46,6 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     free = np.ix_(place.tangent, place.tangent)
     floor = _FLOOR_VARIANCE * np.eye(len(place.tangent))
     return ExpectedMotion(by_start[free], by_scale[place.tangent], covariance[free] + floor)
-
-
-def _translation(place: RobotPlace, bearing: float, path_m: float, turned: float) -> Array:
-    noise = place.noise
-    along = np.array([np.cos(bearing), np.sin(bearing), 0.0])
-    aside = np.array([-np.sin(bearing), np.cos(bearing), 0.0])
-    slip = np.diag([1.0, 1.0, 0.0]) * place.slip**2 * turned
-    walk = noise.distance**2 * np.outer(along, along) + noise.lateral**2 * np.outer(aside, aside)
-    walk[2, 2] += noise.vertical**2
-    return walk * path_m + slip
 
 
 def _wrapped(angle: float) -> float:

@@ -1,6 +1,6 @@
 """One robot's odometry, and the motion between any two moments of it with its uncertainty.
 
-The noise is the contract's random walk (section 2, «Odometry noise»). Between two messages the
+The noise is the contract's random walk (`trigpoint.odometry_noise`). Between two messages the
 robot is taken to move with a constant twist, so a part of an increment is the same part of its
 twist, and its variance the same part of the increment's.
 """
@@ -18,6 +18,7 @@ from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.odometry_noise import step_variances
 
 from .motion import (
     STILL,
@@ -319,18 +320,18 @@ class OdometryTrack:
 
     def _step_noise(self, rows: np.ndarray, part: Array) -> StepNoise:
         """The noise of each fine step, which is a part (n,) of the increment that ends at a row."""
-        noise, twists = self.noise, self._twists[rows]
+        twists = self._twists[rows]
         length = np.linalg.norm(twists[:, :3], axis=1) * part
         turned = np.linalg.norm(twists[:, 3:], axis=1) * part
         unseen = self._gaps[rows] * part
         length = np.maximum(length, unseen)
         turned = np.maximum(turned, unseen / _GAP_RADIUS_M)
-        along = np.array([noise.distance**2, noise.lateral**2, noise.vertical**2])
+        stated = step_variances(self.noise, length, turned)
         return StepNoise(
-            along=length[:, None] * along + turned[:, None] * np.array([self.skid**2, 0.0, 0.0]),
+            along=stated.translation + turned[:, None] * np.array([self.skid**2, 0.0, 0.0]),
             slip=self.slip**2 * turned,
-            tilt=noise.tilt**2 * length + noise.tilt_turn**2 * turned,
-            heading=noise.heading_drive**2 * length + noise.heading_turn**2 * turned,
+            tilt=stated.rotation[:, 0],
+            heading=stated.rotation[:, 2],
             # A moment on a message has a step of no length before it, which tells nothing of a
             # jump.
             is_unknown=self._jumps[rows] & (part > 0),

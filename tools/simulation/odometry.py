@@ -6,7 +6,8 @@ import numpy as np
 
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, wrap
+from trigpoint.geometry.rotation import Array, about_z, wrap
+from trigpoint.odometry_noise import step_variances
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,18 +61,18 @@ def reported(
     """
     scale = 1 + scale_errors
     clean = truth / [scale[0], scale[0], scale[1]]
-    root_length, draw = (
-        np.sqrt(np.hypot(clean[:, 0], clean[:, 1])),
-        random.standard_normal(truth.shape),
-    )
-    along = noise.distance * root_length * draw[:, 0]
-    across = noise.lateral * root_length * draw[:, 1]
-    turned = _heading_noise(
-        noise.heading_drive * root_length, noise.heading_turn, clean[:, 2], draw[:, 2]
-    )
-    cosine, sine = np.cos(clean[:, 2] / 2), np.sin(clean[:, 2] / 2)
-    disturbance = [cosine * along - sine * across, sine * along + cosine * across, turned]
-    return (truth - np.column_stack(disturbance)) / [scale[0], scale[0], scale[1]]
+    draw = random.standard_normal(truth.shape)
+    driven = step_variances(noise, np.hypot(clean[:, 0], clean[:, 1]), 0.0)
+    drive = np.sqrt(driven.rotation[:, 2])
+    turned = _heading_noise(drive, noise.heading_turn, clean[:, 2], draw[:, 2])
+    shift = half_turned(np.sqrt(driven.translation[:, :2]) * draw[:, :2], clean[:, 2])
+    return (truth - np.column_stack([shift, turned])) / [scale[0], scale[0], scale[1]]
+
+
+def half_turned(shifts: Array, turns: Array) -> Array:
+    """Shifts (n, 2) along and across the direction half-way through turns (n,), in the axes that
+    the steps start from."""
+    return (about_z(turns / 2)[:, :2, :2] @ shifts[..., None])[..., 0]
 
 
 def _heading_noise(drive: Array, per_root_turn: float, turn: Array, draw: Array) -> Array:

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.odometry_noise import step_variances
+
+from .odometry import half_turned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,17 +46,7 @@ def scattered(
     """True motion (n, 3) x, y, heading of reported `steps` (n, 3), each in the frame it starts
     from: the report with its scale errors and the contract's independent noise."""
     clean = steps * (1 + scale_errors[[0, 0, 1]])
-    root_length = np.sqrt(np.hypot(steps[:, 0], steps[:, 1]))
+    variances = step_variances(noise, np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]))
     draw = random.standard_normal(steps.shape)
-    along = noise.distance * root_length * draw[:, 0]
-    across = noise.lateral * root_length * draw[:, 1]
-    turn = np.hypot(
-        noise.heading_drive * root_length, noise.heading_turn * np.sqrt(np.abs(steps[:, 2]))
-    )
-    cosine, sine = np.cos(steps[:, 2] / 2), np.sin(steps[:, 2] / 2)
-    disturbance = [
-        cosine * along - sine * across,
-        sine * along + cosine * across,
-        turn * draw[:, 2],
-    ]
-    return clean + np.column_stack(disturbance)
+    shift = half_turned(np.sqrt(variances.translation[:, :2]) * draw[:, :2], steps[:, 2])
+    return clean + np.column_stack([shift, np.sqrt(variances.rotation[:, 2]) * draw[:, 2]])

@@ -1,0 +1,32 @@
+"""The contract's noise of odometry, of one step or many: what robot, fusion and simulator go by."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .config import OdometryNoise
+from .geometry.rotation import Array
+
+
+@dataclass(frozen=True, slots=True)
+class StepVariances:
+    """Independent variances of steps (…): `translation` (…, 3), m², along, across and above the
+    direction half-way through the step's turn; `rotation` (…, 3), rad², about the axes that the
+    step starts from."""
+
+    translation: Array
+    rotation: Array
+
+
+def step_variances(noise: OdometryNoise, length_m: ArrayLike, turn_rad: ArrayLike) -> StepVariances:
+    """Of steps (…) of these lengths and absolute turns, as reported: a random walk, k² · (metres or
+    radians travelled), each step's independent of the others' (contract, section 2, «Odometry
+    noise»; `vertical`, `tilt` and `tilt_turn` go on with it in space)."""
+    length, turn = (np.asarray(value, dtype=float)[..., None] for value in (length_m, turn_rad))
+    by_length = np.square([noise.tilt, noise.tilt, noise.heading_drive])
+    by_turn = np.square([noise.tilt_turn, noise.tilt_turn, noise.heading_turn])
+    return StepVariances(
+        length * np.square([noise.distance, noise.lateral, noise.vertical]),
+        length * by_length + turn * by_turn,
+    )
