@@ -27,6 +27,7 @@ from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .pipeline import Inputs, Output, Pipeline
 from .solver.snapshot import GuidanceWorld
+from .standing_odometry import StandingOdometry
 
 KIND = "fusion"
 NAME = "fusion"
@@ -82,6 +83,7 @@ class FusionNode:
         self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
         self._checkpoint: Checkpoint | None = None
+        self._odometry = {robot: StandingOdometry() for robot in inputs.site.robots}
         self._publishers: dict[str, Publisher] = {}
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._news = Bell()
@@ -127,6 +129,10 @@ class FusionNode:
         try:
             if self._checkpoint is not None:
                 with ENDING.writing():
+                    for robot, odometry in self._odometry.items():
+                        key = topics.ODOMETRY.key(self._site.name, robot)
+                        for payload in odometry.rest():
+                            self._checkpoint.write(key, payload)
                     self._checkpoint.close()
             if self.is_resumed:
                 self._save_last()
@@ -229,12 +235,12 @@ class FusionNode:
         self._news.ring()  # for what is left
 
     def _take(self, topic: Topic, sample: Sample) -> None:
-        message = self._kept(topic, sample)
-        if message is not None:
-            self._pipeline.push(topics.node_of(sample.key), message)
+        message = self._accepted(topic, sample)
+        if message is not None and self._pipeline.push(topics.node_of(sample.key), message):
+            self._store(sample.key, sample.payload, message)
 
-    def _kept(self, topic: Topic, sample: Sample) -> Message | None:
-        """The message, written to the checkpoint; None where it is not to be used."""
+    def _accepted(self, topic: Topic, sample: Sample) -> CameraInfo | Odometry | Sightings | None:
+        """The message; None where it is not to be used."""
         try:
             if not topic.may_be(sample.encoding):
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
@@ -250,9 +256,20 @@ class FusionNode:
         self._node.health.count(f"received {sample.key}")
         if topic is topics.CAMERA_INFO:
             self._announced[sample.key] = sample.payload
-        if not self._open_checkpoint.write(sample.key, sample.payload):
-            self._node.health.lose("checkpoint")
         return message
+
+    def _store(self, key: str, payload: bytes, message: Message) -> None:
+        """Write a message to the checkpoint, or what is worth it of a standing robot's odometry."""
+        if isinstance(message, Odometry):
+            payloads = self._odometry[topics.node_of(key)].take(message, payload)
+        else:
+            payloads = [payload]
+        if isinstance(message, Sightings):
+            for odometry in self._odometry.values():
+                odometry.want(message.stamp_ns)
+        for item in payloads:
+            if not self._open_checkpoint.write(key, item):
+                self._node.health.lose("checkpoint")
 
     def _publish(self, output: Output) -> None:
         key = output.topic.key(self._site.name, output.node)
@@ -361,8 +378,9 @@ class FusionNode:
         """(node, message) of what has come, written to the checkpoint."""
         found = []
         for topic, sample in self._waiting():
-            message = self._kept(topic, sample)
+            message = self._accepted(topic, sample)
             if message is not None:
+                self._store(sample.key, sample.payload, message)
                 found.append((topics.node_of(sample.key), message))
         return found
 
@@ -412,6 +430,7 @@ class FusionNode:
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
             self._open_checkpoint.restart()
+            self._odometry = {robot: StandingOdometry() for robot in self._site.robots}
             if self._solver is not None:
                 self._solver.close()
             if self._make_solver is not None:

@@ -36,6 +36,7 @@ from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of, results_of
 from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
+from .intake.standstills import Standstills
 from .live.follower import Follower
 from .live.solver_messages import Solver, Suggested
 from .model.dataset import DataSet, Event, KnownCameras
@@ -84,7 +85,12 @@ class Pipeline:
         data = self._data = inputs.data_set()
         self._follower = Follower(data, solver) if solver is not None else None
         self._estimator: Live = self._follower or make_estimator(data)
-        self._intake = Intake(inputs.site, inputs.targets, shared=RobotIdentification(data))
+        self._intake = Intake(
+            inputs.site,
+            inputs.targets,
+            shared=RobotIdentification(data),
+            standstills=Standstills(data.tracks),
+        )
         self.counts: Counter[str] = Counter()
         self._outputs: list[Output] = []
         self._sequence: Counter[str] = Counter()
@@ -155,28 +161,32 @@ class Pipeline:
 
     # -- input ------------------------------------------------------------------------------------
 
-    def push(self, node: str, message: Message) -> None:
-        """Take a message of a camera or robot; one that is not in the site file is counted."""
-        if isinstance(message, Odometry) and node in self.site.robots:
-            self._push_odometry(node, message)
-        elif isinstance(message, Sightings) and node in self.site.cameras:
-            self._push_sightings(node, message)
-        elif isinstance(message, CameraInfo) and node in self.site.cameras:
-            self._push_camera_info(node, message)
-        else:
-            self.counts["unknown_sender"] += 1
+    def push(self, node: str, message: Message) -> bool:
+        """Take a message of a camera or robot; one that is not in the site file is counted.
 
-    def _push_odometry(self, robot: str, message: Odometry) -> None:
+        Returns whether the map may know more by it: without the others it is the same.
+        """
+        if isinstance(message, Odometry) and node in self.site.robots:
+            return self._push_odometry(node, message)
+        if isinstance(message, Sightings) and node in self.site.cameras:
+            return self._push_sightings(node, message)
+        if isinstance(message, CameraInfo) and node in self.site.cameras:
+            return self._push_camera_info(node, message)
+        self.counts["unknown_sender"] += 1
+        return False
+
+    def _push_odometry(self, robot: str, message: Odometry) -> bool:
         added = self._estimator.add_odometry(robot, message.stamp_ns, message.pose)
         if added is Added.STALE:
             self.counts["stale_odometry"] += 1
             self._stale_ns[robot] = self._data.tracks[robot].last_ns - message.stamp_ns
-            return
+            return False
         self._stale_ns.pop(robot, None)
         if added is Added.JUMP:
             self.counts["odometry_jumps"] += 1
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
             self._say_where(robot, estimate, message)
+        return True
 
     def _say_where(self, robot: str, estimate: RobotEstimate, message: Odometry) -> None:
         stamp_ns, pose = message.stamp_ns, estimate.map_from_base
@@ -201,9 +211,9 @@ class Pipeline:
             if poses is not None:
                 self._send(topics.PARTICLES, robot, PoseArray(stamp_ns, "map", poses))
 
-    def _push_camera_info(self, camera: str, message: CameraInfo) -> None:
+    def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
         if camera in self._inputs.lenses:
-            return  # a file says what it is
+            return False  # a file says what it is
         if camera in self._data.lenses:
             if self._data.lenses[camera] != message.camera:
                 self.counts["changed_intrinsics"] += 1
@@ -211,23 +221,25 @@ class Pipeline:
                     f"camera {camera} announces other intrinsics than this map began with, which "
                     "are not taken over; start a new map with fusion/reset"
                 )
-        else:
-            self._data.lenses[camera] = message.camera
-            early, self._early = self._early, []
-            for node, sightings in early:
-                self._push_sightings(node, sightings)
+            return False
+        self._data.lenses[camera] = message.camera
+        early, self._early = self._early, []
+        for node, sightings in early:
+            self._push_sightings(node, sightings)
+        return True
 
-    def _push_sightings(self, camera: str, message: Sightings) -> None:
+    def _push_sightings(self, camera: str, message: Sightings) -> bool:
         config = self.site.cameras[camera]
         if camera not in self._data.lenses and config.estimates_intrinsics:
             self._data.lenses[camera] = config.nominal()
         lens = self._data.lenses.get(camera)
         if lens is not None:
-            self._intake.add(camera, message, lens)
-        elif len(self._early) < 4096:
+            return self._intake.add(camera, message, lens)
+        if len(self._early) < 4096:
             self._early.append((camera, message))
-        else:
-            self.counts["without_intrinsics"] += 1
+            return True
+        self.counts["without_intrinsics"] += 1
+        return False
 
     def resumed(self, *, is_new: bool = False) -> None:
         """Say that what was pushed so far came from a checkpoint: it is worked out at once.
@@ -254,18 +266,19 @@ class Pipeline:
         `most`: how many observations of a robot are used at most, so that a turn ends soon whatever
         came; `is_behind` says whether more are ready.
         """
-        is_quiet = True
+        is_quiet = has_nothing_new = True
         for robot, track in self._data.tracks.items():
             if not len(track):
                 continue
             for observation in self._intake.ready(robot, track.first_ns, track.last_ns, most):
                 self._use(observation, now_ns)
                 is_quiet = False
+                has_nothing_new &= observation.is_repeat
         if self._is_live and is_quiet:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-            self._settle(self._follower, now_ns, is_quiet=is_quiet)
+            self._settle(self._follower, now_ns, is_quiet=has_nothing_new)
         # Live, cameras are said too while none of them sees a robot: no transform grows old.
         used_ns = 0 if self._is_live else self._used_ns
         stamp_ns = used_ns or self._data.last_ns
@@ -277,7 +290,7 @@ class Pipeline:
 
     def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
         """Have everything solved to the end whenever much has come in since the last time, and once
-        nothing has come in for a while."""
+        nothing new has come in for a while."""
         if now_ns is None:
             return
         if not is_quiet:
@@ -315,7 +328,8 @@ class Pipeline:
         # Its camera's time offset is left out; what uses it puts that right.
         observation = self._data.moving(observation, observation.stamp_ns)
         if not self._is_live and isinstance(self._estimator, Collecting):
-            self._estimator.collect(observation)
+            if not observation.is_repeat:
+                self._estimator.collect(observation)
             return
         self._used_ns = observation.stamp_ns
         update = self._estimator.add_observation(observation)

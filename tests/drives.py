@@ -162,6 +162,16 @@ def lab_plan(target: str = "charuco", **changes: object) -> Plan:
     return replace(Plan(lab_cameras(), {"r1": robot}), **changes)  # pyright: ignore[reportArgumentType]
 
 
+STANDS_S = 60.0
+
+
+def standing_plan() -> Plan:
+    """The lab's robot stands before its first camera for STANDS_S before it drives."""
+    plan = lab_plan()
+    robot = RobotPlan(circle(hold_s=STANDS_S), target_of("charuco"))
+    return replace(plan, robots={"r1": robot}, seconds=STANDS_S + plan.seconds)
+
+
 def make_session(plan: Plan) -> Session:
     """Simulate a drive."""
     truth, found = {}, []

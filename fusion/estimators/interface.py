@@ -62,7 +62,8 @@ class Live(Protocol):
     def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added: ...
 
     def add_observation(self, observation: Observation) -> Update:
-        """Take an observation whose moment odometry covers, in any order."""
+        """Take an observation whose moment odometry covers, in any order. One that repeats others
+        makes a correction, and nothing is learnt from it."""
         ...
 
     def finish(self) -> None:

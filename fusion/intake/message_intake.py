@@ -6,7 +6,7 @@ which is only known as well as its camera's time offset.
 
 import heapq
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from trigpoint.clock import to_ns
 from trigpoint.config import Site
@@ -17,6 +17,7 @@ from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
 from .robot_identity import RobotIdentification
+from .standstills import Standstills
 
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
@@ -39,13 +40,19 @@ class Intake:
 
     `counts`: what was left out, by reason; every message that is not used is counted here;
     `problems`: reason -> the last such problem, as text. `shared`: identifies robots that carry the
-    same target; None: their sightings are left out.
+    same target; None: their sightings are left out. `standstills`: says what repeats others.
     """
 
     def __init__(
-        self, site: Site, targets: dict[str, Target], *, shared: RobotIdentification | None = None
+        self,
+        site: Site,
+        targets: dict[str, Target],
+        *,
+        shared: RobotIdentification | None = None,
+        standstills: Standstills | None = None,
     ) -> None:
         self._site, self._targets, self._shared = site, targets, shared
+        self._standstills = standstills
         self.counts: Counter[str] = Counter()
         self.last_problem = ""
         self.problems: dict[str, str] = {}
@@ -68,26 +75,29 @@ class Intake:
         """How many observations wait for odometry."""
         return sum(len(queue) for queue in self._waiting.values())
 
-    def add(self, camera: str, message: Sightings, lens: CameraModel) -> None:
-        """Take the sightings of one picture."""
+    def add(self, camera: str, message: Sightings, lens: CameraModel) -> bool:
+        """Take the sightings of one picture; whether the map may know more by it."""
         if (message.width, message.height) != (lens.width, lens.height):
             self._leave_out(
                 "wrong_size",
                 f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
                 f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
             )
-            return
+            return False
         if not message.faces or self._is_repeated(camera, message.stamp_ns):
-            return
+            return False
         if len(message.faces) > self._most_faces:
             self._leave_out(
                 "too_many_faces",
                 f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
                 f"of the site have {self._most_faces}; it is left out, see who sends that",
             )
-            return
-        for robot, views in self._views(camera, message).items():
-            self._queue(robot, observation_of(camera, robot, message.stamp_ns, tuple(views)))
+            return False
+        views, is_new = self._views(camera, message)
+        for robot, seen in views.items():
+            observation = observation_of(camera, robot, message.stamp_ns, tuple(seen))
+            is_new |= self._queue(robot, observation)
+        return is_new
 
     def _is_repeated(self, camera: str, stamp_ns: int) -> bool:
         seen = self._seen[camera]
@@ -99,7 +109,8 @@ class Intake:
             del seen[next(iter(seen))]
         return False
 
-    def _views(self, camera: str, message: Sightings) -> dict[str, list[View]]:
+    def _views(self, camera: str, message: Sightings) -> tuple[dict[str, list[View]], bool]:
+        """By robot, and whether there are others, whose robot is to be identified."""
         views: dict[str, list[View]] = {}
         shared: list[dict[str, View]] = []
         eye = self._site.cameras[camera]
@@ -130,7 +141,7 @@ class Intake:
             views.setdefault(robots[0], []).append(view)
         if shared and self._shared is not None:
             self._shared.add(camera, message.stamp_ns, tuple(shared))
-        return views
+        return views, bool(shared)
 
     def _tell_apart(self, *, is_end: bool = False) -> None:
         """Queue the sightings of identical targets whose robot is identified."""
@@ -164,7 +175,11 @@ class Intake:
             return list(self._targets)
         return [robot for robot, target in self._targets.items() if target.name == face.target]
 
-    def _queue(self, robot: str, observation: Observation) -> None:
+    def _queue(self, robot: str, observation: Observation) -> bool:
+        """Have an observation wait for odometry; whether it says more than others have said."""
+        if self._standstills is not None and self._standstills.repeats(observation):
+            observation = replace(observation, is_repeat=True)
+            self.counts["standing_still"] += 1
         queue = self._waiting[robot]
         if len(queue) >= _MOST_WAITING:
             heapq.heappop(queue)
@@ -172,6 +187,7 @@ class Intake:
         self._order += 1
         latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
         heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
+        return not observation.is_repeat
 
     def _leave_out(self, reason: str, text: str) -> None:
         self.counts[reason] += 1

@@ -94,6 +94,8 @@ class Follower:
         except (LinAlgError, ValueError) as reason:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
         self._came += 1
+        if observation.is_repeat:
+            return Update(correction=correction)
         self._recent.append(_Recent(observation))
         if self._coming is not None:
             self._coming.missing.append(observation)
@@ -110,6 +112,8 @@ class Follower:
             return None
         if not known.has_camera(entry.observation.camera):
             return None
+        if observation.is_repeat:
+            return current.tried(entry, known.state)
         try:
             return current.use(entry, known.state)
         except (LinAlgError, ValueError):
@@ -139,8 +143,8 @@ class Follower:
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""
         self.data.moves = list(solved.moves)
-        for robot, rows in solved.jumps.items():
-            self.data.tracks[robot].jump_at(rows)
+        for robot, steps in solved.jumps.items():
+            self.data.tracks[robot].jump_in(steps)
         self.longest_solution_s = max(self.longest_solution_s, solved.took_s)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]

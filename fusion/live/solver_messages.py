@@ -59,15 +59,15 @@ Shares = dict[tuple[str, str], tuple[int, float]]
 class Solved:
     """A solution over the first `count` observations.
 
-    `shares`: see `CurrentFilter`; `jumps`: robot -> the rows of its odometry where its way is
-    broken; `located`: the cameras that are part of it; `took_s`: how long it took.
+    `shares`: see `CurrentFilter`; `jumps`: robot -> the steps of its odometry in which its
+    way is broken; `located`: the cameras that are part of it; `took_s`: how long it took.
     """
 
     count: int
     known: Filter
     shares: Shares
     moves: tuple[Move, ...]
-    jumps: dict[str, tuple[int, ...]]
+    jumps: dict[str, tuple[tuple[int, int], ...]]
     located: tuple[str, ...]
     took_s: float
 

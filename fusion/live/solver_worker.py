@@ -77,7 +77,7 @@ class SolverWorker:
             return  # not determined yet: nothing to go on from
         if known is None:
             return
-        jumps = {name: track.jump_rows for name, track in self._data.tracks.items()}
+        jumps = {name: track.jump_steps for name, track in self._data.tracks.items()}
         yield Solved(
             self._count,
             known,

@@ -13,7 +13,7 @@ from trigpoint.target import Target
 
 from .dataset import DataSet, KnownCameras
 from .observations import Observation, moving
-from .odometry import Motion
+from .odometry import Motion, OdometryTrack
 from .padding import padded_points
 from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
 
@@ -104,7 +104,7 @@ def _chain(
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
     if fill:
-        moments = _filled(moments)
+        moments = _filled(moments, track)
     group = np.zeros(len(moments), dtype=int)
     motion = None
     if len(moments) > 1:
@@ -129,12 +129,15 @@ def _chain(
     return _BuiltChain(chain, _start_poses(len(stamps), motion, guesses), node_of)
 
 
-def _filled(moments: np.ndarray) -> np.ndarray:
-    """The moments, with more of them where two lie far apart."""
+def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
+    """The moments, with more of them where two lie far apart, but no two in one step of odometry:
+    a step in which the robot stood may last for days."""
     parts = [moments]
     for gap in np.flatnonzero(np.diff(moments) > 2 * _FILL_NS):
         count = int((moments[gap + 1] - moments[gap]) // _FILL_NS)
-        parts.append(np.linspace(moments[gap], moments[gap + 1], count + 1).astype(np.int64)[1:-1])
+        fill = np.linspace(moments[gap], moments[gap + 1], count + 1).astype(np.int64)[1:-1]
+        _, first = np.unique(np.searchsorted(track.stamps_ns, fill), return_index=True)
+        parts.append(fill[first])
     return np.unique(np.concatenate(parts))
 
 

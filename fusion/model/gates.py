@@ -19,6 +19,10 @@ _WRONG_SIGHTING = 1e-5
 # How often a robot stands farther from where its sightings put it than the gate.
 _ELSEWHERE = 1 / 3000
 
+# How often a corner of a robot that stands lies farther from where another picture has it; half the
+# corners of a view never do.
+_SAME_CORNER = 1 / 100
+
 
 def chi2_gate(freedom: int, probability: float) -> float:
     """The χ² that noise of so many degrees of freedom exceeds with this probability."""
@@ -34,6 +38,8 @@ def length_gate(probability: float) -> float:
 DECISIVE = -2 * math.log(_AMBIGUOUS)
 WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
 WILD_CORNER_IN_TAILS_SIGMAS = length_gate(_WILD_CORNER_IN_TAILS)
+# Between two pictures, both of which err.
+SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 
 
 def is_noise(chi2: float, freedom: int) -> bool:

@@ -59,7 +59,8 @@ class View:
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
-    camera's clock. `chosen`: a reading for each view, or None where that is open.
+    camera's clock. `chosen`: a reading for each view, or None where that is open; `is_repeat`: it
+    says of the map only what others of the same standstill have said.
 
     `outliers`: for each view, (n,) bool, the corners that contradict the rest.
     """
@@ -71,6 +72,7 @@ class Observation:
     chosen: tuple[Reading, ...] | None
     verdict: Verdict = Verdict.PENDING
     outliers: tuple[np.ndarray, ...] = ()
+    is_repeat: bool = False
 
     def read_as(self, chosen: tuple[Reading, ...]) -> "Observation":
         """The same with other readings and no outliers."""

@@ -13,7 +13,7 @@ from enum import Enum
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS
+from trigpoint.clock import NANOSECONDS, to_ns
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
@@ -41,14 +41,18 @@ SPATIAL = [0, 1, 2, 3, 4, 5]
 MAXIMUM_SPEED = 5.0  # m/s
 MAXIMUM_TURN_RATE = 20.0  # rad/s
 # What a robot does while its odometry is away is not the straight line between its ends.
-_LONGEST_GAP_S = 1.0
+LONGEST_GAP_S = 1.0
 _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
 _GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
+# Of a robot that stands so many messages are kept one by one (20 s at 50 Hz); those that follow are
+# one step without motion, whose end moves on.
+MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
 SLIP = 0.001  # m per √rad
+_ARRAYS = ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps")
 
 
 class Added(Enum):
@@ -80,6 +84,8 @@ class OdometryTrack:
         self._jump_rows: list[int] = []
         self._broken_rows: list[int] = []  # those that odometry itself does not show
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
+        self._period_ns = 0  # from the message before the last to the last
+        self._standing = 0  # how many messages there were since the robot moved last
 
     def __len__(self) -> int:
         return self._count
@@ -112,7 +118,10 @@ class OdometryTrack:
         return self._count > 0 and self.first_ns <= stamp_ns <= self.last_ns
 
     def add(self, stamp_ns: int, odom_from_base: Pose) -> Added:
-        """Append a message; one that is not newer than the last is refused."""
+        """Append a message; one that is not newer than the last is refused.
+
+        Where the robot has stood for long, the last one is moved on to it instead.
+        """
         if self._count and stamp_ns <= self.last_ns:
             return Added.STALE
         self._grow()
@@ -126,7 +135,18 @@ class OdometryTrack:
         self._count += 1
         if row == 0:
             return Added.TAKEN
-        return self._add_twist(row)
+        added = self._add_twist(row)
+        self._period_ns = stamp_ns - int(self._stamps[row - 1])
+        self._standing = self._standing + 1 if self._stands(row) else 0
+        if self._standing > MOST_STANDING and self._stands(row - 1):
+            self._count = row
+            self._stamps[row - 1] = stamp_ns
+        return added
+
+    def _stands(self, row: int) -> bool:
+        """Whether the robot is known not to have moved in the step that ends at a row."""
+        is_known = not (self._jumps[row] or self._gaps[row])
+        return bool(is_known and np.abs(self._twists[row]).max() < STILL)
 
     def _write_planar(self, row: int, pose: Pose) -> None:
         """The pose in the plane; by plain numbers, since there are many messages a second."""
@@ -167,8 +187,8 @@ class OdometryTrack:
         length, angle, twist = self._twist(row)
         seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
         if row > 1:
-            usual = (self._stamps[row - 1] - self._stamps[row - 2]) / NANOSECONDS
-            if seconds > max(_LONGEST_GAP_S, _GAP_PERIODS * usual):
+            usual = self._period_ns / NANOSECONDS
+            if seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
                 # Where it went on as before, the ends are known but not the way between them;
                 # where it came much less far, its counters missed some or it drove about.
                 reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
@@ -192,6 +212,8 @@ class OdometryTrack:
 
         It is taken to have happened while the robot stood, as far as that is known.
         """
+        self._split(after_ns)
+        self._split(before_ns)
         first = int(np.searchsorted(self.stamps_ns, after_ns, "left")) + 1
         last = int(np.searchsorted(self.stamps_ns, before_ns, "right")) - 1
         if first > last:  # no whole step lies between them
@@ -202,6 +224,22 @@ class OdometryTrack:
             self._jumps[row] = True
             bisect.insort(self._jump_rows, row)
             self._broken_rows = [*self._broken_rows, row]
+
+    def _split(self, stamp_ns: int) -> None:
+        """Have a message at a moment within a long step in which the robot stood."""
+        row = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        if not 0 < row < self._count or self._stamps[row] == stamp_ns or not self._stands(row):
+            return
+        if self._stamps[row] - self._stamps[row - 1] <= to_ns(LONGEST_GAP_S):
+            return
+        # Anew, since others may read what was.
+        for name in _ARRAYS:
+            array = getattr(self, name)
+            setattr(self, name, np.insert(array, row, array[row], axis=0))
+        self._stamps[row] = stamp_ns
+        self._count += 1
+        self._jump_rows = [r + (r >= row) for r in self._jump_rows]
+        self._broken_rows = [r + (r >= row) for r in self._broken_rows]
 
     def broken(self, breaks: Iterable[tuple[int, int]]) -> "OdometryTrack":
         """The same odometry so far, broken between these pairs of moments and nowhere else."""
@@ -229,14 +267,22 @@ class OdometryTrack:
         return np.searchsorted(self._stamps[self._jump_rows], stamps_ns, "right")
 
     @property
-    def jump_rows(self) -> tuple[int, ...]:
-        """The messages before which the motion is unknown, in order."""
-        return tuple(self._jump_rows)
+    def jump_steps(self) -> tuple[tuple[int, int], ...]:
+        """The steps in which the motion is unknown, each from one message's stamp to another's, in
+        order."""
+        rows = np.array(self._jump_rows, dtype=int)
+        return tuple(zip(self._stamps[rows - 1].tolist(), self._stamps[rows].tolist(), strict=True))
 
-    def jump_at(self, rows: Iterable[int]) -> None:
-        """The motion before these messages is unknown, and before those that jump by themselves,
-        and nowhere else."""
+    def jump_in(self, steps: Iterable[tuple[int, int]]) -> None:
+        """The motion in these steps is unknown, and in those that jump by themselves, and nowhere
+        else."""
         self.mend()
+        ends_ns = []
+        for start_ns, end_ns in steps:
+            self._split(start_ns)
+            self._split(end_ns)
+            ends_ns.append(end_ns)
+        rows = np.searchsorted(self.stamps_ns, ends_ns).tolist()
         self._broken_rows = sorted(set(rows) - set(self._jump_rows))
         for row in self._broken_rows:
             self._jumps[row] = True
@@ -245,7 +291,7 @@ class OdometryTrack:
     def _grow(self) -> None:
         if self._count < len(self._stamps):
             return
-        for name in ("_stamps", "_rotations", "_translations", "_twists", "_jumps", "_gaps"):
+        for name in _ARRAYS:
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 

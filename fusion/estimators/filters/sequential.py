@@ -56,6 +56,8 @@ class SequentialEstimator:
         return added
 
     def add_observation(self, observation: Observation) -> Update:
+        if observation.is_repeat:
+            return Update(correction=self._known_place(observation))
         index = len(self.data.entries)
         self.data.entries.append(Entry(observation))
         if self._replay is None:
@@ -68,6 +70,17 @@ class SequentialEstimator:
             self.data.forget_from(index)
             self._replay = before
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+
+    def _known_place(self, observation: Observation) -> RobotEstimate | None:
+        """Where a robot stands that a camera sees as it did when its sighting was accepted."""
+        seen = self.data.of_camera(observation.camera)
+        of_robot = (e for e in reversed(seen) if e.observation.robot == observation.robot)
+        last = next(of_robot, None)
+        if last is None or last.observation.verdict is not Verdict.ACCEPTED:
+            return None
+        estimate = self.robot(observation.robot)
+        is_known = estimate is not None and is_placed(estimate.covariance)
+        return estimate if is_known else None
 
     def _use(self, replay: Replay, index: int) -> Update:
         camera = self.data.entries[index].observation.camera

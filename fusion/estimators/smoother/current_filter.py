@@ -94,6 +94,24 @@ class CurrentFilter:
             self._apply(step.entry, step.time_ns)
         return correction
 
+    def tried(self, entry: Entry, state: State) -> RobotEstimate | None:
+        """The correction that an observation makes; nothing is learnt from it. None where it
+        contradicts what is known, or came too late."""
+        known = self.known
+        observation = entry.observation
+        if known is None or not known.has_robot(observation.robot):
+            return None
+        if not known.has_camera(observation.camera):
+            return None
+        time_ns = true_time_ns(self.data, observation, state)
+        scales = known.scales(observation.robot)
+        entry.observation = self.data.moving(observation, time_ns, scales)
+        steps, shares = list(self._steps), dict(self._shares)
+        try:
+            return self._apply(entry, time_ns)
+        finally:
+            self.known, self._steps, self._shares = known, steps, shares
+
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
         """Go back before all later steps of this robot; the steps to apply again."""
         assert self.known is not None

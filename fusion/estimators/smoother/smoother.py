@@ -59,6 +59,8 @@ class Smoother:
         return added
 
     def add_observation(self, observation: Observation) -> Update:
+        if observation.is_repeat:
+            return self._try(observation)
         batch = self._batch
         before = (batch.state, self._current.known, batch.solution, batch.assembled)
         count = len(self.data.entries)
@@ -69,6 +71,14 @@ class Smoother:
             self.data.forget_from(count)
             batch.state, known, batch.solution, batch.assembled = before
             self._current.go_on_from(known)
+            return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+
+    def _try(self, observation: Observation) -> Update:
+        """The correction that an observation makes, of which nothing is learnt."""
+        entry = Entry(of_its_time(self.data.moves, observation))
+        try:
+            return Update(correction=self._current.tried(entry, self._batch.state))
+        except (LinAlgError, ValueError) as reason:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
 
     def collect(self, observation: Observation) -> None:

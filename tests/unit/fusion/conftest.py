@@ -1,9 +1,10 @@
 """Drives that many tests look at, made and solved once."""
 
 import pytest
-from drives import Session, lab_plan, make_session, offline
+from drives import Session, lab_plan, make_session, offline, pushed, standing_plan
 
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.pipeline import Pipeline
 
 
 @pytest.fixture(scope="session")
@@ -33,3 +34,15 @@ def results(session: Session) -> Results:
 @pytest.fixture(scope="session")
 def charuco_results(charuco: Session) -> Results:
     return offline(charuco)
+
+
+@pytest.fixture(scope="session")
+def standing() -> Session:
+    """A robot that stands for long before it drives."""
+    return make_session(standing_plan())
+
+
+@pytest.fixture(scope="session")
+def standing_bounded(standing: Session) -> Pipeline:
+    """What `calibrate` makes of it."""
+    return pushed(standing.inputs, standing.messages)

@@ -18,10 +18,12 @@ from trigpoint.bus_memory import MemoryBroker, MemoryBus
 from trigpoint.clock import ManualClock
 from trigpoint.correction import decode_mark
 from trigpoint.errors import OperationError
-from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.intake.standstills import MOST_ALIKE
+from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.node import FusionNode
-from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
 from trigpoint.network import decode_network, load_network
 from trigpoint.node import Node
@@ -285,3 +287,28 @@ def test_poses_that_are_said_are_those_of_the_map(charuco: Session, tmp_path: Pa
         true = charuco.map_from_base("r1", message.stamp_ns)
         # Two seconds after the start: centimetres.
         assert np.abs(message.pose.difference(true)).max() < 0.05
+
+
+def test_checkpoint_of_a_standstill_is_bounded_and_gives_the_same_map(
+    standing: Session, standing_bounded: Pipeline, tmp_path: Path
+) -> None:
+    middle = 2 * len(standing.messages) // 3  # it still stands
+    first, second = tmp_path / "first", tmp_path / "second"
+    with running(standing.inputs, first) as run:
+        run.feed(standing.messages[:middle])
+        before = run.ask("fusion/map")
+        run.ask("fusion/network")  # answered between two turns: all that was taken is done
+        run.clock.advance(0.6)
+        assert eventually(lambda: len(list(read_checkpoint(first / "checkpoint.bin"))) > 1000)
+        second.mkdir()
+        shutil.copy(first / "checkpoint.bin", second)  # as a kill would leave it
+    keys = [key for key, _ in read_checkpoint(second / "checkpoint.bin")]
+    assert keys.count("lab/camera/c1/sightings") == MOST_ALIKE
+    assert MOST_STANDING < keys.count("lab/robot/r1/odom") < MOST_STANDING + 20
+    with running(standing.inputs, second) as run:
+        assert run.ask("fusion/map") == before
+        run.feed(standing.messages[middle:])
+    run.fusion.finish()
+    network = load_network(second)
+    for name, record in standing_bounded.network().cameras.items():
+        assert_same_place(network.cameras[name], record)

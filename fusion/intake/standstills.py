@@ -1,0 +1,102 @@
+"""Which sightings of a robot that stands repeat what others of the same standstill have said.
+
+The errors of corners are partly systematic and stay while a robot stands (decisions/0604), so that
+a standstill's pictures soon say nothing new; but a robot may stand for days before a camera. What
+is kept of a standstill is a stated number of pictures for each way the robot looks to the camera: a
+robot that was put elsewhere, a camera that was moved, or a face that appears look otherwise.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.fusion.model.gates import SAME_CORNER_SIGMAS
+from trigpoint.fusion.model.observations import Observation, View
+from trigpoint.fusion.model.odometry import OdometryTrack
+
+from .admission import Budget
+
+MOST_ALIKE = 64
+"""So many pictures that look alike are kept of a standstill. With a systematic part of variance b²
+in units of the noise's they know b² + 1/64 of it, and all others together would know b²."""
+# A robot may be seen to look otherwise this often in one standstill, and once an hour after that: a
+# camera that trembles makes no new picture of the map.
+_MOST_LOOKS = 16
+_LOOKS_HZ = 1 / 3600
+# So many corners show whether a face is where it was.
+_LEAST_CORNERS = 4
+
+
+@dataclass(slots=True)
+class _Standstill:
+    """A robot before a camera, until the last picture of it. `views`: how it looks there; `count`:
+    how many such pictures were kept; `kept`: how many may be."""
+
+    last_ns: int
+    views: tuple[View, ...]
+    kept: Budget
+    count: int = 0
+
+
+class Standstills:
+    """Every robot before every camera. Not thread-safe. `tracks`: the robots' odometry."""
+
+    def __init__(self, tracks: Mapping[str, OdometryTrack]) -> None:
+        self._tracks = tracks
+        self._found: dict[tuple[str, str], _Standstill] = {}
+
+    def repeats(self, observation: Observation) -> bool:
+        """Whether an observation says only what others have said; they are asked about in the order
+        in which they come."""
+        found = self._standstill(observation)
+        new = tuple(v for v in observation.views if not any(_shows(v, w) for w in found.views))
+        has_moved = any(v not in new and not _is_alike(v, found.views) for v in observation.views)
+        count = 0 if has_moved or new else found.count
+        stamp_ns = observation.stamp_ns
+        if count >= MOST_ALIKE or not found.kept.takes(stamp_ns, stamp_ns):
+            return True
+        found.views = observation.views if has_moved else (*found.views, *new)
+        found.count = count + 1
+        return False
+
+    def _standstill(self, observation: Observation) -> _Standstill:
+        pair = observation.camera, observation.robot
+        found = self._found.get(pair)
+        if found is None or not self._has_stood(observation, found.last_ns):
+            kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)
+            found = _Standstill(observation.stamp_ns, observation.views, kept)
+            self._found[pair] = found
+        found.last_ns = max(found.last_ns, observation.stamp_ns)
+        return found
+
+    def _has_stood(self, observation: Observation, since_ns: int) -> bool:
+        """Whether the robot has stood since a moment, as far as its odometry has come."""
+        track = self._tracks[observation.robot]
+        if not len(track):
+            return True
+        stamps_ns = np.clip([since_ns, observation.stamp_ns], track.first_ns, track.last_ns)
+        return track.is_still(*sorted(stamps_ns.tolist()))
+
+
+def _shows(view: View, other: View) -> bool:
+    """Whether two views can be compared: of one face, with corners in common."""
+    if view.readings != other.readings:
+        return False
+    least = min(_LEAST_CORNERS, len(view.corners))
+    return len(np.intersect1d(view.corners, other.corners)) >= least
+
+
+def _is_alike(view: View, others: Iterable[View]) -> bool:
+    """Whether a view shows its face where another one of it does."""
+    return any(_shows(view, other) and _is_at_one_place(view, other) for other in others)
+
+
+def _is_at_one_place(view: View, other: View) -> bool:
+    _, mine, theirs = np.intersect1d(view.corners, other.corners, return_indices=True)
+    pixels = [view.pixels[mine]]
+    if any(reading.is_turned for reading in view.readings):
+        pixels.append(pixels[0][::-1])  # it may be read from either end
+    most = SAME_CORNER_SIGMAS * max(view.sigma, other.sigma)
+    apart = (np.linalg.norm(p - other.pixels[theirs], axis=1) for p in pixels)
+    return any(float(np.median(lengths)) <= most for lengths in apart)

@@ -1,0 +1,79 @@
+"""Which odometry messages of a robot the checkpoint keeps: of one that stands, ever fewer.
+
+A robot that stands for days says the same fifty times a second. The first messages of a standstill
+are kept as they come; then one whenever the time since the last one kept is twice the time before
+it, so that nothing that is read again looks like a gap; and the last two before it moves on, or
+before a gap, which shows that way.
+"""
+
+from collections import deque
+
+import numpy as np
+
+from trigpoint.clock import to_ns
+from trigpoint.messages import Odometry
+
+from .model.odometry import LONGEST_GAP_S, MOST_STANDING
+
+_GROWTH = 2
+_FIRST_NS = to_ns(LONGEST_GAP_S / 2)
+
+
+class StandingOdometry:
+    """One robot's odometry on its way to the checkpoint. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._last: Odometry | None = None
+        # The last two messages where they are not stored.
+        self._held: deque[tuple[int, bytes]] = deque(maxlen=2)
+        self._standing = 0
+        self._stored_ns, self._step_ns = 0, 0
+        self._wanted_ns: int | None = None
+
+    def want(self, stamp_ns: int) -> None:
+        """A sighting of this moment is stored: have odometry of then stored too."""
+        self._wanted_ns = stamp_ns
+
+    def take(self, message: Odometry, payload: bytes) -> list[bytes]:
+        """Take a message that is newer than those before; what is to be stored now, in order."""
+        stands = self._has_stood(message)
+        self._last = message
+        self._standing = self._standing + 1 if stands else 0
+        if self._standing <= MOST_STANDING:
+            found = [*self.rest(), payload]
+            self._stored(message.stamp_ns)
+            return found
+        found = []
+        if self._is_due():
+            stamp_ns, before = self._held.pop()
+            self._held.clear()
+            self._stored(stamp_ns)
+            found.append(before)
+        self._held.append((message.stamp_ns, payload))
+        return found
+
+    def rest(self) -> list[bytes]:
+        """What is still to be stored before anything that follows."""
+        found = [payload for _, payload in self._held]
+        self._held.clear()
+        return found
+
+    def _has_stood(self, message: Odometry) -> bool:
+        last = self._last
+        if last is None or message.stamp_ns - last.stamp_ns > to_ns(LONGEST_GAP_S):
+            return False
+        is_there = np.array_equal(message.pose.translation, last.pose.translation)
+        return is_there and np.array_equal(message.pose.rotation, last.pose.rotation)
+
+    def _is_due(self) -> bool:
+        """Whether the last message that is held is to be stored."""
+        if not self._held:
+            return False
+        stamp_ns, _ = self._held[-1]
+        if self._wanted_ns is not None and stamp_ns >= self._wanted_ns:
+            self._wanted_ns = None
+            return True
+        return stamp_ns - self._stored_ns >= max(_FIRST_NS, _GROWTH * self._step_ns)
+
+    def _stored(self, stamp_ns: int) -> None:
+        self._step_ns, self._stored_ns = stamp_ns - self._stored_ns, stamp_ns
