@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array, exp, hat, log
+from trigpoint.geometry.uncertainty import turned_axes
 from trigpoint.odometry_noise import step_variances
 
 POSE = slice(0, 6)
@@ -69,7 +70,7 @@ def _spread(rotation: Array, variances: Array) -> Array:
 
 def started(map_from_base: Pose, covariance: Array, noise: OdometryNoise) -> Array:
     """(8, 8) at a moment where the pose is known with the contract's `covariance` (6, 6)."""
-    base_from_map = _both_halves(map_from_base.rotation.T)
+    base_from_map = turned_axes(map_from_base.rotation.T)
     found = np.zeros((8, 8))
     found[POSE, POSE] = base_from_map @ covariance @ base_from_map.T
     found[6, 6], found[7, 7] = noise.distance_scale**2, noise.heading_scale**2
@@ -85,13 +86,7 @@ def carried(covariances: Array, steps: Iterable[Step]) -> Array:
 
 def pose_covariances(map_from_base: Pose, covariances: Array) -> Array:
     """The contract's (…, 6, 6) of poses (…) whose covariances here are (…, 8, 8)."""
-    map_from_base_axes = _both_halves(map_from_base.rotation)
+    map_from_base_axes = turned_axes(map_from_base.rotation)
     return (
         map_from_base_axes @ covariances[..., POSE, POSE] @ np.swapaxes(map_from_base_axes, -1, -2)
     )
-
-
-def _both_halves(rotation: Array) -> Array:
-    turn = np.zeros((*rotation.shape[:-2], 6, 6))
-    turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
-    return turn

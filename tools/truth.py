@@ -11,6 +11,7 @@ from trigpoint.errors import InputError, read_text
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever
 from trigpoint.network import Network, PoseRecord
 
 
@@ -97,9 +98,7 @@ def _twist(motion: Pose) -> Array:
 
 def _about_origin(map_from_camera: Pose) -> Array:
     """(6, 6): a disturbance of a camera as one about the map's origin, δt + [t]× δθ and δθ."""
-    turned = np.eye(6)
-    turned[:3, 3:] = so3.hat(map_from_camera.translation)
-    return turned
+    return lever(-map_from_camera.translation)
 
 
 def _distance_error(network: Network, truth: TruthFile, names: list[str]) -> float:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, turned_axes
 
 from .graph import Graph, Place, Placed
 
@@ -55,9 +55,8 @@ def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
     robot, node = visit.visit.robot, graph.node_of[number]
     base, tangent = placed.nodes[robot][node], graph.paths[robot].tangent
     pose = base @ graph.relative(number)[0]
-    by_base = np.tile(np.eye(6), (len(visit.modes), 1, 1))
-    by_base[:, :3, 3:] = -so3.hat(pose.translation - base.translation)
-    turn = np.kron(np.eye(2), base.rotation)
+    by_base = lever(pose.translation - base.translation)
+    turn = turned_axes(base.rotation)
     evidence = np.array([mode.evidence for mode in visit.modes])
     own = turn @ graph.spread(number) @ turn.T
     return Seen(pose, by_base[..., tangent], placed.layout.nodes[robot][node], own, evidence)

@@ -21,6 +21,7 @@ from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, turned_axes
 
 from .events import Events
 from .sightings import alone
@@ -207,14 +208,14 @@ def _misfit(
     turn, seen = cameras.rotation, shown.translation
     predicted = np.einsum("aij,bj->abi", turn, seen)
     shift = predicted + cameras.translation[:, None] - odometry.translation
-    lever = np.sum((seen[None] - seen[seeds, None]) ** 2, axis=-1)
+    squared = np.sum((seen[None] - seen[seeds, None]) ** 2, axis=-1)
     extra = _of_pictures(data, first, observations, there)
     shifts = np.trace(ways.covariance[:, :3, :3], axis1=1, axis2=2)
     turns = np.trace(ways.covariance[:, 3:, 3:], axis1=1, axis2=2)
     loose = np.trace(extra, axis1=1, axis2=2)[pictures]
     between = np.trace(drift[..., :3, :3], axis1=2, axis2=3)[np.ix_(pictures[seeds], pictures)]
-    variance = 2 * (shifts[seeds, None] + lever * turns[seeds, None]) + shifts + between
-    variance += loose + (1 + lever) * loose[seeds, None]
+    variance = 2 * (shifts[seeds, None] + squared * turns[seeds, None]) + shifts + between
+    variance += loose + (1 + squared) * loose[seeds, None]
     is_near = np.sum(shift**2, axis=-1) < _FAR_SIGMAS**2 * variance
     is_near &= ways.sighting[seeds, None] != ways.sighting
     misfit = np.full(is_near.shape, np.inf)
@@ -222,8 +223,7 @@ def _misfit(
     rows, columns = np.nonzero(is_near)
     if not len(rows):
         return misfit
-    axes = np.zeros((len(turn), 6, 6))
-    axes[:, :3, :3] = axes[:, 3:, 3:] = turn
+    axes = turned_axes(turn)
     back = np.swapaxes(axes, 1, 2)
     own = axes @ ways.covariance[seeds] @ back + extra[pictures[seeds]]
     turned = turn[rows] @ shown.rotation[columns]
@@ -235,9 +235,8 @@ def _misfit(
         axis=-1,
     )
     # Where the other picture's robot is, by how this one's is off: it turns about where this is.
-    by_first = np.tile(-np.eye(6), (len(rows), 1, 1))
     away = seen[columns] - seen[seeds[rows]]
-    by_first[:, :3, 3:] = so3.hat((turn[rows] @ away[..., None])[..., 0])
+    by_first = -lever((turn[rows] @ away[..., None])[..., 0])
     # The second one's own covariance is in the same axes, those of the first's camera.
     second = axes[rows] @ ways.covariance[columns] @ back[rows]
     spread = by_first @ own[rows] @ np.swapaxes(by_first, 1, 2)
@@ -281,18 +280,16 @@ def drift_between(data: DataSet, robot: str, stamps_ns: np.ndarray, there: Pose)
     motion = track.motion(moments, np.zeros(2))
     sigma = np.array([noise.distance_scale, noise.heading_scale])
     at = [int(np.argmax(rows == step)) for step in range(len(moments))]
-    turn = np.zeros((len(moments) - 1, 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = there.rotation[at[:-1]]
+    turn = turned_axes(there.rotation[at[:-1]])
     steps = turn @ motion.covariance @ np.swapaxes(turn, 1, 2)
     scaled = turn @ motion.by_scale
     ends = there.translation[at]
     for later in range(1, len(moments)):
-        lever = np.tile(np.eye(6), (later, 1, 1))
-        lever[:, :3, 3:] = -so3.hat(ends[later] - ends[1 : later + 1])
-        noisy = lever @ steps[:later] @ np.swapaxes(lever, 1, 2)
+        swing = lever(ends[later] - ends[1 : later + 1])
+        noisy = swing @ steps[:later] @ np.swapaxes(swing, 1, 2)
         # From each earlier moment on: what all steps since then add.
         noisy = np.cumsum(noisy[::-1], axis=0)[::-1]
-        by_scale = np.cumsum((lever @ scaled[:later])[::-1], axis=0)[::-1] * sigma
+        by_scale = np.cumsum((swing @ scaled[:later])[::-1], axis=0)[::-1] * sigma
         total = noisy + by_scale @ np.swapaxes(by_scale, 1, 2)
         for earlier in range(later):
             pair = np.ix_(rows == earlier, rows == later)

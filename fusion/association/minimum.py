@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .graph import HELD, Graph, Layout, Place, Placed, RobotPath, Variant, own_values
 
@@ -225,16 +225,8 @@ class _Minimum:
         earlier = Pose(nodes.rotation[:, :-1], nodes.translation[:, :-1])
         later = Pose(nodes.rotation[:, 1:], nodes.translation[:, 1:])
         reported, by_scale = self._reported(robot, path)
-        back = np.swapaxes(earlier.rotation, -1, -2)
-        between = later.translation - earlier.translation
-        residual = Pose(back @ later.rotation, (back @ between[..., None])[..., 0]).difference(
-            reported
-        )
-        by_later = np.zeros((*back.shape[:2], 6, 6))
-        by_later[..., :3, :3] = by_later[..., 3:, 3:] = back
-        by_earlier = -by_later
-        by_earlier[..., :3, 3:] = back @ so3.hat(between)
-        residual = residual[..., tangent]
+        residual = (earlier.inverse() @ later).difference(reported)[..., tangent]
+        by_earlier, by_later = relative_jacobians(earlier, later)
         parts: list[Array] = [
             by_earlier[..., tangent, :][..., tangent],
             by_later[..., tangent, :][..., tangent],
@@ -286,13 +278,8 @@ class _Minimum:
         robot, node = self.graph.visits[number].visit.robot, self.graph.node_of[number]
         relative, information = self._relative(order)
         base, there = self._nodes_of(order), self.places[key]
-        back = np.swapaxes(base.rotation, -1, -2)
-        between = there.translation - base.translation
         residual = (base.inverse() @ there).difference(relative)
-        by_place = np.zeros((len(back), 6, 6))
-        by_place[:, :3, :3] = by_place[:, 3:, 3:] = back
-        by_base = -by_place
-        by_base[:, :3, 3:] = back @ so3.hat(between)
+        by_base, by_place = relative_jacobians(base, there)
         jacobian = np.concatenate(
             [by_base[..., self.graph.paths[robot].tangent], by_place], axis=-1
         )
@@ -300,7 +287,9 @@ class _Minimum:
         if key[0] in self.own:
             mine = self.own[key[0]] - self._own_values(order)
             residual = np.concatenate([residual, mine], axis=-1)
-            whole = np.zeros((len(back), residual.shape[-1], jacobian.shape[-1] + mine.shape[-1]))
+            whole = np.zeros(
+                (len(residual), residual.shape[-1], jacobian.shape[-1] + mine.shape[-1])
+            )
             whole[:, :6, : jacobian.shape[-1]] = jacobian
             whole[:, 6:, jacobian.shape[-1] :] = np.eye(mine.shape[-1])
             jacobian = whole

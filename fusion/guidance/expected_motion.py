@@ -11,7 +11,7 @@ import numpy as np
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
-from trigpoint.geometry.rotation import hat
+from trigpoint.geometry.uncertainty import lever
 from trigpoint.odometry_noise import step_variances
 
 _FLOOR_VARIANCE = 1e-13
@@ -27,18 +27,17 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     last = _wrapped(net - first)
     driving = step_variances(noise, path_m, 0.0)
     at_start, at_end = step_variances(noise, 0.0, np.abs([first, last])).rotation
-    lever = hat(arm)
+    by_start = lever(arm)
+    swing = by_start[:3, 3:]
     covariance = np.zeros((6, 6))
     middle = so3.about_z(bearing)
     covariance[:3, :3] = (middle * driving.translation) @ middle.T
     slip = place.slip**2 * (abs(first) + abs(last))
     covariance[:3, :3] += np.diag([slip, slip, 0.0])
-    covariance[:3, :3] += lever @ np.diag(at_start + driving.rotation / 3) @ lever.T
-    covariance[:3, 3:] = -lever @ np.diag(at_start + driving.rotation / 2)
+    covariance[:3, :3] += swing @ np.diag(at_start + driving.rotation / 3) @ swing.T
+    covariance[:3, 3:] = swing @ np.diag(at_start + driving.rotation / 2)
     covariance[3:, :3] = covariance[:3, 3:].T
     covariance[3:, 3:] = np.diag(at_start + driving.rotation + at_end)
-    by_start = np.eye(6)
-    by_start[:3, 3:] = -lever
     by_scale = np.zeros((6, 2))
     by_scale[:3, 0] = arm
     by_scale[:3, 1] = np.array([-arm[1], arm[0], 0.0]) * first

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, turned_axes
 
 UNKNOWN_VARIANCE = 100.0**2
 STILL = 1e-9
@@ -47,6 +48,28 @@ class Motion:
         return replace(
             self, earlier_from_later=self.earlier_from_later.disturbed(self.by_scale @ change)
         )
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryStep:
+    """A robot's step by odometry; leading dimensions as its pose has.
+
+    `end`: the pose after it; a disturbance of the start moves the end by `by_start` (…, 6, 6), one
+    of the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
+    """
+
+    end: Pose
+    by_start: Array
+    by_motion: Array
+    by_scales: Array
+
+
+def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
+    """t' = t + R Δt, R' = R ΔR of one motion: a turn of the start swings the end about it."""
+    end = start @ motion.earlier_from_later[0]
+    by_motion = turned_axes(start.rotation)
+    by_start = lever(end.translation - start.translation)
+    return OdometryStep(end, by_start, by_motion, by_motion @ motion.by_scale[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +123,7 @@ def composed_motion(twists: Array, noise: StepNoise, segment: np.ndarray, scales
     start_rotation = np.swapaxes(begin.rotation[segment], 1, 2)
     frame = start_rotation @ path.rotation[:-1]
     ahead = end.translation[segment] - path.translation[1:]
-    lever = -so3.hat((start_rotation @ ahead[..., None])[..., 0]) @ frame
-    spread = np.zeros((len(twists), 6, 6))
-    spread[:, :3, :3] = spread[:, 3:, 3:] = frame
-    spread[:, :3, 3:] = lever
+    spread = lever((start_rotation @ ahead[..., None])[..., 0]) @ turned_axes(frame)
     covariance = spread @ noise.covariance(0.5 * twists[:, 3:]) @ np.swapaxes(spread, 1, 2)
     total = np.add.reduceat(covariance, starts, axis=0) + _FLOOR_VARIANCE * np.eye(6)
     # d(k J_l(kθ) v)/dk = Exp(kθ) v, so a step's own translation J_l(kθ) v bends with its turn.

@@ -11,6 +11,7 @@ import numpy as np
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .odometry import Motion
 from .problem import Batch, Problem, State
@@ -142,25 +143,18 @@ class OdometryTerms:
 def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
     """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
 
-    Disturbances turn it by ∂t/∂δθ_i = R_iᵀ[t_j - t_i]×, ∂r/∂δθ = J_l⁻¹(r) R_iᵀ (Solà et al.), and
-    one of ΔR by -J_r⁻¹(r), where J_r(r) = J_l(-r).
+    A disturbance of R_iᵀ R_j turns r by J_l⁻¹(r) (Solà et al.), one of ΔR by -J_r⁻¹(r), where
+    J_r(r) = J_l(-r).
     """
-    to_earlier = np.swapaxes(earlier.rotation, 1, 2)
-    between = later.translation - earlier.translation
-    reported = motion.earlier_from_later
-    turn = so3.log(to_earlier @ later.rotation @ np.swapaxes(reported.rotation, 1, 2))
-    moved = (to_earlier @ between[..., None])[..., 0] - reported.translation
-    turning = np.linalg.inv(so3.left_jacobian(turn)) @ to_earlier
-    n = len(between)
-    by_later = np.zeros((n, 6, 6))
-    by_later[:, :3, :3] = to_earlier
-    by_later[:, 3:, 3:] = turning
-    by_earlier = -by_later
-    by_earlier[:, :3, 3:] = to_earlier @ so3.hat(between)
+    residual = (earlier.inverse() @ later).difference(motion.earlier_from_later)
+    turn = residual[:, 3:]
+    by_earlier, by_later = relative_jacobians(earlier, later)
+    turning = np.linalg.solve(so3.left_jacobian(turn), by_later[:, 3:, 3:])
+    by_earlier[:, 3:, 3:], by_later[:, 3:, 3:] = -turning, turning
     by_scale = -motion.by_scale
     by_scale[:, 3:] = np.linalg.solve(so3.left_jacobian(-turn), by_scale[:, 3:])
-    residual = np.concatenate([moved, turn], axis=1)[:, tangent]
-    free = np.ix_(range(n), tangent, tangent)
+    residual = residual[:, tangent]
+    free = np.ix_(range(len(residual)), tangent, tangent)
     root = np.linalg.cholesky(motion.covariance[free])
     solve = np.linalg.solve
     return OdometryTerms(

@@ -14,6 +14,7 @@ import numpy as np
 
 from trigpoint.clock import NANOSECONDS
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.observations import Observation, points_of
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import (
@@ -27,7 +28,8 @@ from trigpoint.fusion.model.problem import (
     layout_of,
 )
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever
 
 from .gaussian import Gaussian
 from .levenberg_marquardt import Reduced, covariance_of
@@ -179,7 +181,7 @@ class Filter:
         pose = self._columns(self.layout.pose[camera])
         eye = self.state.cameras[camera].map_from_camera.disturbed(ahead.known.mean_of(pose))
         place = ahead.robot(data, robot).map_from_base
-        taken_along = _lever(place.translation - eye.translation)
+        taken_along = lever(place.translation - eye.translation)
         apart = np.concatenate([np.eye(6)[:, data.tracks[robot].tangent], -taken_along], axis=1)
         return apart @ ahead.known.covariance_of(np.concatenate([last, pose])) @ apart.T
 
@@ -265,28 +267,14 @@ def is_placed(covariance: Array) -> bool:
 def carried_on(
     data: DataSet, robot: str, estimate: RobotEstimate, stamp_ns: int, scales: Array
 ) -> RobotEstimate:
-    """An estimate moved to a later time by odometry: t' = t + R Δt, R' = R ΔR.
-
-    A disturbance of the start moves the end by it and turns it about the start.
-    """
+    """An estimate moved to a later time by odometry."""
     if stamp_ns <= estimate.stamp_ns:
         return estimate
     motion = data.tracks[robot].motion(np.array([estimate.stamp_ns, stamp_ns]), scales)
-    start = estimate.map_from_base
-    end = start @ motion.earlier_from_later[0]
-    arm = end.translation - start.translation
-    lever = _lever(arm)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = start.rotation
-    covariance = lever @ estimate.covariance @ lever.T + turn @ motion.covariance[0] @ turn.T
-    return RobotEstimate(stamp_ns, end, covariance)
-
-
-def _lever(arm: Array) -> Array:
-    """How a disturbance of a pose disturbs what is fixed to it, an arm (3,) away: (6, 6)."""
-    lever = np.eye(6)
-    lever[:3, 3:] = -hat(arm)
-    return lever
+    step = odometry_step(estimate.map_from_base, motion)
+    covariance = step.by_start @ estimate.covariance @ step.by_start.T
+    covariance += step.by_motion @ motion.covariance[0] @ step.by_motion.T
+    return RobotEstimate(stamp_ns, step.end, covariance)
 
 
 def _one(pose: Pose) -> Pose:

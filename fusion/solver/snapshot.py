@@ -6,10 +6,11 @@ import numpy as np
 
 from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.odometry import PLANAR, SPATIAL, Motion
+from trigpoint.fusion.model.motion import odometry_step
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.model.problem import Batch, Layout, Problem, State
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .filter import Filter
@@ -54,8 +55,10 @@ def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
     since = ExpectedMotion(still, np.zeros((len(still), 2)), 0.0 * still)
     if start_ns < track.last_ns:
         motion = track.motion(np.array([start_ns, track.last_ns]), known.scales(robot))
-        since = _since(motion, pose, track.tangent)
-        pose = pose @ motion.earlier_from_later[0]
+        step, free = odometry_step(pose, motion), np.ix_(track.tangent, track.tangent)
+        added = step.by_motion @ motion.covariance[0] @ step.by_motion.T
+        since = ExpectedMotion(step.by_start[free], step.by_scales[track.tangent], added[free])
+        pose = step.end
     return RobotPlace(
         robot,
         track.last_ns,
@@ -65,20 +68,6 @@ def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
         track.slip,
         track.planar,
         data.targets[robot],
-    )
-
-
-def _since(motion: Motion, start: Pose, tangent: list[int]) -> ExpectedMotion:
-    """The motion's disturbance, which is in the axes of its start, in those of the map."""
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = start.rotation
-    by_start = np.eye(6)
-    by_start[:3, 3:] = -hat(start.rotation @ motion.earlier_from_later[0].translation)
-    free = np.ix_(tangent, tangent)
-    return ExpectedMotion(
-        by_start[free],
-        (turn @ motion.by_scale[0])[tangent],
-        (turn @ motion.covariance[0] @ turn.T)[free],
     )
 
 

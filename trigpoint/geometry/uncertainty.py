@@ -1,4 +1,11 @@
-"""Covariances of poses by the contract: x, y, z, rotation about x, y, z, in the parent's axes."""
+"""Errors of poses, by the contract's convention, and their covariances.
+
+An error is a disturbance (δt, δθ), t' = t + δt, R' = Exp(δθ) R: metres and radians in the parent's
+axes (`Pose.disturbed`, `Pose.difference`). A covariance (6, 6) of a pose is of that, everywhere but
+in two places, which turn theirs into it where they hand them on: the extended Kalman filter's
+errors are left twists (`fusion.estimators.filters.pose_errors`, `kalman_state`), those of the dead
+reckoning on a robot are in the moving base's axes (`robot.reckoning`).
+"""
 
 import numpy as np
 
@@ -11,23 +18,40 @@ def carried_covariance(parent_from_old: Pose, covariance: Array) -> Array:
 
     The parent's own transform is taken as certain: both halves of the disturbance turn with it.
     """
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = parent_from_old.rotation
+    turn = turned_axes(parent_from_old.rotation)
     return turn @ covariance @ turn.T
 
 
-def inverse_jacobian(a_from_b: Pose) -> Array:
-    """(6, 6): disturbance of `a_from_b.inverse()` by a disturbance of `a_from_b`.
+def turned_axes(rotation: Array) -> Array:
+    """Disturbances in an old parent's axes as in a new one's, by new_from_old (…, 3, 3):
+    (…, 6, 6)."""
+    turn = np.zeros((*rotation.shape[:-2], 6, 6))
+    turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
+    return turn
 
-    From R'ᵀ = Rᵀ Exp(-δθ): the inverse turns by -Rᵀδθ, and its translation -R'ᵀt' moves by
-    -Rᵀ(δt + t × δθ) to first order.
-    """
-    transposed = a_from_b.rotation.T
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, :3] = -transposed
-    jacobian[:3, 3:] = -transposed @ hat(a_from_b.translation)
-    jacobian[3:, 3:] = -transposed
+
+def lever(arm: Array) -> Array:
+    """How a disturbance of a pose disturbs what is fixed to it, `arm` (…, 3) away in the same axes:
+    δt + δθ × arm and δθ, (…, 6, 6)."""
+    jacobian = np.zeros((*arm.shape[:-1], 6, 6))
+    jacobian[...] = np.eye(6)
+    jacobian[..., :3, 3:] = -hat(arm)
     return jacobian
+
+
+def relative_jacobians(parent_from_a: Pose, parent_from_b: Pose) -> tuple[Array, Array]:
+    """How a disturbance of a_from_b follows one of a and one of b in their parent, (…, 6, 6) each.
+
+    With C = R_aᵀ: t = C (t_b - t_a), so ∂t/∂δt_b = C, ∂t/∂δt_a = -C, ∂t/∂δθ_a = C [t_b - t_a]×,
+    and both rotations turn with C.
+    """
+    to_a = np.swapaxes(parent_from_a.rotation, -1, -2)
+    between = parent_from_b.translation - parent_from_a.translation
+    shape = np.broadcast_shapes(parent_from_a.rotation.shape, parent_from_b.rotation.shape)
+    by_b = turned_axes(np.broadcast_to(to_a, shape))
+    by_a = -by_b
+    by_a[..., :3, 3:] = to_a @ hat(between)
+    return by_a, by_b
 
 
 def planar_covariance(covariance: Array) -> Array:

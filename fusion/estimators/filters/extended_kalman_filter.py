@@ -18,15 +18,16 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from trigpoint.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import symmetric
+from trigpoint.geometry.uncertainty import relative_jacobians, symmetric
 
-from .filter_state import Innovation, ReadSighting, odometry_step, velocity
+from .filter_state import Innovation, ReadSighting, velocity
 from .kalman_state import KalmanState, Part
 from .pose_errors import disturbance_by_twist, twist_between, twist_by_disturbance
-from .relative_pose import RelativeView, relative_jacobians, relative_view
+from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
 _MOST_ITERATIONS = 5

@@ -9,11 +9,11 @@ from trigpoint.clock import to_ns, to_seconds
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import Motion, OdometryTrack
+from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry.rotation import Array
 
 _VELOCITY_WINDOW_NS = to_ns(0.02)
 
@@ -95,32 +95,6 @@ class FilterState(Protocol):
     def particles(self, robot: str) -> Pose | None:
         """Places where the robot may be, all equally likely; None where there are none."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class OdometryStep:
-    """A robot's step by odometry; leading dimensions as its pose has.
-
-    `end`: the pose after it; a disturbance of the start moves the end by `by_start` (…, 6, 6), one
-    of the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
-    """
-
-    end: Pose
-    by_start: Array
-    by_motion: Array
-    by_scales: Array
-
-
-def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
-    """t' = t + R Δt, R' = R ΔR of one motion: a turn of the start swings the end about it."""
-    end = start @ motion.earlier_from_later[0]
-    arm = end.translation - start.translation
-    by_start = np.zeros((*arm.shape[:-1], 6, 6))
-    by_start[...] = np.eye(6)
-    by_start[..., :3, 3:] = -hat(arm)
-    by_motion = np.zeros_like(by_start)
-    by_motion[..., :3, :3] = by_motion[..., 3:, 3:] = start.rotation
-    return OdometryStep(end, by_start, by_motion, by_motion @ motion.by_scale[0])
 
 
 def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:

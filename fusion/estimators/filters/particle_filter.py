@@ -19,14 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import relative_jacobians
 
-from .filter_state import Innovation, ReadSighting, odometry_step
+from .filter_state import Innovation, ReadSighting
 from .particle_resampling import effective_sample_size, largest_share, normalised
 from .particles import PARTICLES, Particles, many, mean_pose, transposed
-from .relative_pose import RelativeView, relative_jacobians, relative_view
+from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
 _MOST_SHARES = 200

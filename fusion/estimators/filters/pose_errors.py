@@ -12,22 +12,18 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever
 
 
 def disturbance_by_twist(pose: Pose) -> Array:
     """The contract's disturbance of a pose by a small twist of it, (…, 6, 6)."""
-    jacobian = np.zeros((*pose.translation.shape[:-1], 6, 6))
-    jacobian[...] = np.eye(6)
-    jacobian[..., :3, 3:] = -hat(pose.translation)
-    return jacobian
+    return lever(pose.translation)
 
 
 def twist_by_disturbance(pose: Pose) -> Array:
     """The inverse of `disturbance_by_twist`, (…, 6, 6)."""
-    jacobian = disturbance_by_twist(pose)
-    jacobian[..., :3, 3:] *= -1
-    return jacobian
+    return lever(-pose.translation)
 
 
 def twisted(pose: Pose, twist: Array) -> Pose:

@@ -14,7 +14,7 @@ from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry.rotation import Array, hat
+from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 # With more wild corners than this the whole sighting is wrong.
@@ -121,20 +121,3 @@ def _marked(observation: Observation, wild: np.ndarray) -> Observation:
         return observation
     ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
     return observation.with_outliers(tuple(np.split(wild, ends)))
-
-
-def relative_jacobians(map_from_camera: Pose, map_from_base: Pose) -> tuple[Array, Array]:
-    """How a disturbance of camera_from_base follows one of the camera and one of the robot,
-    (…, 6, 6) each.
-
-    With C = R_cᵀ: t = C (t_b - t_c), so ∂t/∂δt_b = C, ∂t/∂δt_c = -C, ∂t/∂δθ_c = C [t_b - t_c]×,
-    and both rotations turn with C.
-    """
-    to_camera = np.swapaxes(map_from_camera.rotation, -1, -2)
-    between = map_from_base.translation - map_from_camera.translation
-    shape = np.broadcast_shapes(map_from_camera.rotation.shape, map_from_base.rotation.shape)
-    by_base = np.zeros((*shape[:-2], 6, 6))
-    by_base[..., :3, :3] = by_base[..., 3:, 3:] = to_camera
-    by_camera = -by_base
-    by_camera[..., :3, 3:] = to_camera @ hat(between)
-    return by_camera, by_base

@@ -10,9 +10,10 @@ from trigpoint.geometry.pose import angle_between
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import (
     carried_covariance,
-    inverse_jacobian,
     is_positive_semidefinite,
+    lever,
     planar_covariance,
+    relative_jacobians,
     symmetric,
 )
 
@@ -92,11 +93,22 @@ def numeric_jacobian(function: Callable[[Pose], Pose], pose: Pose) -> Array:
     return np.stack(columns, axis=-1) / (2 * STEP)
 
 
-@given(vectors)
-def test_inverse_jacobian_agrees_with_finite_differences(vector: Array) -> None:
-    pose = Pose.from_vector(vector)
-    numeric = numeric_jacobian(lambda p: p.inverse(), pose)
-    np.testing.assert_allclose(inverse_jacobian(pose), numeric, atol=1e-5)
+@given(vectors, vectors)
+def test_relative_pose_follows_both_ends(a: Array, b: Array) -> None:
+    first, second = Pose.from_vector(a), Pose.from_vector(b)
+    by_first, by_second = relative_jacobians(first, second)
+    numeric = numeric_jacobian(lambda p: p.inverse() @ second, first)
+    np.testing.assert_allclose(by_first, numeric, atol=1e-4)
+    numeric = numeric_jacobian(lambda p: first.inverse() @ p, second)
+    np.testing.assert_allclose(by_second, numeric, atol=1e-4)
+
+
+@given(vectors, vectors)
+def test_what_is_fixed_to_a_pose_follows_it(a: Array, b: Array) -> None:
+    pose, fixed = Pose.from_vector(a), Pose.from_vector(b)
+    numeric = numeric_jacobian(lambda p: p @ fixed, pose)
+    arm = (pose @ fixed).translation - pose.translation
+    np.testing.assert_allclose(lever(arm), numeric, atol=1e-4)
 
 
 @given(vectors, vectors, arrays(float, (6, 6), elements=st.floats(-1, 1)))
