@@ -236,7 +236,12 @@ class FusionNode:
 
     def _take(self, topic: Topic, sample: Sample) -> None:
         message = self._accepted(topic, sample)
-        if message is not None and self._pipeline.push(topics.node_of(sample.key), message):
+        if message is not None:
+            self._push(sample, message)
+
+    def _push(self, sample: Sample, message: Message) -> None:
+        """Hand a message to the pipeline, and to the checkpoint what the map may know more by."""
+        if self._pipeline.push(topics.node_of(sample.key), message):
             self._store(sample.key, sample.payload, message)
 
     def _accepted(self, topic: Topic, sample: Sample) -> CameraInfo | Odometry | Sightings | None:
@@ -326,10 +331,12 @@ class FusionNode:
         with self._lock:
             self._checkpoint = Checkpoint(self._path, self._clock)
         pipeline, count = self._pipeline, 0
-        aside: list[tuple[str, Message]] = []
+        aside: list[tuple[Sample, Message]] = []
         for key, payload in self._checkpoint.records():
             pulse.beat()
             if self._node.stopping.is_set():
+                for sample, message in aside:
+                    self._store(sample.key, sample.payload, message)
                 return False
             if self._pipeline is not pipeline:
                 return True  # reset
@@ -342,8 +349,8 @@ class FusionNode:
         with self._lock:
             if self._pipeline is pipeline:
                 self._go_on(count)
-                for node, message in aside:
-                    self._pipeline.push(node, message)
+                for sample, message in aside:
+                    self._push(sample, message)
         return True
 
     def _take_again(self, key: str, payload: bytes) -> int:
@@ -374,14 +381,13 @@ class FusionNode:
             self._pipeline.advance()
         return 1
 
-    def _set_aside(self) -> list[tuple[str, Message]]:
-        """(node, message) of what has come, written to the checkpoint."""
+    def _set_aside(self) -> list[tuple[Sample, Message]]:
+        """What has come, and says what it is; senders send again what they kept for us."""
         found = []
         for topic, sample in self._waiting():
             message = self._accepted(topic, sample)
             if message is not None:
-                self._store(sample.key, sample.payload, message)
-                found.append((topics.node_of(sample.key), message))
+                found.append((sample, message))
         return found
 
     def _go_on(self, count: int) -> None:

@@ -23,6 +23,7 @@ from zenoh import CongestionControl, Priority, Reliability, ext
 from .access import Kind
 from .bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply, Sample
 from .bus_gate import Gate
+from .bus_keeper import LOST_S, Keeper, close_in_time
 from .bus_opening import means_of, open_patiently, settle
 from .bus_outbox import Outbox
 from .bus_queue import SampleQueue
@@ -127,7 +128,13 @@ def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datag
         return Datagrams(session, is_beside=False)
     try:
         opened = open_patiently(lambda: open_session(beside), beside, _DATAGRAM_PATIENCE_S)
-        return Datagrams(opened, is_beside=True, connect=beside.connect)
+        return Datagrams(
+            opened,
+            is_beside=True,
+            connect=beside.connect,
+            reopen=lambda: open_session(beside),
+            main=session,
+        )
     except BusError as reason:
         _log.warning("%s; until the next start corrections go without datagrams", reason)
         return None
@@ -201,31 +208,120 @@ def _has_link(session: zenoh.Session) -> bool:
     return bool(info.routers_zid() or info.peers_zid())
 
 
-class Datagrams:
-    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one;
-    `connect`: where the one beside connects to."""
+class _Lasting:
+    """A publisher or subscriber that is declared anew on a session that takes another's place."""
 
     def __init__(
-        self, session: zenoh.Session, *, is_beside: bool, connect: tuple[str, ...] = ()
+        self,
+        lock: threading.Lock,
+        declare: Callable[[zenoh.Session], "zenoh.Publisher | zenoh.Subscriber[None]"],
+        session: zenoh.Session,
     ) -> None:
-        self.session, self.is_beside, self._connect = session, is_beside, connect
-        self._again = Outbox("bus sends again", WAITING)
+        self._lock, self._declare, self._now = lock, declare, declare(session)
+        self.is_closed = False
 
-    def publisher(self, topic: Topic, key: str) -> zenoh.Publisher:
+    def move(self, session: zenoh.Session) -> None:
+        """Go on by another session; called with the lock."""
+        if not self.is_closed:
+            self._now = self._declare(session)
+
+    def put(
+        self, payload: bytes, *, attachment: bytes | None, timestamp: zenoh.Timestamp | None
+    ) -> None:
+        with self._lock:
+            assert isinstance(self._now, zenoh.Publisher)
+            self._now.put(payload, attachment=attachment, timestamp=timestamp)
+
+    def undeclare(self) -> None:
+        with self._lock:
+            self.is_closed = True
+            self._now.undeclare()
+
+
+class Datagrams:
+    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one;
+    `connect`: where the one beside connects to; `reopen`: opens it anew, which is done where it
+    has lost its datagrams for `lost_s` while `main`, the bus's own, reaches somebody."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        *,
+        is_beside: bool,
+        connect: tuple[str, ...] = (),
+        reopen: Callable[[], zenoh.Session] | None = None,
+        main: zenoh.Session | None = None,
+        lost_s: float = LOST_S,
+    ) -> None:
+        self._session, self.is_beside, self._connect = session, is_beside, connect
+        self._again = Outbox("bus sends again", WAITING)
+        self._lock = threading.Lock()
+        self._declared: list[_Lasting] = []
+        self._is_closed = self._was_shared = False
+        self._reopen, self._main, self._keeper = reopen, main, None
+        if reopen is not None and main is not None:
+            self._keeper = Keeper("bus keeps datagrams", self._is_well, self._renew, lost_s=lost_s)
+
+    def publisher(self, topic: Topic, key: str) -> _Lasting:
         _, priority, express = _QOS[topic.delivery]
-        return self.session.declare_publisher(
-            key,
-            encoding=topic.encoding,
-            congestion_control=CongestionControl.DROP,
-            priority=priority,
-            express=express,
-            reliability=Reliability.BEST_EFFORT,
+        return self._lasting(
+            lambda session: session.declare_publisher(
+                key,
+                encoding=topic.encoding,
+                congestion_control=CongestionControl.DROP,
+                priority=priority,
+                express=express,
+                reliability=Reliability.BEST_EFFORT,
+            )
         )
+
+    def subscriber(
+        self, expression: str, handler: "zenoh.handlers.Callback[zenoh.Sample]"
+    ) -> _Lasting:
+        return self._lasting(lambda session: session.declare_subscriber(expression, handler))
+
+    def _lasting(
+        self, declare: Callable[[zenoh.Session], "zenoh.Publisher | zenoh.Subscriber[None]"]
+    ) -> _Lasting:
+        with self._lock:
+            self._declared = [item for item in self._declared if not item.is_closed]
+            item = _Lasting(self._lock, declare, self._session)
+            self._declared.append(item)
+        return item
 
     @property
     def unreached(self) -> tuple[str, ...]:
         """Where nobody answers now."""
-        return self._connect if self._connect and not _has_link(self.session) else ()
+        return self._connect if self._connect and not _has_link(self._session) else ()
+
+    def _is_well(self) -> bool:
+        """Whether datagrams have a link, to the router of the bus's own session where they had
+        that; also while that one reaches nobody, since nothing can be done then."""
+        assert self._main is not None
+        there = {str(link.zid) for link in self._main.info.links()}
+        if not there:
+            return True
+        links = self._session.info.links()
+        mine = {str(link.zid) for link in links if link.reliability != Reliability.RELIABLE}
+        if mine & there:
+            self._was_shared = True
+        return bool(mine & there if self._was_shared else mine)
+
+    def _renew(self) -> None:
+        assert self._reopen is not None
+        session = self._reopen()
+        try:
+            with self._lock:
+                if not self._is_closed:
+                    session, self._session = self._session, session
+                    self._was_shared = False
+                    for item in self._declared:
+                        item.move(self._session)
+                    _log.warning("the session for datagrams had lost them and was opened anew")
+        except zenoh.ZError as reason:
+            raise BusError(f"datagrams cannot be declared anew: {_plain(reason)}") from None
+        finally:
+            close_in_time(session.close, "a session for datagrams")
 
     def put(self, send: Callable[[], None]) -> None:
         """Send now, and soon again."""
@@ -236,8 +332,12 @@ class Datagrams:
 
     def close(self) -> None:
         self._again.close(_FLUSH_S)
+        with self._lock:
+            self._is_closed = True
+        if self._keeper is not None and not self._keeper.close(_CLOSE_S):
+            ENDING.leave_behind("a session for datagrams")
         if self.is_beside:
-            self.session.close()
+            self._session.close()
 
 
 class ZenohPublisher:
@@ -305,7 +405,7 @@ class ZenohPublisher:
 
     def _send(
         self,
-        publisher: "zenoh.Publisher | ext.AdvancedPublisher",
+        publisher: "zenoh.Publisher | ext.AdvancedPublisher | _Lasting",
         payload: bytes,
         attachment: bytes,
         stamp: zenoh.Timestamp | None,
@@ -335,7 +435,10 @@ class ZenohPublisher:
 
 
 def _subscribe_urgent(
-    sessions: list[zenoh.Session], expression: str, queue: SampleQueue[_Arrival]
+    session: zenoh.Session,
+    datagrams: Datagrams | None,
+    expression: str,
+    queue: SampleQueue[_Arrival],
 ) -> Callable[[], None]:
     """As `_subscribe`, for what comes by more than one way: the first copy counts."""
     newest = Newest()
@@ -351,11 +454,14 @@ def _subscribe_urgent(
         newest.hand_on(str(sample.key_expr), sender, sent_ns, lambda: queue.push(arrival))
 
     arrived = _called_at_once(receive)
-    subscribers = [session.declare_subscriber(expression, arrived) for session in sessions]
+    subscriber = session.declare_subscriber(expression, arrived)
+    is_beside = datagrams is not None and datagrams.is_beside
+    copies = datagrams.subscriber(expression, arrived) if datagrams and is_beside else None
 
     def undeclare() -> None:
-        for subscriber in subscribers:
-            subscriber.undeclare()
+        subscriber.undeclare()
+        if copies is not None:
+            copies.undeclare()
 
     return undeclare
 
@@ -496,13 +602,6 @@ class ZenohBus:
         self._answers_for: set[str] = set()
 
     @property
-    def _ways(self) -> list[zenoh.Session]:
-        """The sessions by which something urgent may come."""
-        if self._datagrams is None or not self._datagrams.is_beside:
-            return [self._session]
-        return [self._session, self._datagrams.session]
-
-    @property
     def identity(self) -> str:
         return _identity(self._session.zid())
 
@@ -580,7 +679,7 @@ class ZenohBus:
                 bell=bell,
             )
             if topic.delivery is Delivery.URGENT:
-                undeclare = _subscribe_urgent(self._ways, expression, queue)
+                undeclare = _subscribe_urgent(self._session, self._datagrams, expression, queue)
             else:
                 named = frozenset(
                     key for key in self._named if topic.match(key) and key_matches(expression, key)

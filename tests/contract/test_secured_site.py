@@ -147,6 +147,38 @@ def test_correction_by_stream_and_datagrams_comes_once(
     assert corrections.take(0.0) is None
 
 
+def test_datagrams_come_back_where_their_session_does_not(
+    tmp_path: Path, free_port: Callable[[], int], stack: ExitStack
+) -> None:
+    """It lives and reaches nobody, as where its link was lost and Zenoh did not see it."""
+    port = free_port()
+    endpoints = [f"{protocol}/127.0.0.1:{port}" for protocol in ("tls", "quic")]
+    site = SecuredSite(tmp_path, port, bus=f"listen = {json.dumps(endpoints)}")
+    stack.enter_context(open_router(site.listening))
+    robot = _with_datagrams(site, endpoints[1], *ROBOT, stack)
+    beside = replace(site.settings(*FUSION), connect=(endpoints[1],))
+    main, lost = site.session(*FUSION), open_session(Settings("peer"))
+    datagrams = Datagrams(
+        lost,
+        is_beside=True,
+        connect=beside.connect,
+        reopen=lambda: open_session(beside),
+        main=main,
+        lost_s=0.5,
+    )
+    fusion = stack.enter_context(ZenohBus(main, datagrams=datagrams))
+    key = CORRECTION.key("lab", "r1")
+    came, publisher = robot.subscribe(CORRECTION, key), datagrams.publisher(CORRECTION, key)
+
+    def comes_by_datagram() -> bool:
+        publisher.put(b"here", attachment=None, timestamp=main.new_timestamp())
+        return came.take(0.2) is not None
+
+    assert eventually(comes_by_datagram, timeout_s=60.0)
+    assert fusion.unreached == ()
+    assert eventually(lost.is_closed)
+
+
 def _with_datagrams(
     site: SecuredSite, quic: str, kind: Kind, name: str, stack: ExitStack
 ) -> ZenohBus:

@@ -306,9 +306,19 @@ def test_checkpoint_of_a_standstill_is_bounded_and_gives_the_same_map(
     assert keys.count("lab/camera/c1/sightings") == MOST_ALIKE
     assert MOST_STANDING < keys.count("lab/robot/r1/odom") < MOST_STANDING + 20
     with running(standing.inputs, second) as run:
+        # What senders kept for whoever comes back, while the checkpoint is read.
+        run.feed(tuple(m for m in standing.messages[:middle] if isinstance(m[1], Sightings)))
         assert run.ask("fusion/map") == before
         run.feed(standing.messages[middle:])
     run.fusion.finish()
     network = load_network(second)
     for name, record in standing_bounded.network().cameras.items():
         assert_same_place(network.cameras[name], record)
+    keys = [key for key, _ in read_checkpoint(second / "checkpoint.bin")]
+    seen = sum(
+        bool(m.faces) for n, m in standing.messages if n == "c1" and isinstance(m, Sightings)
+    )
+    assert (
+        keys.count("lab/camera/c1/sightings")
+        == seen - run.fusion._pipeline.left_out["standing_still"]
+    )
