@@ -108,7 +108,7 @@ def test_a_board_read_from_its_other_end_looks_the_same() -> None:
 
 def test_what_a_trembling_camera_adds_is_bounded() -> None:
     scene = Scene()
-    trembling = [(view(CORNERS + 5.0 * (i % 2)),) for i in range(4000)]
+    trembling = [(view(CORNERS + 5.0 * (i % 2)),) for i in range(2000)]
     assert scene.show(trembling) <= 17 * MOST_ALIKE
 
 
