@@ -16,6 +16,7 @@ from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.projection import by_disturbance
+from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
 from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.geometry import Pose
@@ -104,8 +105,7 @@ def starts_of(
 def _seeds(ways: _Ways) -> np.ndarray:
     """The ways (s,) to read some sightings, spread over the visit."""
     sightings = np.unique(ways.sighting)
-    if len(sightings) > _MOST_SEEDS:
-        sightings = sightings[np.linspace(0, len(sightings) - 1, _MOST_SEEDS).round().astype(int)]
+    sightings = sightings[thinned(len(sightings), _MOST_SEEDS)]
     return np.flatnonzero(np.isin(ways.sighting, sightings))
 
 

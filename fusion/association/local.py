@@ -8,6 +8,7 @@ from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Reading, Verdict
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
 from trigpoint.fusion.model.problem import Batch, CameraState, State
@@ -22,7 +23,6 @@ from .masks import likeliest_wrong
 from .sightings import without_wild
 from .system import System
 
-_HUBER = 4.0
 _MOST_ROUNDS = 10
 _PATIENCE = 2
 # What a step may still promise of χ²: far below what any decision rests on.
@@ -126,7 +126,7 @@ class LocalProblem:
             if all(all(row) for row in trial.wrong.values()):
                 return None
             is_first = round_ == 0
-            solved = self._solved(trial, camera, huber=_HUBER if is_first else np.inf)
+            solved = self._solved(trial, camera, huber=HUBER_SIGMAS if is_first else np.inf)
             if solved is None:
                 return None
             camera = solved[1].cameras[self.camera]

@@ -87,7 +87,7 @@ class _Minimum:
 
     def _start_places(self) -> dict[Place, Pose]:
         places = {(camera, 0): pose for camera, pose in self.graph.data.known.poses.items()}
-        found = {key: _repeated(pose, len(self.variants)) for key, pose in places.items()}
+        found = {key: pose.repeated(len(self.variants)) for key, pose in places.items()}
         for order, key in enumerate(self.keys):
             if key in found:
                 continue
@@ -364,7 +364,3 @@ def _stacked(poses: list[Pose]) -> Pose:
     return Pose(
         np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses])
     )
-
-
-def _repeated(pose: Pose, count: int) -> Pose:
-    return Pose(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))

@@ -6,6 +6,7 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.thinning import thinned
 
 # Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
 # a tenth of what a camera's distance is.
@@ -49,11 +50,7 @@ def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
 def visit_of(observations: list[Observation], indices: list[int]) -> Visit:
     """The visit of these pictures."""
     first, last = observations[indices[0]], observations[indices[-1]]
-    chosen = indices
-    if len(indices) > _MOST_VIEWS:
-        chosen = [
-            indices[i] for i in np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)
-        ]
+    chosen = [indices[i] for i in thinned(len(indices), _MOST_VIEWS)]
     return Visit(
         first.camera, first.robot, tuple(indices), tuple(chosen), first.stamp_ns, last.stamp_ns
     )

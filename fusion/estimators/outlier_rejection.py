@@ -7,7 +7,11 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
-from trigpoint.fusion.model.gates import WILD_CORNER_IN_TAILS_SIGMAS, WILD_CORNER_SIGMAS
+from trigpoint.fusion.model.gates import (
+    WILD_CORNER_IN_TAILS_SIGMAS,
+    WILD_CORNER_SIGMAS,
+    WILD_SHARE,
+)
 from trigpoint.fusion.model.observations import Observation, Verdict, points_of, reprojection
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
@@ -21,8 +25,6 @@ from trigpoint.geometry.rotation import Array
 # the tighter one.
 _TAIL_SIGMAS = (WILD_CORNER_IN_TAILS_SIGMAS, 5.0)
 _SIGNIFICANT = 3.0
-# With more wild corners than this the whole view is wrong.
-_WILD_SHARE = 0.25
 # A view that was left out whole and is still this far off, where the robot is thought to stand
 # without it, would only draw the others away again.
 _FAR_SIGMAS = 30.0
@@ -54,7 +56,7 @@ def judge(data: DataSet, assembled: Assembled, state: State) -> bool:
             observation = data.entries[source].observation
             if not observation.outliers and sound[row] == observation.corner_count:
                 continue
-            views = _by_view(observation, length[row])
+            views = observation.by_view(length[row])
             bad = [order for order, view in enumerate(views) if _is_wrong(view, limit)]
             if bad and _read_anew(data, source, state, bad):
                 changed = True
@@ -119,7 +121,7 @@ def _are_far(
         points.in_base(state.robots[observation.robot].base_from_face),
     )
     length = np.linalg.norm((pixels - points.pixels) * points.weights[:, None], axis=1)
-    return [not np.nanmedian(view) <= _FAR_SIGMAS for view in _by_view(observation, length)]
+    return [not np.nanmedian(view) <= _FAR_SIGMAS for view in observation.by_view(length)]
 
 
 def _without(observation: Observation, left_out: list[bool]) -> Observation:
@@ -139,14 +141,8 @@ def _limit(length: Array) -> float:
     return WILD_CORNER_IN_TAILS_SIGMAS if has_tails else WILD_CORNER_SIGMAS
 
 
-def _by_view(observation: Observation, length: Array) -> list[Array]:
-    """The lengths of an observation's corners, view by view."""
-    ends = np.cumsum([len(view.corners) for view in observation.views])
-    return np.split(length[: ends[-1]], ends[:-1])
-
-
 def _is_wrong(length: Array, limit: float) -> bool:
-    return bool(np.mean(~(length <= limit)) > _WILD_SHARE)
+    return bool(np.mean(~(length <= limit)) > WILD_SHARE)
 
 
 def _as_before(observation: Observation, order: int) -> np.ndarray:
@@ -261,10 +257,10 @@ def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
     return solution.cost / freedom if freedom > 0 else None
 
 
-def may_have_moved(entries: list[Entry], *, least_wrong: int = 1) -> bool:
+def may_have_moved(entries: list[Entry]) -> bool:
     """Whether a camera's observations were used up to a moment, and contradict since then."""
     used = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.ACCEPTED]
     wrong = [e.observation.stamp_ns for e in entries if e.observation.verdict is Verdict.REJECTED]
-    if len(used) < _LEAST_USED or len(wrong) < least_wrong:
+    if len(used) < _LEAST_USED or not wrong:
         return False
     return min(wrong) > max(used)

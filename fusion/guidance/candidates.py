@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -77,7 +78,7 @@ def nearest_cameras(
     found = []
     for name, views in world.views.items():
         if name != without and len(views.places):
-            _, squares = tree.query(_spread_rows(views.places, 16)[:, :2])
+            _, squares = tree.query(views.places[thinned(len(views.places), 16), :2])
             found.append((float(paths[squares].min()), name))
     return [name for _, name in sorted(found)[:most]]
 
@@ -101,24 +102,12 @@ def _near(places: Array, seen: Array) -> np.ndarray:
         return np.zeros(0, dtype=int)
     distance, _ = KDTree(seen).query(places)
     near = np.flatnonzero(distance <= SEEN_M)
-    return _spread(near, _MOST_PLACES)
+    return near[thinned(len(near), _MOST_PLACES)]
 
 
 def _driven(ground: Ground, here: Pose) -> Candidates:
-    chosen = _spread(np.arange(len(ground.poses)), _HEADINGS * _MOST_PLACES)
-    poses = ground.poses[chosen]
+    poses = ground.poses[thinned(len(ground.poses), _HEADINGS * _MOST_PLACES)]
     return Candidates(poses, np.linalg.norm(poses.translation - here.translation, axis=1))
-
-
-def _spread(indices: np.ndarray, most: int) -> np.ndarray:
-    """At most so many of them, evenly."""
-    if len(indices) <= most:
-        return indices
-    return indices[np.linspace(0, len(indices) - 1, most).round().astype(int)]
-
-
-def _spread_rows(rows: Array, most: int) -> Array:
-    return rows[_spread(np.arange(len(rows)), most)]
 
 
 def _dense(way: Pose) -> Array:

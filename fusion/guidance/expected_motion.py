@@ -8,13 +8,12 @@ is [a]× V [a]×ᵀ / 3 of place, -[a]× V / 2 between place and rotation, and V
 
 import numpy as np
 
+from trigpoint.fusion.model.motion import FLOOR_VARIANCE
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.uncertainty import lever
 from trigpoint.odometry_noise import step_variances
-
-_FLOOR_VARIANCE = 1e-13
 
 
 def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -> ExpectedMotion:
@@ -22,9 +21,9 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     noise = place.noise
     arm = goal.translation - start.translation
     bearing = np.arctan2(arm[1], arm[0])
-    first = _wrapped(bearing - float(start.heading)) if np.linalg.norm(arm[:2]) > 1e-6 else 0.0
-    net = _wrapped(float(goal.heading) - float(start.heading))
-    last = _wrapped(net - first)
+    first = so3.wrap(bearing - float(start.heading)) if np.linalg.norm(arm[:2]) > 1e-6 else 0.0
+    net = so3.wrap(float(goal.heading) - float(start.heading))
+    last = so3.wrap(net - first)
     driving = step_variances(noise, path_m, 0.0)
     at_start, at_end = step_variances(noise, 0.0, np.abs([first, last])).rotation
     by_start = lever(arm)
@@ -43,9 +42,5 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     by_scale[:3, 1] = np.array([-arm[1], arm[0], 0.0]) * first
     by_scale[5, 1] = first + last
     free = np.ix_(place.tangent, place.tangent)
-    floor = _FLOOR_VARIANCE * np.eye(len(place.tangent))
+    floor = FLOOR_VARIANCE * np.eye(len(place.tangent))
     return ExpectedMotion(by_start[free], by_scale[place.tangent], covariance[free] + floor)
-
-
-def _wrapped(angle: float) -> float:
-    return float(np.arctan2(np.sin(angle), np.cos(angle)))

@@ -18,6 +18,7 @@ from trigpoint.fusion.model.problem import (
     RobotState,
     State,
 )
+from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -99,14 +100,8 @@ def _kept(every: np.ndarray) -> np.ndarray:
     others = np.flatnonzero(every.any(axis=0) & ~every[0])
     half = _MOST_VISITS // 2
     room = _MOST_VISITS - min(len(first), max(half, _MOST_VISITS - len(others)))
-    parts = [_thinned(first, _MOST_VISITS - room), _thinned(others, room)]
+    parts = [first[thinned(len(first), _MOST_VISITS - room)], others[thinned(len(others), room)]]
     return np.sort(np.concatenate(parts))
-
-
-def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
-    if len(rows) <= most:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +172,7 @@ def _information(
     batch = _batch(world, place, camera, robot, shown)
     # A robot that stands says nothing of a camera's clock.
     standing = replace(layout, time_offset={})
-    problem = Problem({place.robot: _chain(place, len(poses))}, (batch,), _NO_PRIORS, standing)
+    problem = Problem({place.robot: _chain(place, len(poses))}, (batch,), Priors.none(), standing)
     jacobian, _, columns = batch_jacobian(problem, batch, state)
     flat = jacobian.reshape(len(poses), -1, jacobian.shape[-1])
     last = np.arange(layout.size)[layout.last[place.robot]]
@@ -227,15 +222,5 @@ def _corners_seen(
 
 def _chain(place: RobotPlace, count: int) -> Chain:
     """Nodes at which the robot stands still."""
-    return Chain(
-        robot=place.robot,
-        stamps_ns=np.arange(count),
-        motion=None,
-        track=OdometryTrack(place.noise, planar=place.planar),
-        scales=np.zeros(2),
-        planar=place.planar,
-        is_anchored=False,
-    )
-
-
-_NO_PRIORS = Priors({}, {}, {}, {}, {}, np.zeros((0, 0)))
+    track = OdometryTrack(place.noise, planar=place.planar)
+    return Chain.unlinked(place.robot, np.arange(count), track)

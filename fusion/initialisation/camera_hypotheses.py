@@ -8,6 +8,7 @@ import numpy as np
 
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Reading, Verdict
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import CameraState, Problem, State
@@ -16,7 +17,9 @@ from trigpoint.fusion.reading.unambiguous import are_visible, is_unambiguous
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
-_HUBER = 4.0
+MOST_HYPOTHESES = 8
+# Of a coordinate, in sigmas; with more the best hypothesis is none.
+ACCEPTABLE_RMS = 3.0
 _MOST_ROUNDS = 3
 
 
@@ -149,7 +152,7 @@ def _solved(
         anchored=False,
         fill=False,
     )
-    solution = solve(assembled.problem, assembled.start, huber=_HUBER, tolerance=1e-3)
+    solution = solve(assembled.problem, assembled.start, huber=HUBER_SIGMAS, tolerance=1e-3)
     if not np.isfinite(solution.cost):
         return None
     robots = solution.state.robots
@@ -159,8 +162,8 @@ def _solved(
         for i, node in assembled.node_of.items()
     }
     # Observations that fit in no way cost as much as a picture full of outliers would.
-    missing = sum(
-        _HUBER**2 * data.entries[index].observation.corner_count for index in poses.keys() - where
+    missing = HUBER_SIGMAS**2 * sum(
+        data.entries[index].observation.corner_count for index in poses.keys() - where
     )
     located = Located(solution.state.cameras[camera], readings, where)
     rms = _median_rms(assembled.problem, solution.state)

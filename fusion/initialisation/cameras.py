@@ -11,12 +11,17 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.problem import State
 
-from .camera_hypotheses import Hypothesis, Located, distinct, refine
+from .camera_hypotheses import (
+    ACCEPTABLE_RMS,
+    MOST_HYPOTHESES,
+    Hypothesis,
+    Located,
+    distinct,
+    refine,
+)
 from .start_poses import spread, starts_of
 
 _MOST_OBSERVATIONS = 24
-_MOST_HYPOTHESES = 8
-_ACCEPTABLE_RMS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +59,7 @@ def _by_robot(data: DataSet, camera: str) -> list[list[int]]:
 
 def _locate(data: DataSet, state: State, camera: str, indices: list[int]) -> Located | Undetermined:
     few = spread(indices, _MOST_OBSERVATIONS)
-    starts = starts_of(data, camera, few, most=_MOST_HYPOTHESES)
+    starts = starts_of(data, camera, few, most=MOST_HYPOTHESES)
     if not starts:
         return Undetermined(("no picture of it shows enough of a face to place it",))
     found = distinct(refine(data, state, camera, start, few) for start in starts)
@@ -72,7 +77,7 @@ def _locate(data: DataSet, state: State, camera: str, indices: list[int]) -> Loc
 def decide(data: DataSet, hypotheses: list[Hypothesis]) -> Hypothesis | Undetermined:
     """The hypothesis that the data decide for; they are given best first."""
     best = hypotheses[0]
-    if best.rms > _ACCEPTABLE_RMS:
+    if best.rms > ACCEPTABLE_RMS:
         return Undetermined(
             (f"no pose fits its pictures (the best is off by {best.rms:.1f} sigmas)",)
         )

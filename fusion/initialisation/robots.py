@@ -13,7 +13,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras
-from trigpoint.fusion.model.gates import DECISIVE
+from trigpoint.fusion.model.gates import DECISIVE, HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Reading, Verdict
 from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.model.prediction import batch_jacobian
@@ -26,13 +26,13 @@ from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .camera_hypotheses import ACCEPTABLE_RMS, MOST_HYPOTHESES
 from .start_poses import spread
 
 # A robot that was out of sight for longer comes for another visit.
 _AWAY_NS = to_ns(2.0)
 _MOST_SEEDS = 6
 _MOST_SCORED = 6
-_MOST_HYPOTHESES = 8
 # As in `start_poses`: a start whose mean-square error, pixels², is this much above the best is
 # none.
 _FAR_PX2 = 100.0
@@ -40,10 +40,8 @@ _MOST_PICTURES = 24
 _LEAST_PICTURES = 4
 _MOST_STARTS = 3
 _MOST_ROUNDS = 3
-_HUBER = 4.0
 _MOST_ITERATIONS = 15
-# As in `cameras`; a pose this much worse (χ²) than the best one is excluded, whatever follows.
-_ACCEPTABLE_RMS = 3.0
+# A pose this much worse (χ²) than the best one is excluded, whatever follows.
 _HOPELESS = 100.0
 # Of the corners, how many must fit: a whole visit of several that does not must not be outvoted.
 _SHARE = 0.75
@@ -149,10 +147,10 @@ class _Search:
 
     def _is_open(self, alive: list[RobotLocation]) -> bool:
         """Whether more is needed to decide, and may help."""
-        return len(alive) > 1 and alive[0].rms <= _ACCEPTABLE_RMS
+        return len(alive) > 1 and alive[0].rms <= ACCEPTABLE_RMS
 
     def _decided(self, alive: list[RobotLocation]) -> RobotLocation | RobotUndetermined:
-        if not alive or alive[0].rms > _ACCEPTABLE_RMS:
+        if not alive or alive[0].rms > ACCEPTABLE_RMS:
             return RobotUndetermined(
                 "what located cameras saw of it contradicts them or its odometry"
             )
@@ -191,7 +189,7 @@ class _Search:
         order = [i for i in np.argsort(costs, kind="stable") if costs[i] < costs.min() + _FAR_PX2]
         kept: list[int] = []
         for i in order:
-            if len(kept) < _MOST_HYPOTHESES and not np.any(
+            if len(kept) < MOST_HYPOTHESES and not np.any(
                 faces.are_same_pose(here[np.array(kept, dtype=int)], here[i])
             ):
                 kept.append(int(i))
@@ -274,7 +272,7 @@ class _Search:
         solution = solve(
             assembled.problem,
             assembled.start,
-            huber=_HUBER,
+            huber=HUBER_SIGMAS,
             tolerance=1e-3,
             most_iterations=_MOST_ITERATIONS,
         )
@@ -283,8 +281,8 @@ class _Search:
         nodes = solution.state.robots[self.robot].map_from_base
         where = {order[i]: nodes[node] for i, node in assembled.node_of.items()}
         # Observations that fit in no way cost as much as a picture full of outliers would.
-        missing = sum(
-            _HUBER**2 * self.data.entries[i].observation.corner_count for i in poses.keys() - where
+        missing = HUBER_SIGMAS**2 * sum(
+            self.data.entries[i].observation.corner_count for i in poses.keys() - where
         )
         rms = _rms(assembled.problem, solution.state)
         rms = rms if len(where) >= _SHARE * len(poses) else np.inf

@@ -6,6 +6,7 @@ from itertools import chain
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.reading import coarse_fit, faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -52,9 +53,7 @@ def starts_of(data: DataSet, camera: str, indices: list[int], *, most: int) -> l
 
 def spread(indices: list[int], most: int) -> list[int]:
     """At most `most` of them, evenly spread."""
-    if len(indices) <= most:
-        return indices
-    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+    return [indices[i] for i in thinned(len(indices), most)]
 
 
 def _of_single_pictures(data: DataSet, camera: str, indices: list[int]) -> Pose | None:

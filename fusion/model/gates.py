@@ -38,6 +38,10 @@ def length_gate(probability: float) -> float:
 DECISIVE = -2 * math.log(_AMBIGUOUS)
 WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
 WILD_CORNER_IN_TAILS_SIGMAS = length_gate(_WILD_CORNER_IN_TAILS)
+# Beyond so many sigmas a corner counts linearly while the start may be rough (Huber).
+HUBER_SIGMAS = 4.0
+# With more wild corners than this a view is wrong.
+WILD_SHARE = 0.25
 # Between two pictures, both of which err.
 SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 

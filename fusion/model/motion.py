@@ -12,7 +12,7 @@ from trigpoint.geometry.uncertainty import lever, turned_axes
 UNKNOWN_VARIANCE = 100.0**2
 STILL = 1e-9
 # 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
-_FLOOR_VARIANCE = 1e-13
+FLOOR_VARIANCE = 1e-13
 # Where the covariance of a motion in the plane is not 0, in the upper half.
 _PLANE_ROWS = [0, 0, 1, 2, 0, 1, 2, 2, 3, 4, 5]
 _PLANE_COLUMNS = [0, 1, 1, 2, 5, 5, 3, 4, 3, 4, 5]
@@ -125,7 +125,7 @@ def composed_motion(twists: Array, noise: StepNoise, segment: np.ndarray, scales
     ahead = end.translation[segment] - path.translation[1:]
     spread = lever((start_rotation @ ahead[..., None])[..., 0]) @ turned_axes(frame)
     covariance = spread @ noise.covariance(0.5 * twists[:, 3:]) @ np.swapaxes(spread, 1, 2)
-    total = np.add.reduceat(covariance, starts, axis=0) + _FLOOR_VARIANCE * np.eye(6)
+    total = np.add.reduceat(covariance, starts, axis=0) + FLOOR_VARIANCE * np.eye(6)
     # d(k J_l(kθ) v)/dk = Exp(kθ) v, so a step's own translation J_l(kθ) v bends with its turn.
     bend = (steps.rotation @ scaled[:, :3, None])[..., 0] - steps.translation
     by_turn = np.concatenate([bend / (1 + scales[1]), twists[:, 3:]], axis=1)
@@ -207,7 +207,7 @@ def _covariance_in_plane(
     sums = np.add.reduceat(entries, starts, axis=1).T
     total = np.zeros((len(starts), 6, 6))
     total[:, _PLANE_ROWS, _PLANE_COLUMNS] = total[:, _PLANE_COLUMNS, _PLANE_ROWS] = sums
-    return total + _FLOOR_VARIANCE * np.eye(6)
+    return total + FLOOR_VARIANCE * np.eye(6)
 
 
 def _is_still(twists: Array, noise: StepNoise, starts: np.ndarray) -> np.ndarray:

@@ -104,6 +104,11 @@ class Observation:
             return 0
         return len(self.views) - sum(bool(np.all(wild)) for wild in self.outliers)
 
+    def by_view(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Rows (n, …) of all corners, apart by view; what lies behind them is left out."""
+        ends = np.cumsum([len(view.corners) for view in self.views])
+        return tuple(np.split(rows[: ends[-1]], ends[:-1]))
+
     @property
     def corner_count(self) -> int:
         return sum(len(view.corners) for view in self.views)

@@ -302,9 +302,7 @@ class OdometryTrack:
         odometry's ends, and across a jump, the robot goes on as it did.
         """
         if self._count < 2:
-            return Pose(np.tile(np.eye(3), (len(seconds), 1, 1)), np.zeros((len(seconds), 3))), (
-                np.zeros((len(seconds), 6))
-            )
+            return Pose.identity().repeated(len(seconds)), np.zeros((len(seconds), 6))
         ends_ns = stamps_ns + np.round(seconds * NANOSECONDS).astype(np.int64)
         start = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
         end = np.clip(np.searchsorted(self.stamps_ns, ends_ns), 1, self._count - 1)

@@ -14,6 +14,7 @@ that what is left after the chains are eliminated is what a filter would know.
 """
 
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -72,6 +73,14 @@ class Chain:
     planar: bool
     is_anchored: bool
 
+    @classmethod
+    def unlinked(
+        cls, robot: str, stamps_ns: np.ndarray, track: OdometryTrack, scales: Array | None = None
+    ) -> Self:
+        """Nodes between which nothing is said of the motion."""
+        here = scales if scales is not None else np.zeros(2)
+        return cls(robot, stamps_ns, None, track, here, track.planar, is_anchored=False)
+
     @property
     def tangent(self) -> list[int]:
         """Which of the six disturbances are free."""
@@ -125,6 +134,10 @@ class Priors:
     cameras: dict[str, Pose]
     camera_information: Array
     owners: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def none(cls) -> Self:
+        return cls({}, {}, {}, {}, {}, np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trigpoint.fusion.model.gates import WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
@@ -22,10 +23,9 @@ _TIGHT_RAD = 0.15
 # A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is
 # nothing.
 _HOPELESS = 100.0
-# A corner that is farther off than this at its view's best near the prior is wild; a view with more
-# wild ones than this share, or that moves the robot by so many of the prior's sigmas, is wrong.
+# A corner that is farther off than this at its view's best near the prior is wild; a view that
+# moves the robot by so many of the prior's sigmas is wrong.
 _FITS_SIGMAS = 6.0
-_WILD_SHARE = 0.25
 # A pose from which all corners are this far off is impossible: what one flat face leaves open is
 # less.
 _FAR_RMS_SIGMAS = 100.0
@@ -50,8 +50,7 @@ class Alignment:
         read = observation.read_as(self.readings)
         if not np.any(self.wild):
             return read
-        ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
-        return read.with_outliers(tuple(np.split(self.wild, ends)))
+        return read.with_outliers(read.by_view(self.wild))
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +182,7 @@ class _Search:
             pose = pose.disturbed(steps)
         is_elsewhere = pull @ pull > _FITS_SIGMAS**2
         wild = length > _FITS_SIGMAS
-        return nothing if is_elsewhere or wild.mean() > _WILD_SHARE else wild
+        return nothing if is_elsewhere or wild.mean() > WILD_SHARE else wild
 
     def near(self, prior: PosePrior) -> Alignment | None:
         """The reading that fits at the prior; None where it does not fit or another may too."""
@@ -211,12 +210,8 @@ class _Search:
         if not others:
             return np.inf
         chosen = np.stack(others)
-        same = Pose(
-            np.broadcast_to(pose.rotation, (len(others), 3, 3)),
-            np.broadcast_to(pose.translation, (len(others), 3)),
-        )
         points = corners_of(self.observation, body_of(self.target), chosen)
-        jacobian, residual, is_sound = self._linearised(same, points)
+        jacobian, residual, is_sound = self._linearised(pose.repeated(len(others)), points)
         steps = least_squares_steps(jacobian, residual, is_sound)
         left = residual + (jacobian @ steps[..., None])[..., 0]
         costs = np.where(is_sound, np.sum(left**2, axis=1), np.inf)

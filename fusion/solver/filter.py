@@ -95,12 +95,15 @@ class Filter:
         if anchored is not None and len(data.tracks[anchored]):
             track = data.tracks[anchored]
             robots[anchored] = replace(
-                state.robots[anchored], map_from_base=_one(track.odom_from_base[0])
+                state.robots[anchored], map_from_base=Pose.stack([track.odom_from_base[0]])
             )
             stamps[anchored] = track.first_ns
         state = State(state.cameras, state.robots | robots)
-        priors = _no_priors()
-        chains = {name: _single(data, name, stamps[name]) for name in robots}
+        priors = Priors.none()
+        chains = {
+            name: Chain.unlinked(name, np.array([stamps[name]]), data.tracks[name])
+            for name in robots
+        }
         layout = layout_of(list(state.cameras), chains, priors, state)
         information = np.zeros((layout.size, layout.size))
         for name in robots:
@@ -120,7 +123,7 @@ class Filter:
         stamps, robots = {}, dict(state.robots)
         for name, chain in problem.chains.items():
             nodes = state.robots[name].map_from_base
-            robots[name] = replace(state.robots[name], map_from_base=_one(nodes[-1]))
+            robots[name] = replace(state.robots[name], map_from_base=Pose.stack([nodes[-1]]))
             stamps[name] = int(chain.stamps_ns[-1])
         return cls(State(state.cameras, robots), stamps, reduced.layout, reduced)
 
@@ -206,7 +209,7 @@ class Filter:
         motion = data.tracks[robot].motion(moments, self.scales(robot))
         before = self.state.robots[robot]
         terms = odometry_terms(
-            before.map_from_base, _one(guess), motion, data.tracks[robot].tangent
+            before.map_from_base, Pose.stack([guess]), motion, data.tracks[robot].tangent
         )
         last = self._columns(self.layout.last[robot])
         scales = self._columns(self.layout.scales.get(robot, slice(0, 0)))
@@ -222,7 +225,7 @@ class Filter:
             inverse @ inverse.T,
         )
         return Filter(
-            self._with(robot, replace(before, map_from_base=_one(guess))),
+            self._with(robot, replace(before, map_from_base=Pose.stack([guess]))),
             self.stamps_ns | {robot: stamp_ns},
             self.layout,
             moved,
@@ -237,10 +240,11 @@ class Filter:
         The Jacobian's triangular factor R stands for it (J = QR), so that there are only as many
         equations as unknowns that a sighting bears on.
         """
-        chain = _single(data, observation.robot, self.stamps_ns[observation.robot])
-        chain = replace(chain, scales=self.scales(observation.robot))
+        robot = observation.robot
+        moment = np.array([self.stamps_ns[robot]])
+        chain = Chain.unlinked(robot, moment, data.tracks[robot], self.scales(robot))
         batch = _batch(data, chain, observation, share)
-        problem = Problem({observation.robot: chain}, (batch,), _no_priors(), self.layout)
+        problem = Problem({observation.robot: chain}, (batch,), Priors.none(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
         where = np.concatenate([self._columns(self.layout.last[observation.robot]), columns])
         flat, residual = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
@@ -277,23 +281,6 @@ def carried_on(
     return RobotEstimate(stamp_ns, step.end, covariance)
 
 
-def _one(pose: Pose) -> Pose:
-    return Pose(pose.rotation.reshape(1, 3, 3), pose.translation.reshape(1, 3))
-
-
-def _single(data: DataSet, robot: str, stamp_ns: int) -> Chain:
-    """A chain of the robot's last node alone."""
-    return Chain(
-        robot=robot,
-        stamps_ns=np.array([stamp_ns]),
-        motion=None,
-        track=data.tracks[robot],
-        scales=np.zeros(2),
-        planar=data.tracks[robot].planar,
-        is_anchored=False,
-    )
-
-
 def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) -> Batch:
     points = points_of(observation, data.targets[observation.robot])
     return Batch(
@@ -309,7 +296,3 @@ def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) 
         after_node_s=(np.array([observation.stamp_ns]) - chain.stamps_ns) / NANOSECONDS,
         since_epoch_s=data.since_epoch_s(np.array([observation.stamp_ns])),
     )
-
-
-def _no_priors() -> Priors:
-    return Priors({}, {}, {}, {}, {}, np.zeros((0, 0)))

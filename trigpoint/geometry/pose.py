@@ -46,6 +46,13 @@ class Pose:
             np.array([pose.translation for pose in poses]).reshape(-1, 3),
         )
 
+    def repeated(self, count: int) -> "Pose":
+        """One pose `count` times; to be read only."""
+        return Pose(
+            np.broadcast_to(self.rotation, (count, 3, 3)),
+            np.broadcast_to(self.translation, (count, 3)),
+        )
+
     @property
     def quaternion(self) -> Array:
         """Unit quaternion x, y, z, w with w ≥ 0; (…, 4)."""

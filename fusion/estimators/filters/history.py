@@ -51,15 +51,7 @@ def poses_at(
 ) -> Pose:
     """The robot at moments (m,) that odometry covers, by its nodes and its odometry."""
     track = data.tracks[robot]
-    chain = Chain(
-        robot=robot,
-        stamps_ns=np.array(list(nodes)),
-        motion=None,
-        track=track,
-        scales=filter_state.scales(robot),
-        planar=track.planar,
-        is_anchored=False,
-    )
+    chain = Chain.unlinked(robot, np.array(list(nodes)), track, filter_state.scales(robot))
     return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
 
 

@@ -140,11 +140,6 @@ class KalmanState:
             return after.with_part(("scales", robot), np.diag(sigmas**2))
         return after
 
-    def without_camera(self, camera: str) -> Self:
-        states = {name: state for name, state in self.states.items() if name != camera}
-        gone = (("pose", camera), ("offset", camera))
-        return replace(self, states=states).only([p for p in self.columns if p not in gone])
-
     def without_robot(self, robot: str) -> Self:
         stamps = {name: stamp for name, stamp in self.stamps_ns.items() if name != robot}
         kept = [part for part in self.columns if part != ("last", robot)]

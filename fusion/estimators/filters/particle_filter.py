@@ -27,7 +27,7 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .filter_state import Innovation, ReadSighting
 from .particle_resampling import effective_sample_size, largest_share, normalised
-from .particles import PARTICLES, Particles, many, mean_pose, transposed
+from .particles import PARTICLES, Particles, mean_pose, transposed
 from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
@@ -85,7 +85,7 @@ class ParticleFilterState(Particles):
         drawn = random.standard_normal((PARTICLES, len(joint))) @ np.linalg.cholesky(joint).T
         places = {}
         for index, (name, pose) in enumerate(data.known.poses.items()):
-            places[name] = many(pose).disturbed(drawn[:, 6 * index : 6 * index + 6])
+            places[name] = pose.repeated(PARTICLES).disturbed(drawn[:, 6 * index : 6 * index + 6])
         return replace(
             self,
             draws=self.draws + 1,

@@ -110,7 +110,7 @@ class Particles:
             self,
             stamps_ns=self.stamps_ns | {robot: stamp_ns},
             tangents=self.tangents | {robot: tangent},
-            poses=self.poses | {robot: many(map_from_base)},
+            poses=self.poses | {robot: map_from_base.repeated(PARTICLES)},
             spreads=self.spreads | {robot: wide},
         )
         noise = data.site.robots[robot].odometry
@@ -209,25 +209,19 @@ class Particles:
         for name, mean in robots.items():
             disturbance = np.zeros((PARTICLES, 6))
             disturbance[:, self.tangents[name]] = next(split)
-            poses[name] = many(mean).disturbed(disturbance)
+            poses[name] = mean.repeated(PARTICLES).disturbed(disturbance)
         return replace(
             self,
             draws=self.draws + 1,
             poses=poses,
             spreads={name: spread[indices] for name, spread in self.spreads.items()},
-            places={name: many(mean).disturbed(next(split)) for name, mean in cameras.items()},
+            places={
+                name: mean.repeated(PARTICLES).disturbed(next(split))
+                for name, mean in cameras.items()
+            },
             covariances={name: c[indices] for name, c in self.covariances.items()},
             crossed={name: c[indices] for name, c in self.crossed.items()},
             scale_errors={name: next(split) for name in self.scale_errors},
-        )
-
-    def without_camera(self, camera: str) -> Self:
-        return replace(
-            self,
-            places={name: place for name, place in self.places.items() if name != camera},
-            covariances={name: c for name, c in self.covariances.items() if name != camera},
-            companions={name: c for name, c in self.companions.items() if c != camera},
-            crossed={n: c for n, c in self.crossed.items() if self.companions[n] != camera},
         )
 
     def without_robot(self, robot: str) -> Self:
@@ -239,14 +233,6 @@ class Particles:
             poses={name: pose for name, pose in self.poses.items() if name != robot},
             spreads={name: spread for name, spread in self.spreads.items() if name != robot},
         )
-
-
-def many(pose: Pose) -> Pose:
-    """The same pose in every particle."""
-    return Pose(
-        np.broadcast_to(pose.rotation, (PARTICLES, 3, 3)),
-        np.broadcast_to(pose.translation, (PARTICLES, 3)),
-    )
 
 
 def mean_pose(poses: Pose) -> Pose:

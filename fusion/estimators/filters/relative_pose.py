@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS
+from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS, WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
-# With more wild corners than this the whole sighting is wrong.
-_WILD_SHARE = 0.25
 _LEAST_CORNERS = 4
 # A sighting determines a pose where the weakest direction is known at least this much, relative to
 # the best known one.
@@ -91,7 +89,7 @@ def without_wild_corners(
     jacobian = found.by_body * weights[..., None]
     residual = (found.pixels - points.pixels) * weights
     kept = np.ones(len(residual), dtype=bool)
-    most = max(int(_WILD_SHARE * len(kept)), 0)
+    most = max(int(WILD_SHARE * len(kept)), 0)
     while kept.sum() >= _LEAST_CORNERS:
         length = _unexplained(jacobian, residual, kept)
         worst = int(np.argmax(np.where(kept, length, 0.0)))
@@ -117,7 +115,4 @@ def _unexplained(jacobian: Array, residual: Array, kept: np.ndarray) -> Array:
 
 
 def _marked(observation: Observation, wild: np.ndarray) -> Observation:
-    if not wild.any():
-        return observation
-    ends = np.cumsum([len(view.corners) for view in observation.views])[:-1]
-    return observation.with_outliers(tuple(np.split(wild, ends)))
+    return observation.with_outliers(observation.by_view(wild)) if wild.any() else observation

@@ -26,6 +26,7 @@ from trigpoint.fusion.estimators.smoother import odometry_noise, standstill_nois
 from trigpoint.fusion.initialisation.cameras import Located, Undetermined, locate
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Verdict, observation_of
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.model.trajectory import interpolated
@@ -41,7 +42,6 @@ from .explained_data import apply_explanation
 from .placement import place
 from .readmission import Readmission
 
-_HUBER = 4.0
 _MOST_ROUNDS = 6
 _MOST_ROUGH_ROUNDS = 2
 _MOST_SETTLING = 3
@@ -318,9 +318,8 @@ class BatchSolution:
 
     def _solve_used(self, used: list[int], *, is_rough: bool) -> tuple[Assembled, Solution]:
         tolerance = _ROUGH_TOLERANCE if is_rough else self.tolerance
-        solved = solve_consistently(
-            self.data, self.state, used, huber=_HUBER if is_rough else np.inf, tolerance=tolerance
-        )
+        huber = HUBER_SIGMAS if is_rough else np.inf
+        solved = solve_consistently(self.data, self.state, used, huber=huber, tolerance=tolerance)
         self.state = solved.state
         self.iterations += solved.iterations
         return solved.assembled, solved.solution

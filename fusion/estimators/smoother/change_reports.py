@@ -9,7 +9,7 @@ from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift, SiteChange
 from trigpoint.fusion.model.problem import State
 
 _UNMET = "it has met no located camera yet; drive it past one"
-_BEHIND_A_JUMP = (
+BEHIND_A_JUMP = (
     "position and orientation in the map: the robot's odometry jumped on its way here from the "
     "other cameras; drive there without a break"
 )
@@ -78,7 +78,7 @@ def why_undetermined(
         return (reason,)
     robots = dict.fromkeys(entry.observation.robot for entry in data.of_camera(camera))
     if any(robot in chains for robot in robots):
-        return (_BEHIND_A_JUMP,)
+        return (BEHIND_A_JUMP,)
     return tuple(
         f"the robot {robot} that it saw is not located in the map: "
         f"{robot_reasons.get(robot, _UNMET)}"

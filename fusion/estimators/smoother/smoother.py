@@ -24,15 +24,11 @@ from trigpoint.geometry.rotation import Array
 from .batch import BatchSolution
 from .camera_relocation import of_its_time
 from .change_detection import ChangeDetector
-from .change_reports import report_changes
+from .change_reports import BEHIND_A_JUMP, report_changes
 from .current_filter import CurrentFilter
 
 _FIRST_SOLVE = 20
 _SOLVE_SHARE = 0.1
-_LOOSE = (
-    "position and orientation in the map: the robot's odometry jumped on its way here from the "
-    "other cameras; drive there without a break"
-)
 
 
 class Smoother:
@@ -209,7 +205,7 @@ class Smoother:
         }
         placed = self.cameras()
         loose = (n for n in seen if n in self._batch.state.cameras and n not in placed)
-        return pending | dict.fromkeys(loose, (_LOOSE,))
+        return pending | dict.fromkeys(loose, (BEHIND_A_JUMP,))
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         finding = self._batch.finding(camera)
