@@ -21,9 +21,10 @@ def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -
     noise = place.noise
     arm = goal.translation - start.translation
     bearing = np.arctan2(arm[1], arm[0])
-    first = so3.wrap(bearing - float(start.heading)) if np.linalg.norm(arm[:2]) > 1e-6 else 0.0
-    net = so3.wrap(float(goal.heading) - float(start.heading))
-    last = so3.wrap(net - first)
+    is_elsewhere = np.linalg.norm(arm[:2]) > 1e-6
+    first = float(so3.wrap(bearing - start.heading)) if is_elsewhere else 0.0
+    net = float(so3.wrap(goal.heading - start.heading))
+    last = float(so3.wrap(net - first))
     driving = step_variances(noise, path_m, 0.0)
     at_start, at_end = step_variances(noise, 0.0, np.abs([first, last])).rotation
     by_start = lever(arm)
