@@ -36,10 +36,10 @@ class StandingOdometry:
 
     def take(self, message: Odometry, payload: bytes) -> list[bytes]:
         """Take a message that is newer than those before; what is to be stored now, in order."""
-        stands = self._has_stood(message)
+        is_after_gap = self._is_after_gap(message)
+        self._standing = self._standing + 1 if self._has_stood(message) else 0
         self._last = message
-        self._standing = self._standing + 1 if stands else 0
-        if self._standing <= MOST_STANDING:
+        if is_after_gap or self._standing <= MOST_STANDING:
             found = [*self.rest(), payload]
             self._stored(message.stamp_ns)
             return found
@@ -55,15 +55,21 @@ class StandingOdometry:
     def rest(self) -> list[bytes]:
         """What is still to be stored before anything that follows."""
         found = [payload for _, payload in self._held]
+        if self._held:
+            self._stored(self._held[-1][0])
         self._held.clear()
         return found
 
     def _has_stood(self, message: Odometry) -> bool:
         last = self._last
-        if last is None or message.stamp_ns - last.stamp_ns > to_ns(LONGEST_GAP_S):
+        if last is None:
             return False
         is_there = np.array_equal(message.pose.translation, last.pose.translation)
         return is_there and np.array_equal(message.pose.rotation, last.pose.rotation)
+
+    def _is_after_gap(self, message: Odometry) -> bool:
+        last = self._last
+        return last is not None and message.stamp_ns - last.stamp_ns > to_ns(LONGEST_GAP_S)
 
     def _is_due(self) -> bool:
         """Whether the last message that is held is to be stored."""

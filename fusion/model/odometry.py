@@ -137,16 +137,19 @@ class OdometryTrack:
             return Added.TAKEN
         added = self._add_twist(row)
         self._period_ns = stamp_ns - int(self._stamps[row - 1])
-        self._standing = self._standing + 1 if self._stands(row) else 0
-        if self._standing > MOST_STANDING and self._stands(row - 1):
+        is_there = not self._jumps[row] and self._is_without_motion(row)
+        self._standing = self._standing + 1 if is_there else 0
+        if self._standing > MOST_STANDING and self._stands(row) and self._stands(row - 1):
             self._count = row
             self._stamps[row - 1] = stamp_ns
         return added
 
     def _stands(self, row: int) -> bool:
         """Whether the robot is known not to have moved in the step that ends at a row."""
-        is_known = not (self._jumps[row] or self._gaps[row])
-        return bool(is_known and np.abs(self._twists[row]).max() < STILL)
+        return not (self._jumps[row] or self._gaps[row]) and self._is_without_motion(row)
+
+    def _is_without_motion(self, row: int) -> bool:
+        return bool(np.abs(self._twists[row]).max() < STILL)
 
     def _write_planar(self, row: int, pose: Pose) -> None:
         """The pose in the plane; by plain numbers, since there are many messages a second."""

@@ -13,7 +13,7 @@ from builders import eventually, largest_file
 from drives import EPOCH_NS, Session
 
 from trigpoint import cdr, topics
-from trigpoint.bus import Subscription
+from trigpoint.bus import Reply, Subscription
 from trigpoint.bus_memory import MemoryBroker, MemoryBus
 from trigpoint.clock import ManualClock
 from trigpoint.correction import decode_mark
@@ -62,7 +62,15 @@ class Running:
         return sum(self.node.health.total(f"received lab/{p}") for p in (*paths, *infos))
 
     def ask(self, path: str) -> dict:
-        [reply] = self.bus.query(topics.command_key("lab", path), timeout_s=60.0)
+        """Its answer; on a busy machine a checkpoint is read for longer than a command waits."""
+        replies: list[Reply] = []
+
+        def is_answered() -> bool:
+            replies[:] = self.bus.query(topics.command_key("lab", path), timeout_s=60.0)
+            return "ask again" not in replies[0].error
+
+        assert eventually(is_answered, timeout_s=60.0)
+        [reply] = replies
         assert not reply.error, reply.error
         return json.loads(reply.payload)
 

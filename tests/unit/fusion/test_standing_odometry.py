@@ -61,6 +61,21 @@ def test_a_gap_after_a_standstill_is_one_where_it_is_read_again() -> None:
     assert not track.is_in_gap(messages[-1].stamp_ns)
 
 
+def test_gaps_in_a_standstill_cost_little_and_are_gaps_where_it_is_read_again() -> None:
+    messages = standing(600.0, 0.1)
+    part_ns = to_ns(615.0)  # 15 s of it are missing
+    parts = [[message(m.stamp_ns + n * part_ns) for m in messages] for n in range(10)]
+    found, _ = stored([m for part in parts for m in part])
+    assert len(found) < MOST_STANDING + 10 * 20
+    track = OdometryTrack(OdometryNoise(), planar=True)
+    for m in found:
+        track.add(m.stamp_ns, m.pose)
+    assert len(track) < MOST_STANDING + 10 * 3
+    for number in range(1, 10):
+        assert track.is_in_gap(number * part_ns - to_ns(7.0))
+        assert not track.is_in_gap(number * part_ns + to_ns(300.0))
+
+
 def test_odometry_of_a_stored_sightings_moment_is_stored() -> None:
     messages = standing(600.0, 0.1)
     found, kept = stored(messages)
