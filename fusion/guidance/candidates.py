@@ -18,9 +18,9 @@ from trigpoint.geometry.rotation import Array
 
 CELL_M = 0.25
 DRIVEN_M = 0.5
-"""How near to a driven pose a suggestion is."""
+"""The largest distance of a suggestion from a pose that was driven."""
 SEEN_M = 1.0
-"""How near to where a camera has seen a target it is expected to see one again."""
+"""The largest distance, from where a camera saw a target, at which it should see one again."""
 _HEADINGS = 12
 _MOST_PLACES = 24  # for each camera
 _LARGEST_GAP_M = 3.0  # between two poses of a way; beyond it the robot's odometry jumped
@@ -47,7 +47,7 @@ class Ground:
         return cls(places, _steps(places), poses)
 
     def paths_from(self, here: Pose) -> Array:
-        """How long the way to each square is, (n,), metres."""
+        """The length of the way to each square, (n,), metres."""
         start = here.translation[:2]
         straight = np.linalg.norm(self.places - start, axis=1)
         if not len(self.places):
@@ -71,7 +71,7 @@ class Candidates:
 def nearest_cameras(
     world: GuidanceWorld, ground: Ground, paths: Array, *, without: str, most: int
 ) -> list[str]:
-    """The cameras that have seen a target, those first that the robot is nearest to."""
+    """The cameras that have seen a target, nearest to the robot first."""
     if not len(ground.places):
         return []
     tree = KDTree(ground.places)
@@ -86,7 +86,7 @@ def nearest_cameras(
 def candidates(
     world: GuidanceWorld, ground: Ground, paths: Array, place: RobotPlace, cameras: list[str]
 ) -> Candidates:
-    """Where these cameras may see the robot; a bounded number."""
+    """Poses at which these cameras may see the robot; a bounded number."""
     if not place.planar:
         return _driven(ground, place.map_from_base)
     near = [_near(ground.places, world.views[name].places[:, :2]) for name in cameras]
@@ -111,7 +111,7 @@ def _driven(ground: Ground, here: Pose) -> Candidates:
 
 
 def _dense(way: Pose) -> Array:
-    """A way's places with more of them in between, (n, 2)."""
+    """A way's places, interpolated, (n, 2)."""
     places = way.translation[:, :2]
     if len(places) < 2:
         return places
@@ -126,7 +126,7 @@ def _dense(way: Pose) -> Array:
 
 
 def _squares(driven: Array) -> Array:
-    """Middles of all squares within reach of driven places."""
+    """Centres of all squares within reach of driven places."""
     if not len(driven):
         return np.zeros((0, 2))
     reach = int(np.ceil(DRIVEN_M / CELL_M))
@@ -138,7 +138,7 @@ def _squares(driven: Array) -> Array:
 
 
 def _steps(places: Array) -> coo_array:
-    """Between squares that touch, also at a corner."""
+    """The graph of neighbouring squares, diagonal ones included."""
     n = len(places)
     if n < 2:
         return coo_array((n, n))

@@ -1,4 +1,4 @@
-"""What cameras would see of a robot at poses where it might go, and what that would tell."""
+"""What cameras would see of a robot at candidate poses, and the information in that."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -95,7 +95,7 @@ def visits(
 
 
 def _kept(every: np.ndarray) -> np.ndarray:
-    """Rows of `every` (cameras, n) bool that any camera sees, at most so many."""
+    """The candidates that any camera sees, by `every` (cameras, n) bool; a bounded number."""
     first = np.flatnonzero(every[0])
     others = np.flatnonzero(every.any(axis=0) & ~every[0])
     half = _MOST_VISITS // 2
@@ -183,7 +183,7 @@ def _information(
 def _batch(
     world: GuidanceWorld, place: RobotPlace, camera: str, robot: RobotState, shown: np.ndarray
 ) -> Batch:
-    """A made-up picture at each of the robot's n poses with the corners that it would show."""
+    """A synthetic picture at each of the robot's n poses, with the corners that it would show."""
     used = np.flatnonzero(shown.any(axis=0)).tolist()
     corners = [place.target.faces[i].corners for i in used]
     points = np.concatenate(corners)

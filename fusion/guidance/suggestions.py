@@ -49,7 +49,7 @@ class Suggestion:
 
     @property
     def is_worthwhile(self) -> bool:
-        """Whether it lowers the sigma by at least a fiftieth."""
+        """Whether it lowers the sigma by at least 2 %."""
         return self.expected_sigma_m < 0.98 * self.sigma_m
 
 
@@ -80,7 +80,7 @@ class JointCovariance:
         return every[self.layout.last[robot]], every[self.layout.scales.get(robot, slice(0, 0))]
 
     def moved(self, robot: str, motion: ExpectedMotion) -> "JointCovariance":
-        """After the robot went on by odometry."""
+        """The covariance after the robot has moved on by odometry."""
         last, scales = self.columns(robot)
         change = np.eye(self.layout.size)
         change[np.ix_(last, last)] = motion.by_start
@@ -90,7 +90,7 @@ class JointCovariance:
         return JointCovariance(self.layout, covariance)
 
     def seen(self, visit: Visit) -> "JointCovariance":
-        """After a visit, the robot being there."""
+        """The covariance after a visit at the robot's present pose."""
         rows = visit.columns
         gain = _gain(visit.information, self.covariance[np.ix_(rows, rows)])
         across = self.covariance[:, rows]
@@ -124,7 +124,7 @@ def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Sug
 
 
 def next_poses(world: GuidanceWorld, *, count: int) -> list[Suggestion]:
-    """The next poses of the robot whose first one helps most."""
+    """The next poses of one robot: the one whose first pose helps most."""
     found = [suggestions(world, robot, count=count) for robot in world.robots]
     useful = [poses for poses in found if poses]
     return min(useful, key=lambda poses: poses[0].expected_sigma_m, default=[])

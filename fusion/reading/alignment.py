@@ -46,7 +46,7 @@ class Alignment:
     wild: np.ndarray
 
     def read(self, observation: Observation) -> Observation:
-        """The observation as it is read here."""
+        """The observation with these readings and wild corners."""
         read = observation.read_as(self.readings)
         if not np.any(self.wild):
             return read
@@ -61,7 +61,7 @@ class PosePrior:
     covariance: Array
 
     def is_tight(self, tangent: list[int]) -> bool:
-        """Whether it distinguishes faces that look alike."""
+        """Whether it is tight enough to tell faces apart that look alike."""
         sigma = np.sqrt(np.diagonal(self.covariance)[tangent])
         return bool(sigma[:2].max() < _TIGHT_M and sigma[-1] < _TIGHT_RAD)
 
@@ -116,7 +116,7 @@ def placements(
 
 
 class _Search:
-    """One `align`."""
+    """The search behind `align`, for one observation."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class _Search:
         return float(costs.min()) - cost
 
     def everywhere(self) -> Alignment | None:
-        """The best of all candidates."""
+        """The best alignment of all candidates."""
         starts, readings = self._starts()
         if not starts:
             return None
@@ -310,7 +310,7 @@ class _Search:
 
 
 def _flattened(poses: Pose, tangent: list[int]) -> Pose:
-    """Poses (b) in the plane, where the robot moves in it."""
+    """Poses (b), projected into the plane for a robot that moves in it."""
     if len(tangent) == 6:
         return poses
     return Pose.planar(poses.translation[:, 0], poses.translation[:, 1], poses.heading)

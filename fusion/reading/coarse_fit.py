@@ -34,7 +34,7 @@ class ViewBatch:
 
 
 def view_batches(observation: Observation, target: Target, map_from_base: Pose) -> list[ViewBatch]:
-    """A look at each view of an observation, v = 1."""
+    """A batch of one (v = 1) for each view of an observation."""
     body, here, found = body_of(target), Pose.stack([map_from_base]), []
     for view in observation.views:
         few = outermost(view.pixels)
@@ -73,7 +73,7 @@ def coarsely_refined(map_from_camera: Pose, batches: list[ViewBatch], lens: Came
 
 
 def _together(batches: list[ViewBatch]) -> list[ViewBatch]:
-    """The same, those that go together in one."""
+    """Batches of the same body and shape, joined."""
     groups: dict[tuple[int, int, int], list[ViewBatch]] = {}
     for batch in batches:
         groups.setdefault((id(batch.body), *batch.points.shape[1:3]), []).append(batch)

@@ -36,7 +36,7 @@ _SAME_TURN_RAD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One way to understand an observation: readings, camera_from_base and its RMS in pixels."""
+    """One interpretation of an observation: readings, camera_from_base and its RMS in pixels."""
 
     readings: tuple[Reading, ...]
     camera_from_base: Pose
@@ -55,7 +55,7 @@ class _Reads:
 def candidates(
     observation: Observation, target: Target, lens: CameraModel
 ) -> tuple[Candidate, ...]:
-    """Every way to understand one observation by itself, best first."""
+    """All interpretations of a single observation, best first."""
     return _candidates(observation.views, target, lens)
 
 
@@ -63,7 +63,7 @@ def candidates(
 def _candidates(
     views: tuple[View, ...], target: Target, lens: CameraModel
 ) -> tuple[Candidate, ...]:
-    """Cached, since they depend on nothing else and the same pictures are read repeatedly."""
+    """`candidates`, cached: they depend on nothing else, and pictures are read repeatedly."""
     observation = observation_of("", "", 0, views)
     for index in range(len(views)):
         reads = _by_view(observation, index, target, lens)
@@ -76,7 +76,7 @@ def _candidates(
 def _by_view(
     observation: Observation, index: int, target: Target, lens: CameraModel
 ) -> _Reads | None:
-    """Every reading of one view, and of the others the one that fits then."""
+    """For every reading of one view, the readings of the others that fit best with it."""
     poses, own = _of_view(observation.views[index], target, lens)
     if not poses:
         return None
@@ -156,7 +156,7 @@ def pixels_of(observation: Observation) -> tuple[Array, Array]:
 def _refined(
     observation: Observation, target: Target, lens: CameraModel, reads: _Reads
 ) -> list[Candidate]:
-    """Those that fit, at the pose of least error over all views."""
+    """The combinations that fit, at the pose of least error over all views."""
     if not len(reads.readings):
         return []
     points = corners_of(observation, body_of(target), reads.readings)

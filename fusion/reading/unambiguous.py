@@ -15,7 +15,7 @@ _NEAREST_M = 1e-3
 
 
 def is_unambiguous(observation: Observation) -> bool:
-    """Whether each of its views has one reading."""
+    """Whether each view has exactly one reading."""
     return all(len(view.readings) == 1 for view in observation.views)
 
 

@@ -40,7 +40,7 @@ class Body:
 
 @cache
 def body_of(target: Target) -> Body:
-    """The solid that a target is."""
+    """The target as a solid body."""
     poses = [face.base_from_face for face in target.faces]
     outlines = np.stack([face.outline[:, :2] for face in target.faces])
     corners = tuple(p @ face.corners for p, face in zip(poses, target.faces, strict=True))
@@ -83,7 +83,7 @@ def faces_of(view: View) -> np.ndarray:
 
 @lru_cache(maxsize=4096)
 def _ways(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Face and whether it is turned of each reading, (r,)."""
+    """Face of each reading, and whether it is turned, (r,)."""
     faces = np.array([reading.face for reading in readings])
     return faces, np.array([reading.is_turned for reading in readings])
 

@@ -50,7 +50,7 @@ def eliminated(equations: ChainEquations, dense: Array, damping: float) -> Elimi
 
 
 class BandElimination:
-    """See above."""
+    """`Elimination` by one factorisation of the whole band."""
 
     def __init__(self, equations: ChainEquations, damping: float) -> None:
         n, d = self._shape = equations.gradient.shape

@@ -71,16 +71,16 @@ class Filter:
 
     @property
     def is_worth_settling(self) -> bool:
-        """Whether one of the next steps will have to work everything out."""
+        """Whether one of the next steps will have to evaluate everything."""
         return isinstance(self.source, Gaussian) and self.source.is_worth_settling
 
     def settled(self) -> "Filter":
-        """The same, worked out as far as it is known; raise LinAlgError as `known` does."""
+        """The same filter, evaluated; raise LinAlgError as `known` does."""
         return replace(self, source=self.known.settled())
 
     @property
     def reduced(self) -> Reduced:
-        """What is known, as information."""
+        """The knowledge in information form."""
         if isinstance(self.source, Reduced):
             return self.source
         information = covariance_of(self.source.covariance)
@@ -262,7 +262,7 @@ class Filter:
 
 
 def is_placed(covariance: Array) -> bool:
-    """Whether a pose with this covariance (6, 6) is known well enough to be one."""
+    """Whether this covariance (6, 6) is small enough for its pose to be used."""
     return bool(
         np.trace(covariance[:3, :3]) < _LOOSE_M**2 and np.trace(covariance[3:, 3:]) < _LOOSE_RAD**2
     )

@@ -48,7 +48,7 @@ class _Near:
         return np.argmax(self.columns == columns[:, None], axis=1)
 
     def lacks(self, columns: np.ndarray) -> np.ndarray:
-        """Which of columns (m,) are not near, bool."""
+        """Which columns (m,) are not near, bool."""
         return ~np.any(self.columns == columns[:, None], axis=1)
 
 
@@ -85,20 +85,20 @@ class Gaussian:
 
     @property
     def is_worth_settling(self) -> bool:
-        """Whether one of the next steps will have to work everything out."""
+        """Whether one of the next steps will have to evaluate everything."""
         return len(self._near.columns) > _MOST_NEAR // 2
 
     def settled(self) -> "Gaussian":
-        """The same with no column near, and nothing of before kept."""
+        """The same Gaussian, evaluated: no column is near and no history is kept."""
         return Gaussian.of(self.mean, self.covariance) if len(self._near.columns) else self
 
     def mean_of(self, columns: np.ndarray) -> Array:
-        """Of some columns (m,), (m,)."""
+        """The mean of some columns (m,), (m,)."""
         near = self._with_near(columns)
         return near.mean[near.rows(columns)]
 
     def covariance_of(self, columns: np.ndarray) -> Array:
-        """Of some columns (m,), (m, m)."""
+        """The covariance of some columns (m,), (m, m)."""
         near = self._with_near(columns)
         rows = near.rows(columns)
         return near.covariance[np.ix_(rows, rows)]
@@ -170,7 +170,7 @@ class Gaussian:
         return Gaussian(self.before, near)
 
     def _with_near(self, columns: np.ndarray) -> _Near:
-        """The near columns and these (m,) besides, each of them once."""
+        """The near columns and these (m,), each once."""
         near, (mean, covariance) = self._near, self.before
         added = columns[near.lacks(columns)]
         if not len(added):

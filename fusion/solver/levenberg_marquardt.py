@@ -108,7 +108,7 @@ def covariance_of(information: Array) -> Array:
 def eliminate(
     equations: NormalEquations, damping: float
 ) -> tuple[Array, Array, dict[str, Elimination]]:
-    """Information and gradient of the dense part once the chains are eliminated, and those."""
+    """Information and gradient of the dense part after the chains' elimination, and the latter."""
     information, gradient = equations.dense.copy(), equations.gradient.copy()
     chains: dict[str, Elimination] = {}
     for name, chain in equations.chains.items():

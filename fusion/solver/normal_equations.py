@@ -45,7 +45,7 @@ class ChainEquations:
 
     @property
     def coupling(self) -> Array:
-        """All of it, (n, d, dense)."""
+        """The coupling as one dense array, (n, d, dense)."""
         n, d = self.gradient.shape
         whole = np.zeros((n, d, self.dense_size))
         for part in self.couplings:
@@ -87,7 +87,7 @@ def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Norma
 
 
 def _hold_first(equations: NormalEquations, problem: Problem, chain: Chain) -> None:
-    """Node 0 stays where it starts."""
+    """Hold node 0 where it starts."""
     free = np.arange(len(chain.tangent))
     if len(chain) > 1:
         equations.chains[chain.robot].diagonal[0, free, free] += EXACT
@@ -131,7 +131,7 @@ def _scatter(
 
 
 def has_each_once(rows: np.ndarray) -> bool:
-    """Whether ascending rows name none twice (a robot that stands is seen twice at one node)."""
+    """Whether ascending rows are unique (a robot that stands may be seen twice at one node)."""
     return bool(np.all(np.diff(rows) > 0))
 
 
@@ -246,7 +246,7 @@ def _add_known_cameras(equations: NormalEquations, problem: Problem, state: Stat
 
 
 def _add_diagonal(equations: NormalEquations, columns: slice, error: Array, sigma: Array) -> None:
-    """A prior with independent sigmas; a sigma of 0 holds the unknown where it is."""
+    """A prior with independent sigmas; one of 0 holds its unknown fixed."""
     held = sigma <= 0
     variance = np.where(held, 1e-18, np.where(held, 1.0, sigma) ** 2)
     every = np.arange(len(equations.gradient))[columns]

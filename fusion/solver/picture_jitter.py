@@ -67,7 +67,7 @@ class PictureJitter:
 
     @classmethod
     def of(cls, problem: Problem, batch: Batch, state: State) -> "PictureJitter | None":
-        """That of a batch; None where it has none."""
+        """The jitter of a batch; None where it has none."""
         if batch.jitter is None:
             return None
         by_base = base_jacobian(problem, batch, state)
