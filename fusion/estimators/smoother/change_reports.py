@@ -54,16 +54,20 @@ def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
 
 
 def _of_either(data: DataSet, alike: tuple[SiteChange, ...]) -> str:
+    return (
+        f"either {_any_of(alike)} {_between(data, alike)}; what depends on which of them has "
+        "no place until the robot has passed there again"
+    )
+
+
+def _any_of(alike: tuple[SiteChange, ...]) -> str:
     what = dict.fromkeys(
         f"robot {event.robot} was put down elsewhere"
         if isinstance(event, Lift)
         else f"camera {event.camera} was moved"
         for event in alike
     )
-    return (
-        f"either {' or '.join(what)} {_between(data, alike)}; what depends on which of them has "
-        "no place until the robot has passed there again"
-    )
+    return " or ".join(what)
 
 
 def why_undetermined(
@@ -93,14 +97,8 @@ def _behind_a_change(data: DataSet, camera: str) -> str | None:
     robots = {observation.robot for observation in entries}
     for alike in data.changes:
         if any(isinstance(event, Lift) and event.robot in robots for event in alike):
-            what = dict.fromkeys(
-                f"robot {event.robot} was moved by hand"
-                if isinstance(event, Lift)
-                else f"camera {event.camera} was moved"
-                for event in alike
-            )
             return (
-                f"position and orientation in the map: {' or '.join(what)} some time "
+                f"position and orientation in the map: {_any_of(alike)} some time "
                 f"{_between(data, alike)}, and whether before or after this camera saw the robot "
                 "is not known; drive there again"
             )
