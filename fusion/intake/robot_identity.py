@@ -9,20 +9,19 @@ cameras saw each of them drive meanwhile.
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from trigpoint.clock import to_ns
+from trigpoint.fusion.association.events import Events, window
+from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.estimators.interface import Live
-from trigpoint.fusion.initialisation.camera_hypotheses import Hypothesis, distinct, refine
-from trigpoint.fusion.initialisation.start_poses import spread, starts_of
+from trigpoint.fusion.initialisation.start_poses import spread
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation, Verdict, View, observation_of
-from trigpoint.fusion.model.odometry import composed
 from trigpoint.fusion.reading.alignment import placements
-from trigpoint.fusion.reading.faces import best_reading
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -32,35 +31,12 @@ from .past_poses import PastPoses
 _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
 _MOST_OBSERVATIONS = 24
-_MOST_HYPOTHESES = 8
-_ACCEPTABLE_RMS = 3.0
-_LEAST_PICTURES = 3
+# One picture fits any robot: its camera may be anywhere.
+_LEAST_PICTURES = 2
 # χ²: five sigmas from where it is thought to have stood.
 _AT_PLACE = 25.0
-_FITS_SIGMAS = 5.0
-# A robot that was elsewhere fits only against its odometry, at several times the noise's χ².
-_MOST_CHI2 = 2.0
 # Pictures that wait for places in the map; as many as an hour of one busy camera has.
 _MOST_LEFT = 16384
-
-
-@dataclass(frozen=True, slots=True)
-class _Picture:
-    """`faces`: what it shows, each as a view of every robot that may carry it."""
-
-    stamp_ns: int
-    faces: tuple[dict[str, View], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """The robot that a visit seems to be of; `is_clear`: no other robot's odometry fits nearly as
-    well; `every`: how each robot fits that does at all."""
-
-    robot: str
-    hypothesis: Hypothesis
-    is_clear: bool
-    every: dict[str, Hypothesis]
 
 
 class RobotIdentification:
@@ -71,10 +47,10 @@ class RobotIdentification:
     """
 
     def __init__(self, data: DataSet) -> None:
-        self._data = data
-        self._open: dict[str, list[_Picture]] = {}
-        self._closed: list[tuple[str, list[_Picture]]] = []
-        self._left: deque[tuple[str, _Picture]] = deque(maxlen=_MOST_LEFT)
+        self._data, self._events = data, Events()
+        self._open: dict[str, list[Picture]] = {}
+        self._closed: list[tuple[str, list[Picture]]] = []
+        self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)
         self._looked = (0, 0, 0)
         self.untold = 0
         self.problem = ""
@@ -87,7 +63,7 @@ class RobotIdentification:
         if is_over or len(visit) >= _MOST_PICTURES:
             self._closed.append((camera, visit))
             visit = self._open[camera] = []
-        visit.append(_Picture(stamp_ns, faces))
+        visit.append(Picture(stamp_ns, faces))
 
     def ready(self, *, is_end: bool = False) -> list[Observation]:
         """The identified observations of the visits that have ended by all robots' odometry, or of
@@ -137,7 +113,7 @@ class RobotIdentification:
                 for robot, views in own.items()
             ]
             if rest:
-                self._left.append((camera, _Picture(picture.stamp_ns, tuple(rest))))
+                self._left.append((camera, Picture(picture.stamp_ns, tuple(rest))))
             else:
                 self.untold -= 1
         return found
@@ -185,85 +161,88 @@ class RobotIdentification:
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
         for camera, visit in _visits(left):
-            robot = None if places.camera(camera) else self._alone(places, camera, visit)
-            if robot is None:
+            alone = None if places.camera(camera) else self._alone(places, camera, visit)
+            if alone is None:
                 self._left.extend((camera, picture) for picture in visit)
                 continue
-            told, rest = self._split(camera, *robot, visit)
+            told, rest = alone
             found += told
             self._left.extend((camera, picture) for picture in rest)
             self.untold -= len(visit) - len(rest)
         return found
 
     def _alone(
-        self, places: PastPoses, camera: str, visit: list[_Picture]
-    ) -> tuple[str, Hypothesis] | None:
-        """The robot to which a visit adds so little χ² that every other one is excluded; None where
-        there is none, or it does not fit."""
+        self, places: PastPoses, camera: str, visit: list[Picture]
+    ) -> tuple[list[Observation], list[Picture]] | None:
+        """What the robot is seen in to which a visit adds so little χ² that every other one is
+        excluded, and what is left; None where there is none."""
         best = self._best(camera, visit)
         if best is None:
             return None
-        added = {
-            robot: self._added(places, camera, robot, fit, visit)
-            for robot, fit in best.every.items()
-        }
+        _, every = best
+        added = {n: self._added(places, camera, n, fit, visit) for n, fit in every.items()}
         robot = min(added, key=lambda name: added[name])
-        corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
-        least, fit = added.pop(robot), best.every[robot]
-        scale = max(1.0, fit.rms**2)
-        if least > _MOST_CHI2 * scale * 2 * corners:
+        if any(other - added[robot] < DECISIVE for n, other in added.items() if n != robot):
             return None
-        is_alone = all(other - least >= DECISIVE * scale for other in added.values())
-        return (robot, fit) if is_alone else None
+        return _split(camera, robot, every[robot], visit)
 
     def _added(
-        self,
-        places: PastPoses,
-        camera: str,
-        robot: str,
-        fit: Hypothesis,
-        visit: list[_Picture],
+        self, places: PastPoses, camera: str, robot: str, fit: RobotFit, visit: list[Picture]
     ) -> float:
         """χ² that a visit adds to what located cameras saw of a robot at the time."""
-        poses = fit.located.map_from_base
+        poses = fit.mode.poses
         middle = list(poses)[len(poses) // 2]
         stood = places.robot(robot, visit[middle].stamp_ns)
-        seen, shift = self._as_of(camera, robot, visit).entries, Pose.identity()
-        if stood is not None:
-            shift = stood.map_from_base @ poses[middle].inverse()
+        shift = stood.map_from_base @ poses[middle].inverse() if stood else Pose.identity()
         entries = [
-            Entry(
-                seen[i].observation.read_as(fit.located.readings[i]).judged(Verdict.ACCEPTED),
-                shift @ pose,
-            )
-            for i, pose in poses.items()
+            Entry(seen.judged(Verdict.ACCEPTED), shift @ poses[order])
+            for order in spread(list(poses), _MOST_OBSERVATIONS)
+            if (seen := _right(fit, order)) is not None
         ]
-        state = replace(
-            fit.located.camera, map_from_camera=shift @ fit.located.camera.map_from_camera
-        )
+        state = replace(fit.mode.camera, map_from_camera=shift @ fit.mode.map_from_camera)
         return added_chi2(self._data, places.camera_states(), camera, state, entries)
 
-    def _told(self, camera: str, visit: list[_Picture]) -> list[Observation]:
+    def _told(self, camera: str, visit: list[Picture]) -> list[Observation]:
         """The observations of a visit by their robots; a face that may be another's is left out."""
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
-        best = self._best(camera, visit)
-        if best is None:
-            half = len(visit) // 2
-            if half >= _LEAST_PICTURES:  # perhaps one robot left as another one came
-                return self._told(camera, visit[:half]) + self._told(camera, visit[half:])
-            self._leave_out(camera, visit)
-            return []
-        if not best.is_clear:  # nor would a part of it be
-            self._leave_out(camera, visit)
-            return []
-        found, rest = self._split(camera, best.robot, best.hypothesis, visit)
-        if not found:
-            self._leave_out(camera, visit)
-        elif rest:
-            found += self._told(camera, rest)
+        found: list[Observation] = []
+        for run in runs(self._data, camera, visit):
+            rest = run
+            while rest:
+                best = self._best(camera, rest)
+                if best is None:
+                    self._leave_out(camera, rest)
+                    break
+                robot, every = best
+                own, left = _split(camera, robot, every[robot], rest)
+                if self._is_clear(camera, robot, every[robot], rest):
+                    found += own
+                else:
+                    self._leave_out(camera, _shown(every[robot], rest))
+                rest = left
         return found
 
-    def _leave_out(self, camera: str, visit: list[_Picture]) -> None:
+    def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:
+        """The robot whose motion explains a visit best, and how each does that does; None where
+        each may as well be wrong."""
+        if len(visit) < _LEAST_PICTURES:
+            return None
+        every = {
+            robot: fit
+            for robot, fit in fits(self._data, camera, visit, self._events).items()
+            if fit.gain > window()
+        }
+        return (max(every, key=lambda robot: every[robot].gain), every) if every else None
+
+    def _is_clear(self, camera: str, robot: str, fit: RobotFit, visit: list[Picture]) -> bool:
+        """Whether no other robot explains nearly as well what is this robot's by its best fit."""
+        own = fits(self._data, camera, _shown(fit, visit), self._events)
+        if robot not in own:
+            return False
+        others = (other.gain for name, other in own.items() if name != robot)
+        return own[robot].gain > max(others, default=0.0) + window()
+
+    def _leave_out(self, camera: str, visit: list[Picture]) -> None:
         self._left.extend((camera, picture) for picture in visit)
         self.untold += len(visit)
         self.problem = (
@@ -272,96 +251,46 @@ class RobotIdentification:
             "others stand"
         )
 
-    def _best(self, camera: str, visit: list[_Picture]) -> _Fit | None:
-        """The robot that fits a visit best; None where none fits most of it."""
-        robots = dict.fromkeys(robot for p in visit for face in p.faces for robot in face)
-        fits = {
-            robot: fit
-            for robot in robots
-            if len(self._data.tracks[robot])
-            and (fit := self._fit(camera, robot, visit)) is not None
-        }
-        if not fits:
-            return None
-        robot = min(fits, key=lambda name: fits[name].cost)
-        best = fits[robot]
-        corners = sum(len(face[robot].corners) for p in visit for face in p.faces if robot in face)
-        share = min(1.0, _MOST_OBSERVATIONS / len(visit))  # of the pictures that were looked at
-        fits_odometry = best.cost < _MOST_CHI2 * max(1.0, best.rms**2) * 2 * corners * share
-        if not fits_odometry or best.rms > _ACCEPTABLE_RMS:
-            return None
-        others = [fit for name, fit in fits.items() if name != robot]
-        return _Fit(robot, best, all(best.lead(fit) >= DECISIVE for fit in others), fits)
 
-    def _fit(self, camera: str, robot: str, visit: list[_Picture]) -> Hypothesis | None:
-        """How well a robot's motion explains a visit, with the camera wherever that takes it; None
-        where it does not at all."""
-        data = self._as_of(camera, robot, visit)
-        indices = [i for i, entry in enumerate(data.entries) if entry.map_from_base is not None]
-        chosen = spread(indices, _MOST_OBSERVATIONS)
-        starts = starts_of(data, camera, chosen, most=_MOST_HYPOTHESES) if chosen else []
-        state = data.first_state()
-        found = distinct(refine(data, state, camera, start, chosen) for start in starts)
-        return found[0] if found else None
-
-    def _as_of(self, camera: str, robot: str, visit: list[_Picture]) -> DataSet:
-        """The visit as if a robot had been there, in its odometry's frame; an entry a picture,
-        without a place where it cannot be of that robot."""
-        track = self._data.tracks[robot]
-        stamps = np.array([p.stamp_ns for p in visit], dtype=np.int64)
-        moments, rows = np.unique(
-            np.clip(stamps, track.first_ns, track.last_ns), return_inverse=True
-        )
-        path = Pose.stack([Pose.identity()])
-        if len(moments) > 1:
-            path = composed(track.motion(moments, np.zeros(2)).earlier_from_later)
-        entries = []
-        for picture, row in zip(visit, rows.tolist(), strict=True):
-            views = tuple(face[robot] for face in picture.faces if robot in face)
-            is_possible = bool(views) and track.covers(picture.stamp_ns)
-            observation = observation_of(camera, robot, picture.stamp_ns, views)
-            observation = self._data.moving(observation, observation.stamp_ns)
-            entries.append(Entry(observation, path[row] if is_possible else None))
-        return replace(self._data, entries=entries)
-
-    def _split(
-        self, camera: str, robot: str, fit: Hypothesis, visit: list[_Picture]
-    ) -> tuple[list[Observation], list[_Picture]]:
-        """The faces that fit a robot, and the pictures with what is left."""
-        data = self._as_of(camera, robot, visit)
-        indices = [i for i, entry in enumerate(data.entries) if entry.map_from_base is not None]
-        whole = refine(data, data.first_state(), camera, fit.located.map_from_camera, indices)
-        located = (whole or fit).located
-        limit = _FITS_SIGMAS * max(1.0, fit.rms)
-        found, rest = [], []
-        for index, picture in enumerate(visit):
-            base = located.map_from_base.get(index)
-            own, other = [], []
-            views_of_robot = iter(data.entries[index].observation.views)
-            for face in picture.faces:
-                is_own = False
-                view = next(views_of_robot) if robot in face else None
-                if base is not None and view is not None:
-                    _, rms, _ = best_reading(
-                        view,
-                        self._data.targets[robot],
-                        located.camera.lens,
-                        located.map_from_camera.inverse() @ base,
-                    )
-                    is_own = rms < limit * view.sigma
-                (own if is_own else other).append(face)
-            if own:
-                views = tuple(face[robot] for face in own)
-                found.append(observation_of(camera, robot, picture.stamp_ns, views))
-            if other:
-                rest.append(_Picture(picture.stamp_ns, tuple(other)))
-        return found, rest
+def _shown(fit: RobotFit, visit: list[Picture]) -> list[Picture]:
+    """What of a visit is one robot's."""
+    return [visit[order].showing(faces) for order, faces in fit.right.items() if faces]
 
 
-def _visits(left: Iterable[tuple[str, _Picture]]) -> list[tuple[str, list[_Picture]]]:
+def _split(
+    camera: str, robot: str, fit: RobotFit, visit: list[Picture]
+) -> tuple[list[Observation], list[Picture]]:
+    """What a robot is seen in, and the pictures with what is left."""
+    found, rest = [], []
+    for order, picture in enumerate(visit):
+        own = fit.right.get(order, ())
+        if own:
+            views = tuple(picture.faces[face][robot] for face in own)
+            found.append(observation_of(camera, robot, picture.stamp_ns, views))
+        others = [face for face in range(len(picture.faces)) if face not in own]
+        if others:
+            rest.append(picture.showing(others))
+    return found, rest
+
+
+def _right(fit: RobotFit, order: int) -> Observation | None:
+    """A robot's own sightings in a picture, as they are read; None where there are none."""
+    seen, readings = fit.observations[order], fit.mode.readings[order]
+    own = [
+        (view, reading, wild)
+        for view, reading, wild in zip(seen.views, readings, fit.mode.wild[order], strict=True)
+        if reading is not None
+    ]
+    if not own:
+        return None
+    views, chosen, wild = zip(*own, strict=True)
+    return replace(seen, views=views, chosen=chosen, outliers=wild)
+
+
+def _visits(left: Iterable[tuple[str, Picture]]) -> list[tuple[str, list[Picture]]]:
     """Pictures by camera and visit, each in order of time."""
-    visits: list[tuple[str, list[_Picture]]] = []
-    last: dict[str, list[_Picture]] = {}
+    visits: list[tuple[str, list[Picture]]] = []
+    last: dict[str, list[Picture]] = {}
     for camera, picture in sorted(left, key=lambda item: item[1].stamp_ns):
         visit = last.get(camera)
         if visit is None or picture.stamp_ns - visit[-1].stamp_ns > _AWAY_NS:

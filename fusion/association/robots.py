@@ -1,0 +1,123 @@
+"""Which of several robots that carry one target a camera saw, by how each of them drove."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation, View, observation_of
+
+from .events import Events
+from .local import Mode
+from .modes import ModeFinder
+from .noise import PESSIMISTIC, corner_scale
+from .session_noise import with_corner_scale, with_noise
+from .visits import visit_of, visits_of
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """`faces`: what it shows, each as a view of every robot that may carry it."""
+
+    stamp_ns: int
+    faces: tuple[dict[str, View], ...]
+
+    def of(self, robot: str) -> tuple[int, ...]:
+        """Which faces may be a robot's."""
+        return tuple(order for order, face in enumerate(self.faces) if robot in face)
+
+    def showing(self, faces: Sequence[int]) -> "Picture":
+        """The same with some of its faces."""
+        return Picture(self.stamp_ns, tuple(self.faces[order] for order in faces))
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFit:
+    """How one robot's odometry explains a visit, wherever the camera may be.
+
+    `gain`: by how much the score is better than where all of it is wrong; `mode`: over all
+    `observations`; `right`: by picture, which faces are the robot's by it.
+    """
+
+    gain: float
+    mode: Mode
+    observations: dict[int, Observation]
+    right: dict[int, tuple[int, ...]]
+
+
+def fits(
+    data: DataSet, camera: str, pictures: Sequence[Picture], events: Events
+) -> dict[str, RobotFit]:
+    """How each robot that may be in them explains the pictures of a visit, in order of time; those
+    that do at all. A robot whose odometry does not cover a picture is not in it."""
+    noisy = _noisy(data, pictures)
+    found = {r: _fit(noisy, camera, r, pictures, events) for r in _robots(pictures)}
+    return {robot: fit for robot, fit in found.items() if fit is not None}
+
+
+def runs(data: DataSet, camera: str, pictures: Sequence[Picture]) -> list[list[Picture]]:
+    """Pictures in order of time, cut where odometry drifts too far for one visit of any robot."""
+    noisy, starts = _noisy(data, pictures), {0}
+    for robot in _robots(pictures):
+        seen = _observations(data, camera, robot, pictures)
+        orders = list(seen)
+        starts |= {orders[v.indices[0]] for v in visits_of(noisy, list(seen.values()))}
+    ends = [*sorted(starts)[1:], len(pictures)]
+    return [list(pictures[start:end]) for start, end in zip(sorted(starts), ends, strict=True)]
+
+
+def _robots(pictures: Sequence[Picture]) -> list[str]:
+    return list(dict.fromkeys(name for p in pictures for face in p.faces for name in face))
+
+
+def _noisy(data: DataSet, pictures: Sequence[Picture]) -> DataSet:
+    """With the noise that a decision must survive."""
+    return with_noise(data, dict.fromkeys(_robots(pictures), PESSIMISTIC))
+
+
+def _fit(
+    data: DataSet, camera: str, robot: str, pictures: Sequence[Picture], events: Events
+) -> RobotFit | None:
+    seen = _observations(data, camera, robot, pictures)
+    if not seen:
+        return None
+    finder = ModeFinder(data, list(seen.values()), events)
+    scatters = [view.scatter for index in range(len(seen)) for view in finder.alone(index)]
+    scale = corner_scale([scatter for scatter in scatters if np.isfinite(scatter)])
+    observations = [with_corner_scale(observation, scale) for observation in seen.values()]
+    finder = ModeFinder(data, observations, events)
+    found = finder.modes_of(visit_of(observations, list(range(len(observations)))))
+    if not found.modes:
+        return None
+    mode = finder.completed(found.visit, found.modes[0])
+    orders = list(seen)  # of the pictures, by the finder's own rows
+    mode = replace(
+        mode,
+        readings={orders[row]: readings for row, readings in mode.readings.items()},
+        wild={orders[row]: wild for row, wild in mode.wild.items()},
+        poses={orders[row]: pose for row, pose in mode.poses.items()},
+    )
+    right = {
+        order: tuple(
+            face
+            for face, reading in zip(pictures[order].of(robot), readings, strict=True)
+            if reading is not None
+        )
+        for order, readings in mode.readings.items()
+    }
+    gain = found.nothing - found.modes[0].evidence
+    return RobotFit(gain, mode, dict(zip(orders, observations, strict=True)), right)
+
+
+def _observations(
+    data: DataSet, camera: str, robot: str, pictures: Sequence[Picture]
+) -> dict[int, Observation]:
+    """By picture, what of it may be a robot's."""
+    found = {}
+    for order, picture in enumerate(pictures):
+        views = tuple(picture.faces[face][robot] for face in picture.of(robot))
+        if views and data.tracks[robot].covers(picture.stamp_ns):
+            observation = observation_of(camera, robot, picture.stamp_ns, views)
+            found[order] = data.moving(observation, observation.stamp_ns)
+    return found
