@@ -6,14 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation, View, observation_of
+from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
+from trigpoint.geometry import Pose
 
 from .events import Events
 from .local import Mode
-from .modes import ModeFinder
+from .modes import ModeFinder, VisitModes
 from .noise import PESSIMISTIC, corner_scale
 from .session_noise import with_corner_scale, with_noise
 from .visits import visit_of, visits_of
+
+# Pictures of a visit that tell which robot drove so; where the camera is, more of them say.
+_MOST_VIEWS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +40,46 @@ class Picture:
 class RobotFit:
     """How one robot's odometry explains a visit, wherever the camera may be.
 
-    `gain`: by how much the score is better than where all of it is wrong; `mode`: over all
-    `observations`; `right`: by picture, which faces are the robot's by it.
+    `gain`: by how much the score is better than where all of it is wrong; `pictures`: by which it
+    may be seen, as the rows of `finder`; `found`: its modes.
     """
 
     gain: float
-    mode: Mode
-    observations: dict[int, Observation]
-    right: dict[int, tuple[int, ...]]
+    pictures: tuple[int, ...]
+    finder: ModeFinder
+    found: VisitModes
+
+    @property
+    def mode(self) -> Mode:
+        """The best one, over the visit's chosen rows."""
+        return self.found.modes[0]
+
+    def right(self, visit: Sequence[Picture]) -> dict[int, tuple[int, ...]]:
+        """By picture, in order of time, which faces are the robot's by its best mode."""
+        robot = self.found.visit.robot
+        whole = self.finder.completed(self.found.visit, self.mode)
+        return {
+            self.pictures[row]: tuple(
+                face
+                for face, reading in zip(visit[self.pictures[row]].of(robot), readings, strict=True)
+                if reading is not None
+            )
+            for row, readings in sorted(whole.readings.items())
+        }
+
+    def chosen(self) -> dict[int, Observation]:
+        """By picture, of those by which it is decided, the robot's own sightings as they are
+        read."""
+        mode = self.mode
+        return {
+            self.pictures[row]: own
+            for row, readings in mode.readings.items()
+            if (own := _right(self.finder.observations[row], readings, mode.wild[row])) is not None
+        }
+
+    def poses(self) -> dict[int, Pose]:
+        """By picture, of those, where the robot stood by its odometry."""
+        return {self.pictures[row]: pose for row, pose in self.mode.poses.items()}
 
 
 def fits(
@@ -58,11 +94,11 @@ def fits(
 
 def runs(data: DataSet, camera: str, pictures: Sequence[Picture]) -> list[list[Picture]]:
     """Pictures in order of time, cut where odometry drifts too far for one visit of any robot."""
-    noisy, starts = _noisy(data, pictures), {0}
+    starts = {0}
     for robot in _robots(pictures):
         seen = _observations(data, camera, robot, pictures)
         orders = list(seen)
-        starts |= {orders[v.indices[0]] for v in visits_of(noisy, list(seen.values()))}
+        starts |= {orders[v.indices[0]] for v in visits_of(data, list(seen.values()))}
     ends = [*sorted(starts)[1:], len(pictures)]
     return [list(pictures[start:end]) for start, end in zip(sorted(starts), ends, strict=True)]
 
@@ -82,32 +118,30 @@ def _fit(
     seen = _observations(data, camera, robot, pictures)
     if not seen:
         return None
-    finder = ModeFinder(data, list(seen.values()), events)
-    scatters = [view.scatter for index in range(len(seen)) for view in finder.alone(index)]
-    scale = corner_scale([scatter for scatter in scatters if np.isfinite(scatter)])
-    observations = [with_corner_scale(observation, scale) for observation in seen.values()]
+    observations = list(seen.values())
+    visit = visit_of(observations, list(range(len(observations))), most=_MOST_VIEWS)
     finder = ModeFinder(data, observations, events)
-    found = finder.modes_of(visit_of(observations, list(range(len(observations)))))
+    scatters = [view.scatter for index in visit.chosen for view in finder.alone(index)]
+    scale = corner_scale([scatter for scatter in scatters if np.isfinite(scatter)])
+    if scale != 1.0:
+        observations = [with_corner_scale(observation, scale) for observation in observations]
+        finder = ModeFinder(data, observations, events)
+    found = finder.modes_of(visit)
     if not found.modes:
         return None
-    mode = finder.completed(found.visit, found.modes[0])
-    orders = list(seen)  # of the pictures, by the finder's own rows
-    mode = replace(
-        mode,
-        readings={orders[row]: readings for row, readings in mode.readings.items()},
-        wild={orders[row]: wild for row, wild in mode.wild.items()},
-        poses={orders[row]: pose for row, pose in mode.poses.items()},
-    )
-    right = {
-        order: tuple(
-            face
-            for face, reading in zip(pictures[order].of(robot), readings, strict=True)
-            if reading is not None
-        )
-        for order, readings in mode.readings.items()
-    }
     gain = found.nothing - found.modes[0].evidence
-    return RobotFit(gain, mode, dict(zip(orders, observations, strict=True)), right)
+    return RobotFit(gain, tuple(seen), finder, found)
+
+
+def _right(
+    seen: Observation, readings: tuple[Reading | None, ...], wild: tuple[np.ndarray, ...]
+) -> Observation | None:
+    """An observation of the views that are right; None where none is."""
+    own = [each for each in zip(seen.views, readings, wild, strict=True) if each[1] is not None]
+    if not own:
+        return None
+    views, chosen, outliers = zip(*own, strict=True)
+    return replace(seen, views=views, chosen=chosen, outliers=outliers)
 
 
 def _observations(

@@ -47,10 +47,12 @@ def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
     return sorted(found, key=lambda visit: (visit.stamp_ns, visit.camera))
 
 
-def visit_of(observations: list[Observation], indices: list[int]) -> Visit:
-    """The visit of these pictures."""
+def visit_of(
+    observations: list[Observation], indices: list[int], *, most: int = _MOST_VIEWS
+) -> Visit:
+    """The visit of these pictures, of which `most` are chosen."""
     first, last = observations[indices[0]], observations[indices[-1]]
-    chosen = [indices[i] for i in thinned(len(indices), _MOST_VIEWS)]
+    chosen = [indices[i] for i in thinned(len(indices), most)]
     return Visit(
         first.camera, first.robot, tuple(indices), tuple(chosen), first.stamp_ns, last.stamp_ns
     )

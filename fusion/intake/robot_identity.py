@@ -17,7 +17,6 @@ from trigpoint.clock import to_ns
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.estimators.interface import Live
-from trigpoint.fusion.initialisation.start_poses import spread
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation, Verdict, View, observation_of
@@ -30,11 +29,12 @@ from .past_poses import PastPoses
 
 _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
-_MOST_OBSERVATIONS = 24
 # One picture fits any robot: its camera may be anywhere.
 _LEAST_PICTURES = 2
 # χ²: five sigmas from where it is thought to have stood.
 _AT_PLACE = 25.0
+# A robot that was elsewhere fits only against its odometry, at several times the noise's χ².
+_MOST_CHI2 = 2.0
 # Pictures that wait for places in the map; as many as an hour of one busy camera has.
 _MOST_LEFT = 16384
 
@@ -182,22 +182,24 @@ class RobotIdentification:
         _, every = best
         added = {n: self._added(places, camera, n, fit, visit) for n, fit in every.items()}
         robot = min(added, key=lambda name: added[name])
+        corners = sum(seen.corner_count for seen in every[robot].chosen().values())
+        if added[robot] > _MOST_CHI2 * 2 * corners:
+            return None
         if any(other - added[robot] < DECISIVE for n, other in added.items() if n != robot):
             return None
-        return _split(camera, robot, every[robot], visit)
+        return _split(camera, robot, every[robot].right(visit), visit)
 
     def _added(
         self, places: PastPoses, camera: str, robot: str, fit: RobotFit, visit: list[Picture]
     ) -> float:
         """χ² that a visit adds to what located cameras saw of a robot at the time."""
-        poses = fit.mode.poses
+        poses = fit.poses()
         middle = list(poses)[len(poses) // 2]
         stood = places.robot(robot, visit[middle].stamp_ns)
         shift = stood.map_from_base @ poses[middle].inverse() if stood else Pose.identity()
         entries = [
             Entry(seen.judged(Verdict.ACCEPTED), shift @ poses[order])
-            for order in spread(list(poses), _MOST_OBSERVATIONS)
-            if (seen := _right(fit, order)) is not None
+            for order, seen in fit.chosen().items()
         ]
         state = replace(fit.mode.camera, map_from_camera=shift @ fit.mode.map_from_camera)
         return added_chi2(self._data, places.camera_states(), camera, state, entries)
@@ -214,11 +216,13 @@ class RobotIdentification:
                     self._leave_out(camera, rest)
                     break
                 robot, every = best
-                own, left = _split(camera, robot, every[robot], rest)
-                if self._is_clear(camera, robot, every[robot], rest):
+                right = every[robot].right(rest)
+                own, left = _split(camera, robot, right, rest)
+                shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
+                if self._is_clear(camera, robot, every, rest, shown):
                     found += own
                 else:
-                    self._leave_out(camera, _shown(every[robot], rest))
+                    self._leave_out(camera, shown)
                 rest = left
         return found
 
@@ -234,13 +238,20 @@ class RobotIdentification:
         }
         return (max(every, key=lambda robot: every[robot].gain), every) if every else None
 
-    def _is_clear(self, camera: str, robot: str, fit: RobotFit, visit: list[Picture]) -> bool:
-        """Whether no other robot explains nearly as well what is this robot's by its best fit."""
-        own = fits(self._data, camera, _shown(fit, visit), self._events)
-        if robot not in own:
-            return False
-        others = (other.gain for name, other in own.items() if name != robot)
-        return own[robot].gain > max(others, default=0.0) + window()
+    def _is_clear(
+        self,
+        camera: str,
+        robot: str,
+        every: dict[str, RobotFit],
+        visit: list[Picture],
+        shown: list[Picture],
+    ) -> bool:
+        """Whether no other robot explains nearly as well what of a visit is `shown` to be this
+        robot's by its best fit."""
+        if shown != visit:  # scores compare only over the same pictures
+            every = fits(self._data, camera, shown, self._events)
+        gains = {name: fit.gain for name, fit in every.items()}
+        return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
 
     def _leave_out(self, camera: str, visit: list[Picture]) -> None:
         self._left.extend((camera, picture) for picture in visit)
@@ -252,18 +263,14 @@ class RobotIdentification:
         )
 
 
-def _shown(fit: RobotFit, visit: list[Picture]) -> list[Picture]:
-    """What of a visit is one robot's."""
-    return [visit[order].showing(faces) for order, faces in fit.right.items() if faces]
-
-
 def _split(
-    camera: str, robot: str, fit: RobotFit, visit: list[Picture]
+    camera: str, robot: str, right: dict[int, tuple[int, ...]], visit: list[Picture]
 ) -> tuple[list[Observation], list[Picture]]:
-    """What a robot is seen in, and the pictures with what is left."""
+    """What a robot is seen in, where these faces are its own, and the pictures with what is
+    left."""
     found, rest = [], []
     for order, picture in enumerate(visit):
-        own = fit.right.get(order, ())
+        own = right.get(order, ())
         if own:
             views = tuple(picture.faces[face][robot] for face in own)
             found.append(observation_of(camera, robot, picture.stamp_ns, views))
@@ -271,20 +278,6 @@ def _split(
         if others:
             rest.append(picture.showing(others))
     return found, rest
-
-
-def _right(fit: RobotFit, order: int) -> Observation | None:
-    """A robot's own sightings in a picture, as they are read; None where there are none."""
-    seen, readings = fit.observations[order], fit.mode.readings[order]
-    own = [
-        (view, reading, wild)
-        for view, reading, wild in zip(seen.views, readings, fit.mode.wild[order], strict=True)
-        if reading is not None
-    ]
-    if not own:
-        return None
-    views, chosen, wild = zip(*own, strict=True)
-    return replace(seen, views=views, chosen=chosen, outliers=wild)
 
 
 def _visits(left: Iterable[tuple[str, Picture]]) -> list[tuple[str, list[Picture]]]:
