@@ -271,12 +271,12 @@ def observed(session: Session, *, most: int | None = None) -> DataSet:
     inputs = session.inputs
     data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
     intake = Intake(inputs.site, inputs.targets)
-    track = data.tracks["r1"]
     for node, message in session.messages:
         if isinstance(message, Odometry):
-            track.add(message.stamp_ns, message.pose)
+            data.tracks[node].add(message.stamp_ns, message.pose)
         elif isinstance(message, Sightings):
             intake.add(node, message, data.lenses[node])
+    track = data.tracks["r1"]
     observations = intake.ready("r1", track.first_ns, track.last_ns)[:most]
     data.entries.extend(Entry(observation) for observation in observations)
     return data

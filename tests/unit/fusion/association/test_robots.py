@@ -1,0 +1,84 @@
+"""Which of two robots that carry one target a visit is of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import Plan, RobotPlan, Way, circle, lab_cameras, make_session, observed, standing
+from msgspec import structs
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.association.events import Events, window
+from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.geometry import Pose
+from trigpoint.tools.simulation.targets import target_of
+
+
+def beside(way: Way, *, seconds: float = 8.0) -> DataSet:
+    """r1 drives around the lab, r2 elsewhere in its way."""
+    target = target_of("charuco")
+    other = RobotPlan(way, structs.replace(target, name="other"))
+    robots = {
+        "r1": RobotPlan(circle(), target),
+        "r2": replace(other, map_from_odom=Pose.planar(0.0, 2.4, np.pi)),
+    }
+    return observed(make_session(Plan(lab_cameras(), robots, seconds=seconds)))
+
+
+def seen_of(data: DataSet, robot: str) -> list[Picture]:
+    """What c1 saw of a robot, as either's."""
+    seen = [e.observation for e in data.entries]
+    return [
+        Picture(one.stamp_ns, tuple(dict.fromkeys(("r1", "r2"), view) for view in one.views))
+        for one in seen
+        if one.camera == "c1" and one.robot == robot
+    ]
+
+
+def of_first_run(
+    data: DataSet, pictures: list[Picture]
+) -> tuple[list[Picture], dict[str, RobotFit]]:
+    visit = runs(data, "c1", pictures)[0]
+    return visit, fits(data, "c1", visit, Events())
+
+
+@pytest.mark.parametrize("way", [standing(), circle(speed=0.2)], ids=["stands", "is slower"])
+def test_robot_that_drove_as_the_pictures_show_is_the_one(way: Way) -> None:
+    data = beside(way)
+    visit, found = of_first_run(data, seen_of(data, "r1"))
+    other = found["r2"].gain if "r2" in found else 0.0
+    assert found["r1"].gain > max(other, 0.0) + window()
+    assert found["r1"].right(visit) == {
+        order: tuple(range(len(picture.faces))) for order, picture in enumerate(visit)
+    }
+
+
+def test_robots_that_drove_alike_explain_it_alike() -> None:
+    data = beside(circle())
+    _, found = of_first_run(data, seen_of(data, "r1"))
+    assert abs(found["r1"].gain - found["r2"].gain) < window()
+
+
+def test_sightings_of_something_else_are_no_robots() -> None:
+    data = beside(standing())
+    pictures = seen_of(data, "r1")
+    strange = pictures[2]
+    shifted = tuple(
+        {robot: replace(view, pixels=view.pixels + 40.0) for robot, view in face.items()}
+        for face in strange.faces
+    )
+    pictures[2] = Picture(strange.stamp_ns, shifted)
+    visit, found = of_first_run(data, pictures)
+    right = found["r1"].right(visit)
+    assert right[2] == ()
+    assert all(right[order] for order in right if order != 2)
+
+
+def test_runs_end_where_nobody_was_seen_for_long() -> None:
+    data = beside(circle(), seconds=45.0)
+    pictures = seen_of(data, "r1")
+    early = pictures[:3]
+    late = [p for p in pictures if p.stamp_ns > early[-1].stamp_ns + to_ns(31.0)]
+    assert late
+    assert runs(data, "c1", [*early, *late]) == [early, late]
