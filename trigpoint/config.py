@@ -16,6 +16,7 @@ from .words import nearest
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(gt=0)]
+Probability = Annotated[float, Meta(gt=0, lt=1)]
 
 _Item = TypeVar("_Item")
 
@@ -233,6 +234,27 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
         return ROS2_PROTOCOL if is_on_bus else self.protocol
 
 
+class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """How probable it is beforehand that something else than a good sighting happened, each for one
+    occasion, and the room of places.
+
+    `wrong_sighting`: a sighting that shows something else than its robot as it stands;
+    `wild_corner`: a good corner that is so far from where the others put it that it is left out;
+    `disturbed`: somebody carried a robot or moved a camera in the session at all; `event`: in such
+    a session, the robot is put down elsewhere between two visits, or a camera is moved between two
+    visits to it (whoever meddles once is likely to do it again); `noise`: the noise is far
+    otherwise than stated, in a session that does not tell; `room`: lengths (m) of the box in which
+    cameras hang and robots drive.
+    """
+
+    wrong_sighting: Probability = 0.02
+    wild_corner: Probability = 1e-4
+    disturbed: Probability = 1e-6
+    event: Probability = 1e-2
+    noise: Probability = 5e-4
+    room: tuple[Positive, Positive, Positive] = (30.0, 30.0, 5.0)
+
+
 class FusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The estimator."""
 
@@ -242,6 +264,7 @@ class FusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     seed: int = 0
     target_translation: NotNegative = 0.0
     target_rotation: NotNegative = 0.0
+    priors: PriorConfig = PriorConfig()
 
 
 class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True):

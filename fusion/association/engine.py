@@ -55,7 +55,6 @@ _LOOSE = (
 def explain(
     data: DataSet,
     observations: list[Observation],
-    events: Events | None = None,
     memory: Memory | None = None,
 ) -> Explanation:
     """What explains all observations, in order of their stamps, of the site's cameras.
@@ -63,7 +62,7 @@ def explain(
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
     `memory`: of the last search over fewer observations of the same session.
     """
-    events, memory = events or Events(), memory or Memory()
+    events, memory = Events(data.site.fusion.priors), memory or Memory()
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
     seen, noises = _learnt(data, observations, events, memory)
     worlds = [_World(with_noise(data, noise), seen, events, noise, memory) for noise in noises]

@@ -57,7 +57,7 @@ def _before(linear: Linear, events: Events) -> tuple[Array, Array]:
     """Mean (u,) and covariance (u, u) of the unknowns by odometry and priors, the camera anywhere
     in the room."""
     information = linear.prior.copy()
-    x, y, z = events.room
+    x, y, z = events.priors.room
     room = np.array([x**2, y**2, z**2, *[(2 * np.pi) ** 2] * 3]) / 12
     information[linear.camera, linear.camera] += 1 / room
     weighted = np.swapaxes(linear.steps_by_unknowns, 1, 2) @ np.linalg.inv(linear.spread)

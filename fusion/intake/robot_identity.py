@@ -47,7 +47,7 @@ class RobotIdentification:
     """
 
     def __init__(self, data: DataSet) -> None:
-        self._data, self._events = data, Events()
+        self._data, self._events = data, Events(data.site.fusion.priors)
         self._open: dict[str, list[Picture]] = {}
         self._closed: list[tuple[str, list[Picture]]] = []
         self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)

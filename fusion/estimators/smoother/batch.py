@@ -195,7 +195,9 @@ class BatchSolution:
             )
             self.state, self.iterations = solved.state, self.iterations + solved.iterations
             self.assembled, self.solution = solved.assembled, solved.solution
-            changed = leave_out_contradicting(self.data, self.assembled, self.state, Events())
+            changed = leave_out_contradicting(
+                self.data, self.assembled, self.state, Events(self.data.site.fusion.priors)
+            )
             used = self.data.usable(self.state.cameras)
             changed |= standstill_noise.share_out(self.data, self.assembled, self.state)
             changed |= odometry_noise.learn(self.data, self.assembled, self.state)

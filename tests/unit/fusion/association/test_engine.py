@@ -1,10 +1,14 @@
 """The engine on small sessions: what it locates is what enumerating every explanation leaves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from agreement import disagreements
+from msgspec import structs
 from small_sessions import Shape, SmallSession, small_session
 
+from trigpoint.config import PriorConfig
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.messages import Odometry
 from trigpoint.network import Network
@@ -50,3 +54,14 @@ def test_places_left_open_are_named_and_share_the_posterior() -> None:
 def test_camera_of_one_picture_says_on_how_much_it_rests() -> None:
     network = network_of(small_session(Shape(5, (0, 0), is_alike=False)))
     assert network.cameras["c1"].confirmed
+
+
+def test_where_nothing_is_ever_moved_sightings_from_a_new_place_are_wrong() -> None:
+    session = small_session(Shape(7, (0, 0, 0), is_alike=False, move=2))
+    assert network_of(session).cameras["c1"].status == "undetermined"
+    never = PriorConfig(disturbed=1e-200, event=1e-100)
+    fusion = structs.replace(session.site.fusion, priors=never)
+    site = structs.replace(session.site, fusion=fusion)
+    camera = network_of(replace(session, site=site)).cameras["c1"]
+    assert camera.status == "located"
+    assert camera.rejected == 2
