@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from signal import SIGSTOP
 
 import numpy as np
@@ -53,7 +54,7 @@ with open_bus(site) as bus:
 
 
 class Stranger:
-    """Somebody's program on the bus."""
+    """Somebody's program on the bus, which keeps nothing for those who come late."""
 
     def __init__(self, field: Field) -> None:
         self.bus: Bus = field.session_of_bus()
@@ -62,7 +63,7 @@ class Stranger:
     def put(self, topic: Topic, name: str, payload: bytes) -> None:
         key = topic.key("lab", name)
         if key not in self._publishers:
-            self._publishers[key] = self.bus.publisher(topic, key)
+            self._publishers[key] = self.bus.publisher(replace(topic, cache=0), key)
         self._publishers[key].put(payload)
 
 
