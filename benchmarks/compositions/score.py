@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -156,7 +157,8 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
         said.seek(0)
         seconds = used.ru_utime + used.ru_stime
         # A signal ended it: the one of the limit, or the timer's.
-        return (None if code < 0 and seconds >= 0.9 * limit_s else code), seconds, said.read()
+        is_over = code == -signal.SIGXCPU or (code < 0 and seconds >= 0.9 * limit_s)
+        return (None if is_over else code), seconds, said.read()
 
 
 def _said_of_cameras(out: Path) -> dict[str, dict[str, Any]]:
