@@ -192,9 +192,14 @@ def test_further_signals_change_nothing(bus: MemoryBus) -> None:
     with make_node(bus) as node:
         stop_on_signals([node])
         signal.raise_signal(signal.SIGINT)
+        node.wait()
+        left_s = ENDING.left_s()
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGINT)
-        node.wait()
+        assert node.stopping.is_set()
+        assert ENDING.left_s() <= left_s  # they win no more time
+        assert bus.alive("lab/alive/**") == [alive_key("lab", "edge", "c1")]
+    assert bus.alive("lab/alive/**") == []
 
 
 def test_signal_that_came_before_stops_the_node(bus: MemoryBus) -> None:
