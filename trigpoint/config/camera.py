@@ -1,0 +1,65 @@
+"""`[cameras.NAME]`."""
+
+import math
+from typing import Annotated
+
+from msgspec import Meta, Struct
+from msgspec.structs import force_setattr
+
+from trigpoint.geometry import CameraModel
+
+from .number_types import Count, NotNegative, Positive
+
+_PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
+# Rows that come more slowly than this make a picture that takes half a second.
+_LONGEST_LINE_DELAY_S = 1e-3
+# A network camera's pictures are stamped as they arrive, or by a clock that nobody has checked:
+# what is left of the way from exposure to arrival (0.05 to 0.5 s) is estimated.
+_RTSP_OFFSET_SIGMA_S = 0.2
+
+
+class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """One camera: where its pictures come from and what is known of its lens."""
+
+    source: str
+    width: Count = 640
+    height: Count = 480
+    rate: Positive = 10.0
+    intrinsics: str | None = None
+    horizontal_fov: Annotated[float, Meta(gt=0, lt=180)] = 60.0
+    focal_sigma: Positive = 0.2
+    centre_sigma: Positive = 0.05
+    distortion_sigma: Positive = 0.5
+    time_offset_sigma: NotNegative = math.nan  # the source's own, see below
+    time_drift_sigma: NotNegative = 20e-6
+    line_delay: float = 0.0
+    picture_rate: Positive = 2.0
+    picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80
+
+    def __post_init__(self) -> None:
+        scheme, separator, _ = self.source.partition("://")
+        if math.isnan(self.time_offset_sigma):
+            usual = _RTSP_OFFSET_SIGMA_S if scheme == "rtsp" else 0.0
+            force_setattr(self, "time_offset_sigma", usual)
+        if not separator or not scheme:
+            known = ", ".join(f"{name}://" for name in _PICTURE_SCHEMES)
+            raise ValueError(f"source «{self.source}» is no URL; write one of {known}")
+        if not abs(self.line_delay) <= _LONGEST_LINE_DELAY_S:
+            raise ValueError(
+                f"line_delay is {self.line_delay:g} s from one row to the next; 30 µs is 30e-6"
+            )
+
+    @property
+    def readout_s(self) -> float:
+        """How much later than its first row a picture's last one is exposed, either way."""
+        return abs(self.line_delay) * (self.height - 1)
+
+    @property
+    def estimates_intrinsics(self) -> bool:
+        """Whether the lens is worked out from the robot's target."""
+        return self.intrinsics == "estimate"
+
+    def nominal(self) -> CameraModel:
+        """The lens without distortion at the configured field of view."""
+        fov_rad = math.radians(self.horizontal_fov)
+        return CameraModel.from_field_of_view(self.width, self.height, fov_rad)

@@ -1,0 +1,39 @@
+"""`[fusion]`: the estimator and its priors."""
+
+from typing import Literal
+
+from msgspec import Struct
+
+from .number_types import NotNegative, Positive, Probability
+
+
+class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Prior probabilities of what may have gone wrong, and the size of the site.
+
+    `wrong_sighting`: a sighting shows something other than its robot where it stands;
+    `wild_corner`: a corner of a good sighting lies so far off that it is left out; `disturbed`:
+    somebody carried a robot or moved a camera at some time in the session; `event`: in such a
+    session, between one visit and the next, a robot is put down elsewhere or a camera is moved
+    (whoever meddles once is likely to do so again); `noise`: the noise is far from what the site
+    file states, in a session too short to tell; `room`: the box, metres, in which cameras hang and
+    robots drive.
+    """
+
+    wrong_sighting: Probability = 0.02
+    wild_corner: Probability = 1e-4
+    disturbed: Probability = 1e-6
+    event: Probability = 1e-2
+    noise: Probability = 5e-4
+    room: tuple[Positive, Positive, Positive] = (30.0, 30.0, 5.0)
+
+
+class FusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The estimator."""
+
+    estimator: Literal["smoother", "particle", "ekf"] = "smoother"
+    late: Positive = 1.0
+    correction_rate: Positive = 10.0
+    seed: int = 0
+    target_translation: NotNegative = 0.0
+    target_rotation: NotNegative = 0.0
+    priors: PriorConfig = PriorConfig()

@@ -1,0 +1,22 @@
+"""`[recorder]`."""
+
+from typing import Literal
+
+from msgspec import Struct
+
+from .number_types import NotNegative, Positive
+
+
+class RecorderConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The recording; sizes in bytes, times in seconds."""
+
+    directory: str = "sessions"
+    pictures: bool = False
+    keys: tuple[str, ...] = ()
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
+    synchronise: Positive = 5.0
+    split_bytes: NotNegative = 0.0
+    split_time: NotNegative = 0.0
+    minimum_free: NotNegative = 1e8
+    when_full: Literal["stop", "free"] = "stop"
+    ring_bytes: Positive = 256e6
