@@ -8,38 +8,27 @@ import pytest
 from builders import site_text
 from msgspec import Struct
 
+from trigpoint import config
 from trigpoint.cli import run
 from trigpoint.config import (
     BusConfig,
     CameraConfig,
     FusionConfig,
-    MapConfig,
-    OdometryNoise,
-    PointConfig,
     RecorderConfig,
     RobotConfig,
-    RouterConfig,
-    SafetyConfig,
-    TlsConfig,
+    Site,
     load_site,
     parse_site,
 )
 from trigpoint.target import load_target
 from trigpoint.tools.site_file import COMMENTS, full_site_text
 
-STRUCTS = (
-    BusConfig,
-    CameraConfig,
-    RobotConfig,
-    OdometryNoise,
-    SafetyConfig,
-    FusionConfig,
-    RecorderConfig,
-    RouterConfig,
-    TlsConfig,
-    MapConfig,
-    PointConfig,
-)
+# All tables of a site file.
+STRUCTS = [
+    struct
+    for struct in vars(config).values()
+    if isinstance(struct, type) and issubclass(struct, Struct) and struct is not Site
+]
 
 
 @pytest.mark.parametrize("options", [[], ["--full"], ["--systemd"]])
