@@ -180,8 +180,8 @@ class Bus(Protocol):
         """Declare a liveliness token."""
         ...
 
-    def alive(self, expression: str, *, timeout_s: float = 1.0) -> list[str]:
-        """The tokens that are alive now."""
+    def alive(self, expression: str, *, timeout_s: float = COMMAND_TIMEOUT_S) -> list[str]:
+        """The tokens that are alive now; without those whose sessions do not answer in time."""
         ...
 
     def serve(self, key: str, answer: Callable[[bytes], bytes]) -> Closable:

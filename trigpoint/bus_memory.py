@@ -183,7 +183,7 @@ class MemoryBus:
         self._declared.append(token)
         return token
 
-    def alive(self, expression: str, *, timeout_s: float = 1.0) -> list[str]:
+    def alive(self, expression: str, *, timeout_s: float = COMMAND_TIMEOUT_S) -> list[str]:
         del timeout_s  # nothing to wait for
         with self._broker.lock:
             return sorted({key for key in self._broker.tokens if key_matches(expression, key)})

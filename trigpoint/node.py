@@ -40,7 +40,7 @@ STOP_S = 2.0
 # Of the time that a stop may take, what is kept for what follows the threads: last words, files.
 _REST_S = 1.3
 _LEAST_JOIN_S = 0.1
-_TAKEOVER_S = 2.0
+_TAKEOVER_S, _ASKING_S = 2.0, 1.0
 _NEWCOMER_S = 5.0
 _PULSE_S = 10.0
 _MOST_HEARD = 256
@@ -191,7 +191,7 @@ class Node:
     def _refuse_second(self) -> None:
         """Raise OperationError where this identity is taken; a killed one's token goes in time."""
         deadline = time.monotonic() + _TAKEOVER_S
-        while self._bus.alive(self._token_key):
+        while self._bus.alive(self._token_key, timeout_s=_ASKING_S):
             if self.stopping.wait(0.2) or time.monotonic() > deadline:
                 raise OperationError(self._second)
 

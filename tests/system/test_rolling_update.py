@@ -132,6 +132,10 @@ class Listener:
 
         return eventually(is_so, PATIENCE_S)
 
+    def tells(self, words: str) -> bool:
+        """Whether the status as people read it has these words, within a time."""
+        return eventually(lambda: words in table(self.status()), PATIENCE_S)
+
     def is_corrected(self) -> bool:
         """Whether a correction has come since this was asked first."""
         self.hear()
@@ -168,10 +172,8 @@ def test_map_stays_while_every_node_is_updated(
         assert listener.is_running(expected), (name, listener.status(), site.nursery.said(name))
         assert listener.is_corrected(), site.nursery.said(name)
         if name == "edge":
-            told = table(listener.status())
-            assert (
-                f"Versions differ: {AFTER} on most, but {BEFORE}: fusion/fusion, robot/r1" in told
-            )
+            words = f"Versions differ: {AFTER} on most, but {BEFORE}: fusion/fusion, robot/r1"
+            assert listener.tells(words), table(listener.status())
     assert before is not None
     assert answers(bus, "fusion/map") == before
     assert {str(one) for one in listener.maps} == {before["map_id"]}

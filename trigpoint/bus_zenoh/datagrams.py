@@ -1,0 +1,151 @@
+"""What is urgent goes by datagrams as well, which wait for no packet that was lost before them."""
+
+import logging
+import threading
+from collections.abc import Callable
+
+import zenoh
+from zenoh import CongestionControl, Reliability
+
+from trigpoint.bus_keeper import LOST_S, Keeper, close_in_time
+from trigpoint.bus_outbox import Outbox
+from trigpoint.bus_urgent import AGAIN_S, WAITING
+from trigpoint.ending import ENDING
+from trigpoint.errors import BusError
+from trigpoint.topics import Topic
+
+from .session import CLOSE_S, FLUSH_S, QUALITY, has_link, plain
+
+_log = logging.getLogger(__name__)
+
+
+class Lasting:
+    """A publisher or subscriber that is declared anew on a session that takes another's place."""
+
+    def __init__(
+        self,
+        lock: threading.Lock,
+        declare: Callable[[zenoh.Session], "zenoh.Publisher | zenoh.Subscriber[None]"],
+        session: zenoh.Session,
+    ) -> None:
+        self._lock, self._declare, self._now = lock, declare, declare(session)
+        self.is_closed = False
+
+    def move(self, session: zenoh.Session) -> None:
+        """Go on by another session; called with the lock."""
+        if not self.is_closed:
+            self._now = self._declare(session)
+
+    def put(
+        self, payload: bytes, *, attachment: bytes | None, timestamp: zenoh.Timestamp | None
+    ) -> None:
+        with self._lock:
+            assert isinstance(self._now, zenoh.Publisher)
+            self._now.put(payload, attachment=attachment, timestamp=timestamp)
+
+    def undeclare(self) -> None:
+        with self._lock:
+            self.is_closed = True
+            self._now.undeclare()
+
+
+class Datagrams:
+    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one;
+    `connect`: where the one beside connects to; `reopen`: opens it anew, which is done where it
+    has lost its datagrams for `lost_s` while `main`, the bus's own, reaches somebody."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        *,
+        is_beside: bool,
+        connect: tuple[str, ...] = (),
+        reopen: Callable[[], zenoh.Session] | None = None,
+        main: zenoh.Session | None = None,
+        lost_s: float = LOST_S,
+    ) -> None:
+        self._session, self.is_beside, self._connect = session, is_beside, connect
+        self._again = Outbox("bus sends again", WAITING)
+        self._lock = threading.Lock()
+        self._declared: list[Lasting] = []
+        self._is_closed = self._was_shared = False
+        self._reopen, self._main, self._keeper = reopen, main, None
+        if reopen is not None and main is not None:
+            self._keeper = Keeper("bus keeps datagrams", self._is_well, self._renew, lost_s=lost_s)
+
+    def publisher(self, topic: Topic, key: str) -> Lasting:
+        _, priority, express = QUALITY[topic.delivery]
+        return self._lasting(
+            lambda session: session.declare_publisher(
+                key,
+                encoding=topic.encoding,
+                congestion_control=CongestionControl.DROP,
+                priority=priority,
+                express=express,
+                reliability=Reliability.BEST_EFFORT,
+            )
+        )
+
+    def subscriber(
+        self, expression: str, handler: "zenoh.handlers.Callback[zenoh.Sample]"
+    ) -> Lasting:
+        return self._lasting(lambda session: session.declare_subscriber(expression, handler))
+
+    def _lasting(
+        self, declare: Callable[[zenoh.Session], "zenoh.Publisher | zenoh.Subscriber[None]"]
+    ) -> Lasting:
+        with self._lock:
+            self._declared = [item for item in self._declared if not item.is_closed]
+            item = Lasting(self._lock, declare, self._session)
+            self._declared.append(item)
+        return item
+
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        """Where nobody answers now."""
+        return self._connect if self._connect and not has_link(self._session) else ()
+
+    def _is_well(self) -> bool:
+        """Whether datagrams have a link, to the router of the bus's own session where they had
+        that; also while that one reaches nobody, since nothing can be done then."""
+        assert self._main is not None
+        there = {str(link.zid) for link in self._main.info.links()}
+        if not there:
+            return True
+        links = self._session.info.links()
+        mine = {str(link.zid) for link in links if link.reliability != Reliability.RELIABLE}
+        if mine & there:
+            self._was_shared = True
+        return bool(mine & there if self._was_shared else mine)
+
+    def _renew(self) -> None:
+        assert self._reopen is not None
+        session = self._reopen()
+        try:
+            with self._lock:
+                if not self._is_closed:
+                    session, self._session = self._session, session
+                    self._was_shared = False
+                    for item in self._declared:
+                        item.move(self._session)
+                    _log.warning("the session for datagrams had lost them and was opened anew")
+        except zenoh.ZError as reason:
+            raise BusError(f"datagrams cannot be declared anew: {plain(reason)}") from None
+        finally:
+            close_in_time(session.close, "a session for datagrams")
+
+    def put(self, send: Callable[[], None]) -> None:
+        """Send now, and soon again."""
+        send()
+        if not self._again.waiting:
+            self._again.hold(AGAIN_S)
+        self._again.put(send)
+
+    def close(self) -> None:
+        self._again.close(FLUSH_S)
+        with self._lock:
+            self._is_closed = True
+        if self._keeper is not None and not self._keeper.close(CLOSE_S):
+            ENDING.leave_behind("a session for datagrams")
+        if self.is_beside:
+            self._session.close()

@@ -1,0 +1,96 @@
+"""Opens the bus of a site, or its router, by what the site file says."""
+
+import logging
+import math
+
+import zenoh
+
+from trigpoint.access import Kind
+from trigpoint.bus_gate import Gate
+from trigpoint.bus_opening import means_of, open_patiently, settle
+from trigpoint.bus_settings import (
+    Settings,
+    datagram_settings,
+    has_datagrams,
+    router_settings,
+    session_settings,
+)
+from trigpoint.config import Site
+from trigpoint.errors import BusError
+from trigpoint.topics import recovered_keys
+
+from .bus import ZenohBus
+from .datagrams import Datagrams
+from .session import open_session
+
+_log = logging.getLogger(__name__)
+_DATAGRAM_PATIENCE_S = 5.0
+"""How long opening tries to have datagrams; a firewall may let none through."""
+
+
+def open_bus(
+    site: Site, me: tuple[Kind, str] | None = None, *, patience_s: float = math.inf
+) -> "ZenohBus":
+    """Open the bus by the site's `[bus]`; raise BusError where that is not possible.
+
+    `me`: whose certificate is shown where the site is secured; None: the operator's or viewer's who
+    sits here. A client whose endpoint cannot be reached tries again for `patience_s`, which the log
+    says.
+    """
+    means = means_of(site, me)
+    settings = session_settings(site.name, site.bus, means.files)
+    session = open_patiently(lambda: open_session(settings), settings, patience_s)
+    try:
+        gate = None
+        if settings.gate and means.keeps_gate:
+            gate = Gate(
+                settings.gate,
+                lambda: open_session(settings.gate_settings(means.door())),
+                rules=means.rules,
+            )
+        bus = ZenohBus(
+            session,
+            locators=settings.locators,
+            connect=settings.connect,
+            gate=gate,
+            warning=means.warning,
+            datagrams=_datagrams(site, settings, session),
+            named=recovered_keys(site.name, site.cameras, site.robots),
+        )
+    except BaseException:
+        session.close()
+        raise
+    if settings.meets_others:
+        settle(bus)
+    return bus
+
+
+def open_router(site: Site, *others: Site) -> "ZenohBus":
+    """Open the bus as the site's router: whoever connects to it reaches everyone else. `others`:
+    further sites whose nodes it lets in, each to its own keys."""
+    means = means_of(site, None, is_router=True, others=others)
+    rate = site.router.picture_rate
+    settings = router_settings(site.name, site.bus, means.door(), picture_rate=rate)
+    session = open_session(settings)
+    return ZenohBus(session, locators=site.bus.listen, warning=means.warning)
+
+
+def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datagrams | None":
+    """What sends datagrams, by the given session or one beside it; None where nothing does."""
+    if not has_datagrams(site.bus):
+        return None
+    beside = datagram_settings(site.bus, settings)
+    if beside is None:
+        return Datagrams(session, is_beside=False)
+    try:
+        opened = open_patiently(lambda: open_session(beside), beside, _DATAGRAM_PATIENCE_S)
+        return Datagrams(
+            opened,
+            is_beside=True,
+            connect=beside.connect,
+            reopen=lambda: open_session(beside),
+            main=session,
+        )
+    except BusError as reason:
+        _log.warning("%s; until the next start corrections go without datagrams", reason)
+        return None

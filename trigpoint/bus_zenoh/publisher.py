@@ -1,0 +1,119 @@
+"""What sends on one key, as the topic's delivery asks for it."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+
+import zenoh
+from zenoh import Reliability, ext
+
+from trigpoint.bus import Closable
+from trigpoint.bus_outbox import Outbox
+from trigpoint.bus_reunion import Reunion
+from trigpoint.errors import BusError
+from trigpoint.topics import Delivery, Topic
+
+from .datagrams import Datagrams, Lasting
+from .session import FLUSH_S, QUALITY, has_link, plain
+
+_HEARTBEAT_S = 0.5
+_ANNOUNCE_S = 0.05
+"""A subscriber that meets a new publisher's live sample before its token takes that for the first
+one and never asks for those before (one of forty starts, when both begin in the same moment)."""
+
+Forget = Callable[[Closable], bool]
+"""Tells the bus that a declaration is taken back; false where that was done before."""
+
+
+class ZenohPublisher:
+    """Sends on one key with the topic's delivery; what is urgent by `datagrams` as well."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        topic: Topic,
+        key: str,
+        outbox: Outbox,
+        closed: Forget,
+        datagrams: Datagrams | None = None,
+    ) -> None:
+        self._session, self._key, self._outbox, self._closed = session, key, outbox, closed
+        self._matching: zenoh.Publisher | None = None
+        self._reunion: Reunion | None = None
+        self._is_closed = False
+        self._datagrams = datagrams if topic.delivery is Delivery.URGENT else None
+        self._copies = self._datagrams.publisher(topic, key) if self._datagrams else None
+        congestion, priority, express = QUALITY[topic.delivery]
+        reliability = (
+            Reliability.RELIABLE if topic.delivery.is_reliable else Reliability.BEST_EFFORT
+        )
+        if topic.cache:
+            self._publisher = ext.declare_advanced_publisher(
+                session,
+                key,
+                encoding=topic.encoding,
+                congestion_control=congestion,
+                priority=priority,
+                express=express,
+                reliability=reliability,
+                cache=ext.CacheConfig(
+                    topic.cache, replies_config=ext.RepliesConfig(congestion_control=congestion)
+                ),
+                sample_miss_detection=ext.MissDetectionConfig(
+                    heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+                ),
+                publisher_detection=True,
+            )
+            if topic.delivery is Delivery.RECOVERED:
+                time.sleep(_ANNOUNCE_S)
+                self._reunion = Reunion(lambda: has_link(session))
+        else:
+            self._publisher = self._matching = session.declare_publisher(
+                key,
+                encoding=topic.encoding,
+                congestion_control=congestion,
+                priority=priority,
+                express=express,
+                reliability=reliability,
+            )
+
+    def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
+        if self._is_closed:
+            raise BusError(f"nothing can be sent on {self._key}: its publisher is closed")
+        if self._reunion is not None and (wait_s := self._reunion.wait_s) > 0:
+            self._outbox.hold(wait_s)
+        stamp = None
+        if self._datagrams is not None and self._copies is not None:
+            stamp = self._session.new_timestamp()  # by which the copies are known for one
+            self._datagrams.put(partial(self._send, self._copies, payload, attachment, stamp))
+        self._outbox.put(partial(self._send, self._publisher, payload, attachment, stamp))
+
+    def _send(
+        self,
+        publisher: "zenoh.Publisher | ext.AdvancedPublisher | Lasting",
+        payload: bytes,
+        attachment: bytes,
+        stamp: zenoh.Timestamp | None,
+    ) -> None:
+        try:
+            publisher.put(payload, attachment=attachment or None, timestamp=stamp)
+        except zenoh.ZError as reason:
+            raise BusError(f"nothing can be sent on {self._key}: {plain(reason)}") from None
+
+    @property
+    def has_listener(self) -> bool:
+        if self._matching is None:  # an advanced publisher does not say; a plain one beside it does
+            self._matching = self._session.declare_publisher(self._key)
+        status = self._matching.matching_status
+        return bool(getattr(status, "matching", status))  # an object, though its stub says bool
+
+    def close(self) -> None:
+        if not self._closed(self):
+            return
+        self._is_closed = True
+        self._outbox.flush(FLUSH_S)
+        self._publisher.undeclare()
+        if self._copies is not None:
+            self._copies.undeclare()
+        if self._matching is not None and self._matching is not self._publisher:
+            self._matching.undeclare()
