@@ -5,7 +5,6 @@ which is only known as well as its camera's time offset.
 """
 
 import heapq
-from collections import Counter
 from dataclasses import dataclass, field, replace
 
 from trigpoint.clock import to_ns
@@ -16,6 +15,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
+from .left_out import LeftOut
 from .robot_identity import RobotIdentification
 from .standstills import Standstills
 
@@ -38,9 +38,9 @@ class _Waiting:
 class Intake:
     """Sightings on their way to the estimator. Not thread-safe.
 
-    `counts`: what was left out, by reason; every message that is not used is counted here;
-    `problems`: reason -> the last such problem, as text. `shared`: identifies robots that carry the
-    same target; None: their sightings are left out. `standstills`: says what repeats others.
+    `left_out`: every message that is not used is counted here. `shared`: identifies robots that
+    carry the same target; None: their sightings are left out. `standstills`: says which
+    observations repeat others.
     """
 
     def __init__(
@@ -53,9 +53,7 @@ class Intake:
     ) -> None:
         self._site, self._targets, self._shared = site, targets, shared
         self._standstills = standstills
-        self.counts: Counter[str] = Counter()
-        self.last_problem = ""
-        self.problems: dict[str, str] = {}
+        self.left_out = LeftOut()
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
         self._order = 0
@@ -78,7 +76,7 @@ class Intake:
     def add(self, camera: str, message: Sightings, lens: CameraModel) -> bool:
         """Take the sightings of one picture; whether the map may know more by it."""
         if (message.width, message.height) != (lens.width, lens.height):
-            self._leave_out(
+            self.left_out.add(
                 "wrong_size",
                 f"camera {camera} sends pictures of {message.width} × {message.height}, but its "
                 f"intrinsics are for {lens.width} × {lens.height}; give it the right intrinsics",
@@ -87,7 +85,7 @@ class Intake:
         if not message.faces or self._is_repeated(camera, message.stamp_ns):
             return False
         if len(message.faces) > self._most_faces:
-            self._leave_out(
+            self.left_out.add(
                 "too_many_faces",
                 f"camera {camera} sees {len(message.faces)} faces in one picture, but all targets "
                 f"of the site have {self._most_faces}; it is left out, see who sends that",
@@ -102,7 +100,7 @@ class Intake:
     def _is_repeated(self, camera: str, stamp_ns: int) -> bool:
         seen = self._seen[camera]
         if stamp_ns in seen:
-            self.counts["repeated"] += 1
+            self.left_out.add("repeated")
             return True
         seen[stamp_ns] = None
         if len(seen) > _REMEMBERED:
@@ -124,7 +122,7 @@ class Intake:
                     continue
                 robots = robots[:1]
             if len(robots) != 1:
-                self._leave_out(
+                self.left_out.add(
                     "unknown_target",
                     f"camera {camera} sees a target «{face.target}» that "
                     f"{len(robots) or 'no'} robots carry; give each robot its own target",
@@ -132,7 +130,7 @@ class Intake:
                 continue
             view = view_of(self._targets[robots[0]], face, eye)
             if view is None:
-                self._leave_out(
+                self.left_out.add(
                     "unknown_face",
                     f"camera {camera} sees a face {face.face} that the target "
                     f"«{self._targets[robots[0]].name}» does not have; use one target file",
@@ -164,11 +162,10 @@ class Intake:
         return bool(found)
 
     def _count_untold(self, shared: RobotIdentification) -> None:
-        if shared.untold > self.counts["untold_robot"]:
-            self.last_problem = self.problems["untold_robot"] = shared.problem
-        elif not shared.untold and self.last_problem == shared.problem:
-            self.last_problem = ""
-        self.counts["untold_robot"] = shared.untold
+        more = shared.untold - self.left_out.counts["untold_robot"]
+        self.left_out.add("untold_robot", shared.problem if more > 0 else "", count=more)
+        if not shared.untold and self.left_out.last_problem == shared.problem:
+            self.left_out.last_problem = ""
 
     def _robots_of(self, face: FaceSighting) -> list[str]:
         if not face.target:
@@ -179,19 +176,15 @@ class Intake:
         """Have an observation wait for odometry; whether it says more than others have said."""
         if self._standstills is not None and self._standstills.repeats(observation):
             observation = replace(observation, is_repeat=True)
-            self.counts["standing_still"] += 1
+            self.left_out.add("standing_still")
         queue = self._waiting[robot]
         if len(queue) >= _MOST_WAITING:
             heapq.heappop(queue)
-            self._leave_out("without_odometry", f"no odometry of {robot}; check its bridge")
+            self.left_out.add("without_odometry", f"no odometry of {robot}; check its bridge")
         self._order += 1
         latest_ns = observation.stamp_ns + self._ahead_ns[observation.camera]
         heapq.heappush(queue, _Waiting(latest_ns, self._order, observation))
         return not observation.is_repeat
-
-    def _leave_out(self, reason: str, text: str) -> None:
-        self.counts[reason] += 1
-        self.last_problem = self.problems[reason] = text
 
     def ready(
         self, robot: str, first_ns: int, last_ns: int, most: int | None = None
@@ -206,7 +199,7 @@ class Intake:
         while queue and queue[0].latest_ns <= last_ns and (most is None or len(found) < most):
             waiting = heapq.heappop(queue)
             if waiting.latest_ns < first_ns:
-                self.counts["before_odometry"] += 1
+                self.left_out.add("before_odometry")
             else:
                 found.append(waiting.observation)
         self._drop_far_ahead(robot, last_ns)
@@ -239,10 +232,11 @@ class Intake:
         ahead = [w for w in queue if w.observation.stamp_ns > last_ns + _CLOCK_TOLERANCE_NS]
         if len(ahead) > 64:
             camera = ahead[0].observation.camera
-            self.counts["far_ahead"] += len(ahead)
-            self.last_problem = self.problems["far_ahead"] = (
+            self.left_out.add(
+                "far_ahead",
                 f"camera {camera} is {(ahead[0].latest_ns - last_ns) / 1e9:.0f} s ahead of the "
-                f"odometry of {robot}; synchronise its clock, or check that odometry comes"
+                f"odometry of {robot}; synchronise its clock, or check that odometry comes",
+                count=len(ahead),
             )
             gone = {waiting.order for waiting in ahead}
             kept = [waiting for waiting in queue if waiting.order not in gone]

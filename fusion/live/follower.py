@@ -75,8 +75,7 @@ class Follower:
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
         self.reported: Reported | None = None
-        # Whether a camera was located that nobody has been told of yet.
-        self.has_new_camera = False
+        self._has_new_camera = False
         self.longest_solution_s = 0.0
 
     # -- input ------------------------------------------------------------------------------------
@@ -170,7 +169,7 @@ class Follower:
                 continue  # the old filter could use it; the solver says what it makes of it
         if not coming.missing:
             old, self._current, self._coming = self._current, coming.current, None
-            self.has_new_camera |= bool(_cameras(coming.current) - _cameras(old))
+            self._has_new_camera |= bool(_cameras(coming.current) - _cameras(old))
 
     def _hand_over(self, *, is_all: bool) -> None:
         """Pass on to the solver what is old enough, in order of time."""
@@ -235,6 +234,11 @@ class Follower:
     @property
     def located_count(self) -> int:
         return len(self._located)
+
+    def take_new_camera(self) -> bool:
+        """Whether a camera was located since the last call."""
+        is_new, self._has_new_camera = self._has_new_camera, False
+        return is_new
 
 
 def catching_up(came: int, before: int) -> int:

@@ -66,7 +66,7 @@ def test_stamp_before_odometry_is_taken_where_the_clock_may_be_behind(intake: In
     see(intake, "c2", -0.1)
     see(intake, "c1", -0.2)
     assert ready(intake, 5.0) == ["c1"]
-    assert intake.counts["before_odometry"] == 2
+    assert intake.left_out.counts["before_odometry"] == 2
 
 
 def test_last_sightings_of_a_session_are_not_lost(intake: Intake) -> None:

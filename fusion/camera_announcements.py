@@ -12,12 +12,12 @@ import numpy as np
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.geometry import Pose
-from trigpoint.messages import Message, Polygon, PoseEstimate, Transform, Transforms
+from trigpoint.messages import Polygon, PoseEstimate, Transform, Transforms
 from trigpoint.target import Target
-from trigpoint.topics import Topic
 
 from .coverage import coverage
 from .estimators.interface import CameraEstimate
+from .output import Output
 
 # A transform that is not repeated within a second is taken for a stale one by what draws it.
 _PERIOD_NS = to_ns(0.7)
@@ -29,16 +29,6 @@ _MOST_A_TURN, _MOST_IN_BETWEEN = 8, 1
 # decimetres in which that is given.
 _SAME_FLOOR_M = 0.05
 _SAME_FLOOR_RAD = 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """A message to send: `node` is the camera or robot of its key."""
-
-    topic: Topic
-    node: str
-    message: Message
-    attachment: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)

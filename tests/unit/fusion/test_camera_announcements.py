@@ -6,8 +6,9 @@ import numpy as np
 
 from trigpoint import topics
 from trigpoint.clock import to_ns
-from trigpoint.fusion.announcements import CameraAnnouncements, Output
+from trigpoint.fusion.camera_announcements import CameraAnnouncements
 from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.output import Output
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.messages import PoseEstimate, Transforms
 from trigpoint.tools.simulation.targets import target_of
