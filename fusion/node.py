@@ -9,37 +9,35 @@ from pathlib import Path
 
 from trigpoint import cdr, topics
 from trigpoint.authenticator import correction_signer
-from trigpoint.bus import Bell, Bus, Publisher, Sample, Subscription
+from trigpoint.bus import Bus, Publisher, Sample
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.ending import ENDING
-from trigpoint.errors import MessageError, OperationError
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.errors import OperationError
+from trigpoint.messages import CameraInfo, Message, Odometry
 from trigpoint.network import encode_network
 from trigpoint.node import Node
-from trigpoint.topics import Topic, command_key
+from trigpoint.topics import command_key
 from trigpoint.watchdog import Pulse
 
-from .checkpoint import Checkpoint
 from .diagnostics import Diagnostics
 from .fair_lock import FairLock
-from .intake.admission import AHEAD_NS, Admission
+from .inbox import Inbox
+from .intake.admission import Admission
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
+from .map_storage import MapStorage
 from .pipeline import Inputs, Output, Pipeline
 from .solver.snapshot import GuidanceWorld
-from .standing_odometry import StandingOdometry
 
 KIND = "fusion"
 NAME = "fusion"
 
 # What comes ends the wait; without it the estimator is looked at this often.
 _TURN_S = 0.02
-_MOST_AT_ONCE = 512
-# A turn takes samples in for so long, and uses so many observations of a robot; so commands, which
-# wait for its end, and a stop are answered whatever comes.
-_TAKING_NS = to_ns(0.05)
-_LAST_TAKING_NS = to_ns(0.25)
+# A turn uses so many observations of a robot at most; so commands, which wait for its end, and a
+# stop are answered whatever comes.
 _MOST_USED = 16
+_LAST_TAKING_NS = to_ns(0.25)
 # While a checkpoint is read, what comes is taken in every so many records.
 _RECORDS_AT_ONCE = 256
 # A stop may take two seconds in all (`trigpoint.ending`), of which files and the bus need some.
@@ -82,25 +80,17 @@ class FusionNode:
         self._located_count = 0
         self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
-        self._checkpoint: Checkpoint | None = None
-        self._odometry = {robot: StandingOdometry() for robot in inputs.site.robots}
+        self._storage: MapStorage | None = None
         self._publishers: dict[str, Publisher] = {}
-        self._subscriptions: list[tuple[Topic, Subscription]] = []
-        self._news = Bell()
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
         self._problem = ""
         self._diagnostics = Diagnostics(inputs.site, self._admission)
+        self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
 
     def start(self) -> None:
         """Subscribe, serve the commands, and start the working thread."""
         name = self._site.name
-        for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
-            expression = topic.expression(name)
-            subscription = self._bus.subscribe(
-                topic, expression, wanted=self._admission.knows, in_turns=True, bell=self._news
-            )
-            self._subscriptions.append((topic, subscription))
-            self._node.health.watch(topic.name, subscription)
+        self._inbox.open(name)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
         self._node.health.gauge("cameras_located", lambda: self._located_count)
         for path, answer in (
@@ -127,19 +117,15 @@ class FusionNode:
                 f"{self._path}, and `trigpoint fusion` started again goes on from there"
             )
         try:
-            if self._checkpoint is not None:
+            if self._storage is not None:
                 with ENDING.writing():
-                    for robot, odometry in self._odometry.items():
-                        key = topics.ODOMETRY.key(self._site.name, robot)
-                        for payload in odometry.rest():
-                            self._checkpoint.write(key, payload)
-                    self._checkpoint.close()
+                    self._storage.close()
             if self.is_resumed:
                 self._save_last()
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
-            if self._checkpoint is not None and self._checkpoint.trouble:
-                raise OperationError(self._checkpoint.trouble)
+            if self._storage is not None and self._storage.trouble:
+                raise OperationError(self._storage.trouble)
         finally:
             self._lock.release()
             if self._solver is not None:
@@ -187,7 +173,7 @@ class FusionNode:
         self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
-            self._news.wait(0.0 if self._pipeline.is_behind else _TURN_S)
+            self._inbox.wait(0.0 if self._pipeline.is_behind else _TURN_S)
             with self._lock:
                 outputs = self._turn()
             # A robot waits for its correction, nobody for the rest.
@@ -200,81 +186,41 @@ class FusionNode:
     def _take_last(self) -> None:
         """Take in what had come before the stop, for a part of the time that a stop has."""
         until_ns = self._clock.elapsed_ns() + _LAST_TAKING_NS
-        while self._clock.elapsed_ns() < until_ns:
-            came = list(self._waiting())
-            for topic, sample in came:
-                self._take(topic, sample)
-            if not came:
-                break
+        while not self._inbox.is_empty and self._clock.elapsed_ns() < until_ns:
+            self._take_in()
+
+    def _take_in(self) -> None:
+        for sample, message in self._arrived():
+            self._push(sample, message)
+
+    def _arrived(self) -> Iterator[tuple[Sample, Message]]:
+        """What has come. Cameras announce their intrinsics once, so these are remembered."""
+        for sample, message in self._inbox.messages():
+            if isinstance(message, CameraInfo):
+                self._announced[sample.key] = sample.payload
+            yield sample, message
 
     def _turn(self) -> list[Output]:
         """Take in and use what has come; the messages to send."""
-        for topic, sample in self._waiting():
-            self._take(topic, sample)
+        self._take_in()
         began_ns = self._clock.elapsed_ns()
         self._pipeline.doubt(self._doubted())
         outputs = self._pipeline.advance(self._clock.now_ns(), most=_MOST_USED)
         took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
         self._longest_s = max(self._longest_s, took_s)
-        self._open_checkpoint.flush()
+        self._open_storage.flush()
         self._located_count = self._pipeline.located_count
         return outputs
-
-    def _waiting(self) -> Iterator[tuple[Topic, Sample]]:
-        """What has come, the topics in turn, up to a number each and for a time."""
-        until_ns = self._clock.elapsed_ns() + _TAKING_NS
-        waiting = self._subscriptions
-        for _ in range(_MOST_AT_ONCE):
-            found = [(pair, sample) for pair in waiting if (sample := pair[1].take(0.0))]
-            yield from ((topic, sample) for (topic, _), sample in found)
-            waiting = [pair for pair, _ in found]
-            if not waiting:
-                return
-            if self._clock.elapsed_ns() > until_ns:
-                break
-        self._news.ring()  # for what is left
-
-    def _take(self, topic: Topic, sample: Sample) -> None:
-        message = self._accepted(topic, sample)
-        if message is not None:
-            self._push(sample, message)
 
     def _push(self, sample: Sample, message: Message) -> None:
         """Hand a message to the pipeline, and to the checkpoint what the map may know more by."""
         if self._pipeline.push(topics.node_of(sample.key), message):
-            self._store(sample.key, sample.payload, message)
+            self._store(sample, message)
 
-    def _accepted(self, topic: Topic, sample: Sample) -> CameraInfo | Odometry | Sightings | None:
-        """The message; None where it is not to be used."""
-        try:
-            if not topic.may_be(sample.encoding):
-                raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
-            message = cdr.decode(topic.type_name, sample.payload)
-        except MessageError as reason:
-            self._node.health.reject(sample, reason)
-            return None
-        assert isinstance(message, CameraInfo | Odometry | Sightings)
-        at_ns, set_by_ns = self._clock.elapsed_ns(), self._node.clock_set_by_ns
-        if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
-            return None
-        self._diagnostics.heard(sample.key, at_ns)
-        self._node.health.count(f"received {sample.key}")
-        if topic is topics.CAMERA_INFO:
-            self._announced[sample.key] = sample.payload
-        return message
-
-    def _store(self, key: str, payload: bytes, message: Message) -> None:
-        """Write a message to the checkpoint, or what is worth it of a standing robot's odometry."""
-        if isinstance(message, Odometry):
-            payloads = self._odometry[topics.node_of(key)].take(message, payload)
-        else:
-            payloads = [payload]
-        if isinstance(message, Sightings):
-            for odometry in self._odometry.values():
-                odometry.want(message.stamp_ns)
-        for item in payloads:
-            if not self._open_checkpoint.write(key, item):
-                self._node.health.lose("checkpoint")
+    def _store(self, sample: Sample, message: Message) -> None:
+        lost = self._open_storage.store(sample.key, sample.payload, message)
+        if lost:
+            self._node.health.lose("checkpoint", lost)
 
     def _publish(self, output: Output) -> None:
         key = output.topic.key(self._site.name, output.node)
@@ -296,7 +242,7 @@ class FusionNode:
         for reason, more in self._diagnostics.left_out(self._pipeline, now_ns):
             health.count(f"left_out.{reason}", more)
         troubles = self._diagnostics.now(self._pipeline, now_ns)
-        if trouble := self._open_checkpoint.trouble:
+        if trouble := self._open_storage.trouble:
             troubles["checkpoint"] = trouble
         health.hold_only("input", troubles)
         problem = self._pipeline.last_problem
@@ -315,10 +261,10 @@ class FusionNode:
     # -- the checkpoint ---------------------------------------------------------------------------
 
     @property
-    def _open_checkpoint(self) -> Checkpoint:
-        if self._checkpoint is None:  # the working thread opens it first
+    def _open_storage(self) -> MapStorage:
+        if self._storage is None:  # the working thread opens it first
             raise OperationError("fusion is just starting; ask again in a moment")
-        return self._checkpoint
+        return self._storage
 
     @property
     def is_resumed(self) -> bool:
@@ -327,16 +273,18 @@ class FusionNode:
 
     def _resume(self, pulse: Pulse) -> bool:
         """Resume the map that a killed fusion left; on the working thread. Messages that come
-        meanwhile are set aside, and follow. False where it was stopped before the end."""
+        meanwhile are set aside and used afterwards. False where a stop came first."""
         with self._lock:
-            self._checkpoint = Checkpoint(self._path, self._clock)
+            self._storage = MapStorage(
+                self._path, self._site, self._clock, knows=self._admission.knows
+            )
         pipeline, count = self._pipeline, 0
         aside: list[tuple[Sample, Message]] = []
-        for key, payload in self._checkpoint.records():
+        for key, payload in self._storage.records():
             pulse.beat()
             if self._node.stopping.is_set():
                 for sample, message in aside:
-                    self._store(sample.key, sample.payload, message)
+                    self._store(sample, message)
                 return False
             if self._pipeline is not pipeline:
                 return True  # reset
@@ -345,7 +293,7 @@ class FusionNode:
             with self._lock:
                 count += self._take_again(key, payload)
                 if not count % _RECORDS_AT_ONCE:
-                    aside += self._set_aside()
+                    aside += self._arrived()
         with self._lock:
             if self._pipeline is pipeline:
                 self._go_on(count)
@@ -353,42 +301,17 @@ class FusionNode:
                     self._push(sample, message)
         return True
 
-    def _take_again(self, key: str, payload: bytes) -> int:
-        """Take a record of the checkpoint; how many messages it was, 0 or 1."""
-        topic = topics.topic_of(key)
-        if topic is None or not key.startswith(f"{self._site.name}/"):
-            raise OperationError(
-                f"{self._path}: a checkpoint of another site ({key}); give another --out"
-            )
-        if not self._admission.knows(key):
-            return 0  # somebody that the site file does not have any more
-        try:
-            message = cdr.decode(topic.type_name, payload)
-        except MessageError as reason:
-            _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
-            return 0
-        assert isinstance(message, CameraInfo | Odometry | Sightings)
-        if message.stamp_ns > self._open_checkpoint.written_ns + AHEAD_NS:
-            # All of the file came before it was written last.
-            _log.error(
-                "%s: a message on %s is stamped ahead of its time; left out", self._path, key
-            )
-            return 0
+    def _take_again(self, key: str, payload: bytes) -> bool:
+        """Take a record of the checkpoint; whether it is used."""
+        message = self._open_storage.message(key, payload)
+        if message is None:
+            return False
         self._pipeline.push(topics.node_of(key), message)
-        if topic is topics.CAMERA_INFO:
+        if isinstance(message, CameraInfo):
             self._announced[key] = payload
-        if topic is topics.ODOMETRY:
+        if isinstance(message, Odometry):
             self._pipeline.advance()
-        return 1
-
-    def _set_aside(self) -> list[tuple[Sample, Message]]:
-        """What has come, and says what it is; senders send again what they kept for us."""
-        found = []
-        for topic, sample in self._waiting():
-            message = self._accepted(topic, sample)
-            if message is not None:
-                found.append((sample, message))
-        return found
+        return True
 
     def _go_on(self, count: int) -> None:
         """Go on live after so many messages of a checkpoint."""
@@ -435,8 +358,7 @@ class FusionNode:
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
-            self._open_checkpoint.restart()
-            self._odometry = {robot: StandingOdometry() for robot in self._site.robots}
+            self._open_storage.restart()
             if self._solver is not None:
                 self._solver.close()
             if self._make_solver is not None:
@@ -444,8 +366,8 @@ class FusionNode:
             self._pipeline = Pipeline(self._inputs, solver=self._solver)
             self._diagnostics.restart()
             for key, payload in self._announced.items():  # a camera says it once
-                self._open_checkpoint.write(key, payload)
                 message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
+                self._open_storage.store(key, payload, message)
                 self._pipeline.push(topics.node_of(key), message)
         _log.info("reset: a new map begins with the next odometry message")
         return b"{}"

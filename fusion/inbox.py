@@ -1,0 +1,89 @@
+"""What the bus brings for the estimator."""
+
+from collections.abc import Iterator
+
+from trigpoint import cdr, topics
+from trigpoint.bus import Bell, Bus, Sample, Subscription
+from trigpoint.clock import Clock, to_ns
+from trigpoint.errors import MessageError
+from trigpoint.messages import CameraInfo, Odometry, Sightings
+from trigpoint.node import Node
+from trigpoint.topics import Topic
+
+from .diagnostics import Diagnostics
+from .intake.admission import Admission
+
+# Samples are taken in for so long at once, and so many of a topic.
+_TAKING_NS = to_ns(0.05)
+_MOST_AT_ONCE = 512
+
+Input = CameraInfo | Odometry | Sightings
+
+
+class Inbox:
+    """Odometry, camera_info and sightings of a site, as they come. Used by one thread at a time."""
+
+    def __init__(
+        self, bus: Bus, node: Node, clock: Clock, admission: Admission, diagnostics: Diagnostics
+    ) -> None:
+        self._bus, self._node, self._clock = bus, node, clock
+        self._admission, self._diagnostics = admission, diagnostics
+        self._subscriptions: list[tuple[Topic, Subscription]] = []
+        self._news = Bell()
+
+    def open(self, site: str) -> None:
+        """Subscribe."""
+        for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
+            expression = topic.expression(site)
+            subscription = self._bus.subscribe(
+                topic, expression, wanted=self._admission.knows, in_turns=True, bell=self._news
+            )
+            self._subscriptions.append((topic, subscription))
+            self._node.health.watch(topic.name, subscription)
+
+    def wait(self, timeout_s: float) -> None:
+        """Until something comes, or the time is over."""
+        self._news.wait(timeout_s)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no sample waits."""
+        return not any(subscription.depth for _, subscription in self._subscriptions)
+
+    def messages(self) -> Iterator[tuple[Sample, Input]]:
+        """What has come and is accepted, the topics in turn; bounded in number and time, so that
+        more may wait."""
+        for topic, sample in self._samples():
+            message = self._accepted(topic, sample)
+            if message is not None:
+                yield sample, message
+
+    def _samples(self) -> Iterator[tuple[Topic, Sample]]:
+        until_ns = self._clock.elapsed_ns() + _TAKING_NS
+        waiting = self._subscriptions
+        for _ in range(_MOST_AT_ONCE):
+            found = [(pair, sample) for pair in waiting if (sample := pair[1].take(0.0))]
+            yield from ((topic, sample) for (topic, _), sample in found)
+            waiting = [pair for pair, _ in found]
+            if not waiting:
+                return
+            if self._clock.elapsed_ns() > until_ns:
+                break
+        self._news.ring()  # for what is left
+
+    def _accepted(self, topic: Topic, sample: Sample) -> Input | None:
+        """The message; None where it is not to be used."""
+        try:
+            if not topic.may_be(sample.encoding):
+                raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
+            message = cdr.decode(topic.type_name, sample.payload)
+        except MessageError as reason:
+            self._node.health.reject(sample, reason)
+            return None
+        assert isinstance(message, Input)
+        at_ns, set_by_ns = self._clock.elapsed_ns(), self._node.clock_set_by_ns
+        if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
+            return None
+        self._diagnostics.heard(sample.key, at_ns)
+        self._node.health.count(f"received {sample.key}")
+        return message
