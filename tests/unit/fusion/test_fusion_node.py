@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from builders import eventually, largest_file
 from drives import EPOCH_NS, Session
+from networks import assert_same_place
 
 from trigpoint import cdr, topics
 from trigpoint.bus import Reply, Subscription
@@ -145,14 +146,6 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         assert archive["covariance"].shape == (18, 18)
         assert archive["cameras"].tolist() == ["c1", "c2", "c3"]
     assert (tmp_path / "r1.tum").read_text().count("\n") == odometry
-
-
-def assert_same_place(mine, record) -> None:
-    """Within a tenth of a sigma."""
-    assert mine.status == record.status
-    apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
-    sigma = np.sqrt(np.diagonal(record.covariance_matrix))
-    np.testing.assert_allclose(apart / sigma, 0.0, atol=0.1)
 
 
 def test_killed_fusion_resumes_its_map_and_ends_where_it_would_have(

@@ -1,0 +1,205 @@
+"""A fusion node and its solver, on a bus: what it takes over, and how it ends."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+from builders import eventually
+from drives import Session
+from networks import assert_same_places
+from solvers import SlowSolver, StuckSolver
+
+from trigpoint import cdr, topics
+from trigpoint.bus import Publisher
+from trigpoint.bus_memory import MemoryBroker
+from trigpoint.clock import SystemClock
+from trigpoint.errors import OperationError
+from trigpoint.fusion.checkpoint import Checkpoint
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.live.solver_messages import News, Report, Reported, Solver
+from trigpoint.fusion.live.solver_process import SolverProcess
+from trigpoint.fusion.model.dataset import Event
+from trigpoint.fusion.node import FusionNode
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.network import load_network
+from trigpoint.node import Node
+
+# What is waited for comes by work alone, of which a busy machine does a twentieth of the usual.
+PATIENCE_S = 500.0
+
+Messages = tuple[tuple[str, Message], ...]
+TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
+
+
+class Feed(Protocol):
+    """Publishes messages, and waits until their odometry has been taken in."""
+
+    def __call__(self, messages: Messages, *, is_awaited: bool = True) -> None: ...
+
+
+@contextmanager
+def running(
+    inputs: Inputs, out: Path, make: Callable[[], Solver]
+) -> Iterator[tuple[FusionNode, Node, Feed]]:
+    """A fusion node with a solver, and what publishes messages to it."""
+    broker = MemoryBroker()
+    with (
+        broker.session() as bus,
+        broker.session() as other,
+        Node(bus, site="lab", kind="fusion", name="fusion") as node,
+    ):
+        fusion = FusionNode(bus, node, inputs, out, SystemClock(), solver=make)
+        fusion.start()
+
+        def feed(messages: Messages, *, is_awaited: bool = True) -> None:
+            publishers: dict[str, Publisher] = {}
+            before = node.health.total("received lab/robot/r1/odom")
+            for name, message in messages:
+                topic = TOPIC_OF[type(message)]  # pyright: ignore[reportArgumentType]
+                key = topic.key("lab", name)
+                if key not in publishers:
+                    publishers[key] = other.publisher(topic, key)
+                publishers[key].put(cdr.encode(message))
+            count = before + sum(isinstance(m, Odometry) for _, m in messages)
+            received = node.health.total
+            if is_awaited:
+                until(node, lambda: received("received lab/robot/r1/odom") == count)
+
+        try:
+            yield fusion, node, feed
+        finally:
+            node.stop()
+
+
+def until(node: Node, holds: Callable[[], bool]) -> None:
+    """Wait for what work brings about, or for an error that ends the node, which raises it then."""
+    assert eventually(lambda: node.stopping.is_set() or holds(), timeout_s=PATIENCE_S)
+
+
+@pytest.mark.timeout(PATIENCE_S)
+def test_process_solves_and_a_stop_has_its_last_solution(
+    charuco: Session,
+    charuco_results: Results,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A stop's 1.2 s are enough for it, but not on a machine that does twenty things.
+    monkeypatch.setattr("trigpoint.fusion.node._LAST_SOLUTION_S", PATIENCE_S)
+
+    def make() -> Solver:
+        return SolverProcess(charuco.inputs.data_set())
+
+    with running(charuco.inputs, tmp_path, make) as (fusion, node, feed):
+        feed(charuco.messages)
+        until(node, lambda: node.health.report().values["cameras_located"] == "3")
+    fusion.finish()
+    assert_same_places(load_network(tmp_path), charuco_results.network)
+
+
+def test_what_came_before_a_stop_is_taken_in(charuco: Session, tmp_path: Path) -> None:
+    odometry = tuple((n, m) for n, m in charuco.messages if isinstance(m, Odometry))[:200]
+    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (_, node, feed):
+        feed(odometry[:100])
+        feed(odometry[100:], is_awaited=False)
+        node.stop()
+    assert node.health.total("received lab/robot/r1/odom") == len(odometry)
+
+
+@pytest.mark.parametrize("megabytes", [0, 2], ids=["small", "large"])
+def test_process_that_died_ends_the_node_with_what_to_do(charuco: Session, megabytes: int) -> None:
+    """Also one that was killed before it had read what it starts from."""
+    data = charuco.inputs.data_set()
+    data.events = [Event("ballast", "x" * (megabytes * 2**20))]
+    solver = SolverProcess(data)
+    os.kill(solver.pid, 9)
+    try:
+        with pytest.raises(OperationError, match="start fusion again"):
+            assert eventually(lambda: bool(solver.news()), timeout_s=20.0)
+    finally:
+        solver.close()
+
+
+def test_signals_that_stop_the_node_leave_its_solver_at_work(charuco: Session) -> None:
+    """Also as it starts: Ctrl-C in a terminal goes to every process."""
+    solver = SolverProcess(charuco.inputs.data_set())
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(solver.pid, number)
+        solver.tell([Report()])
+        (reported,) = news_of(solver)
+        os.kill(solver.pid, signal.SIGINT)
+        solver.tell([Report()])
+        assert isinstance(reported, Reported)
+        assert news_of(solver)
+    finally:
+        solver.close()
+
+
+def news_of(solver: SolverProcess) -> list[News]:
+    found: list[News] = []
+    assert eventually(lambda: bool(found.extend(solver.news()) or found), timeout_s=60.0)
+    return found
+
+
+def test_stop_while_a_solution_is_under_way_keeps_what_was_known(
+    charuco: Session, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Also where the solver never had a moment without orders."""
+    solver = StuckSolver(charuco.inputs)
+    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, node, feed):
+        half = len(charuco.messages) // 2
+        feed(charuco.messages[:half])
+        until(node, lambda: solver.has_reported)
+        solver.is_stuck = True
+        feed(charuco.messages[half : half + 50])
+    fusion.finish()
+    assert "would take longer than a stop may" in caplog.text
+    network = load_network(tmp_path)
+    assert network.cameras["c1"].status == "located"
+
+
+def test_what_comes_while_a_checkpoint_is_read_follows_it(
+    charuco: Session, charuco_results: Results, tmp_path: Path
+) -> None:
+    half = len(charuco.messages) // 2
+    checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
+    for name, message in charuco.messages[:half]:
+        topic = TOPIC_OF[type(message)]
+        checkpoint.write(topic.key("lab", name), cdr.encode(message))
+    checkpoint.close()
+    solver = SlowSolver(charuco.inputs)
+    with running(charuco.inputs, tmp_path, lambda: solver) as (fusion, node, feed):
+        feed(charuco.messages[half:])
+        until(node, lambda: fusion.is_resumed)
+    fusion.finish()
+    assert_same_places(load_network(tmp_path), charuco_results.network)
+
+
+def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
+    charuco: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
+    for name, message in charuco.messages:
+        key = TOPIC_OF[type(message)].key("lab", name)
+        checkpoint.write(key, cdr.encode(message))
+    checkpoint.close()
+    (tmp_path / "network.json").write_text("of before")
+    before = (tmp_path / "checkpoint.bin").read_bytes()
+    take_again = FusionNode._take_again
+
+    def stopped(self: FusionNode, key: str, payload: bytes) -> int:
+        self._node.stop()
+        return take_again(self, key, payload)
+
+    monkeypatch.setattr(FusionNode, "_take_again", stopped)
+    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (fusion, node, _):
+        until(node, node.stopping.is_set)
+    fusion.finish()
+    assert not fusion.is_resumed
+    assert (tmp_path / "network.json").read_text() == "of before"
+    assert (tmp_path / "checkpoint.bin").read_bytes() == before

@@ -1,0 +1,125 @@
+"""What does not fit is counted and named, and leaves the rest as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import EPOCH_NS, Session, pushed
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.messages import Message, Odometry, Sightings
+
+
+def first_picture(session: Session, camera: str = "c1") -> Sightings:
+    return next(
+        m for n, m in session.messages if n == camera and isinstance(m, Sightings) and m.faces
+    )
+
+
+def odometry_until(session: Session, seconds: float) -> tuple[tuple[str, Message], ...]:
+    end_ns = EPOCH_NS + to_ns(seconds)
+    return tuple(
+        (n, m) for n, m in session.messages if isinstance(m, Odometry) and m.stamp_ns <= end_ns
+    )
+
+
+def test_picture_of_another_size_is_counted_and_named(charuco: Session) -> None:
+    picture = replace(first_picture(charuco), width=1280, height=720)
+    pipeline = pushed(charuco.inputs, (*odometry_until(charuco, 2.0), ("c1", picture)))
+    assert pipeline.left_out == {"wrong_size": 1}
+    assert "camera c1" in pipeline.last_problem
+    assert "1280 × 720" in pipeline.last_problem
+    assert "640 × 480" in pipeline.last_problem
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "named"),
+    [
+        ({"target": "stranger"}, "unknown_target", "stranger"),
+        ({"face": 17}, "unknown_face", "17"),
+        ({"corners": np.array([200], np.uint16)}, "unknown_face", "face"),
+        ({"face": -1}, "unknown_face", "face -1"),
+    ],
+    ids=["target of nobody", "face of nobody", "corner of nobody", "no face where all differ"],
+)
+def test_face_that_no_robot_carries_is_counted_and_named(
+    charuco: Session, change: dict[str, object], reason: str, named: str
+) -> None:
+    picture = first_picture(charuco)
+    face = replace(picture.faces[0], **change)  # pyright: ignore[reportArgumentType]
+    if "corners" in change:
+        face = replace(face, pixels=face.pixels[:1])
+    sightings = replace(picture, faces=(face,))
+    pipeline = pushed(charuco.inputs, (*odometry_until(charuco, 2.0), ("c1", sightings)))
+    assert pipeline.left_out == {reason: 1}
+    assert named in pipeline.last_problem
+    assert "camera c1" in pipeline.last_problem
+
+
+def test_message_of_nobody_in_the_site_is_counted(charuco: Session) -> None:
+    picture = first_picture(charuco)
+    odometry = odometry_until(charuco, 2.0)
+    pipeline = pushed(charuco.inputs, (*odometry, ("c9", picture), ("r9", odometry[0][1])))
+    assert pipeline.left_out == {"unknown_sender": 2}
+
+
+def test_sightings_from_before_the_odometry_are_counted(charuco: Session) -> None:
+    picture = replace(first_picture(charuco), stamp_ns=EPOCH_NS - to_ns(5.0))
+    pipeline = pushed(charuco.inputs, (("c1", picture), *odometry_until(charuco, 2.0)))
+    assert pipeline.left_out == {"before_odometry": 1}
+    assert pipeline.results().network.cameras["c1"].status == "unseen"
+
+
+def test_sightings_wait_for_their_odometry(charuco: Session) -> None:
+    picture, odometry = first_picture(charuco), odometry_until(charuco, 2.0)
+    pipeline = Pipeline(charuco.inputs)
+    pipeline.push(*odometry[0])
+    pipeline.push("c1", picture)
+    pipeline.advance()
+    assert pipeline.waiting == 1
+    for node, message in odometry[1:]:
+        pipeline.push(node, message)
+    pipeline.advance()
+    assert pipeline.waiting == 0
+    assert pipeline.left_out == {}
+
+
+def test_camera_with_a_clock_far_ahead_is_named_and_bounded(charuco: Session) -> None:
+    pictures = [
+        ("c2", replace(first_picture(charuco), stamp_ns=EPOCH_NS + to_ns(3600 + 0.2 * i)))
+        for i in range(200)
+    ]
+    pipeline = Pipeline(charuco.inputs)
+    for node, message in (*pictures, *odometry_until(charuco, 2.0)):
+        pipeline.push(node, message)
+        pipeline.advance()
+    assert pipeline.left_out["far_ahead"] == 200
+    assert pipeline.waiting == 0
+    assert "camera c2 is 3600 s ahead" in pipeline.last_problem
+    assert "synchronise" in pipeline.last_problem
+
+
+def test_robot_without_odometry_holds_a_bounded_number_of_sightings(charuco: Session) -> None:
+    picture, pipeline = first_picture(charuco), Pipeline(charuco.inputs)
+    for index in range(4200):
+        pipeline.push("c1", replace(picture, stamp_ns=EPOCH_NS + index * 1000))
+    assert pipeline.waiting == 4096
+    assert pipeline.left_out["without_odometry"] == 4200 - 4096
+    assert "no odometry of r1" in pipeline.last_problem
+
+
+def test_wrong_pictures_leave_the_rest_as_it_is(charuco: Session, charuco_results: Results) -> None:
+    picture = first_picture(charuco)
+    strange = [
+        ("c1", replace(picture, stamp_ns=picture.stamp_ns + 1, width=9)),
+        ("c2", replace(picture, stamp_ns=EPOCH_NS - 1)),
+        ("c3", replace(picture, faces=(replace(picture.faces[0], target="x"),))),
+        ("c3", replace(picture, faces=())),
+        ("c7", picture),
+    ]
+    pipeline = pushed(charuco.inputs, (*strange, *charuco.messages))
+    found = pipeline.results()
+    for name, record in charuco_results.network.cameras.items():
+        assert found.network.cameras[name].map_from_camera == record.map_from_camera
