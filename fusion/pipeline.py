@@ -27,7 +27,7 @@ from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
-from .live.solution_schedule import SolutionSchedule
+from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver, Suggested
 from .model.dataset import DataSet, Event, KnownCameras
 from .model.observations import Observation
@@ -79,7 +79,7 @@ class Pipeline:
         self._left_out = LeftOut()
         self._outputs: list[Output] = []
         self._used_ns = 0
-        self._schedule = SolutionSchedule()
+        self._schedule = SettlingSchedule()
         self._cameras = CameraAnnouncements(inputs.targets[inputs.site.first_robot])
         self._robots = RobotAnnouncements(inputs.site.fusion.correction_rate)
         self._early: list[tuple[str, Sightings]] = []
@@ -229,7 +229,7 @@ class Pipeline:
             self._intake.tell_by_place(self._estimator)
         if self._follower is not None:
             self._attend(self._follower)
-            self._solve(self._follower, now_ns, is_quiet=all(o.is_repeat for o in used))
+            self._settle(self._follower, now_ns, is_quiet=all(o.is_repeat for o in used))
         # Live, cameras are said too while none of them sees a robot: no transform grows old.
         used_ns = 0 if self._is_live else self._used_ns
         stamp_ns = used_ns or self._data.last_ns
@@ -248,7 +248,7 @@ class Pipeline:
                     used.append(observation)
         return used
 
-    def _solve(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
+    def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
         """Have everything solved to its end where that is due."""
         count, is_idle = follower.count, follower.is_idle
         if now_ns is not None and self._schedule.is_due(
