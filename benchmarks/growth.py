@@ -40,7 +40,7 @@ _HEAD = 30  # bytes of a record beside key and payload
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """What came on in a phase."""
+    """What a phase added."""
 
     minutes: float
     pictures: int
@@ -107,7 +107,7 @@ def measured(corridor: Corridor, stands_s: float, *, solves: bool) -> list[Growt
 def _standing(
     last: dict[type, tuple[str, Message]], seconds: float, corridor: Corridor
 ) -> Iterator[tuple[str, Message]]:
-    """The robot where it came to, before the camera that saw it last."""
+    """The robot standing where it arrived, before the camera that saw it last."""
     (robot, here), (camera, seen) = last[Odometry], last[Sightings]
     assert isinstance(here, Odometry)
     assert isinstance(seen, Sightings)
@@ -125,7 +125,7 @@ def _standing(
 
 
 def _stored(node: str, message: Message, odometry: StandingOdometry) -> int:
-    """Bytes that the checkpoint takes for it."""
+    """Bytes that a message takes in the checkpoint."""
     topic = _TYPES[type(message)]
     payload, head = cdr.encode(message), _HEAD + len(topic.key("corridor", node))
     if not isinstance(message, Odometry):

@@ -204,7 +204,7 @@ def _sound(path: Path, data: mmap.mmap) -> Iterator[_Record]:
 
 
 def _record_at(data: mmap.mmap, start: int) -> _Record | None:
-    """The record that begins there; None where none does that is sound."""
+    """The sound record that begins there; None where there is none."""
     body_at = start + _HEAD.size
     if body_at > len(data):
         return None

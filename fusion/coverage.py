@@ -15,7 +15,7 @@ _RAYS = 48
 
 def coverage(map_from_camera: Pose, lens: CameraModel, target: Target) -> Array:
     """The polygon (n, 3) on the floor z = 0 over which the target's middle is in the picture and
-    its squares are large enough; (0, 3) where there is no such floor."""
+    its squares are large enough; (0, 3) where there is none."""
     height = float(np.mean([face.translation[2] for face in target.faces]))
     square = min(face.square for face in target.faces)
     eye = map_from_camera.translation

@@ -213,7 +213,7 @@ class FusionNode:
         return outputs
 
     def _push(self, sample: Sample, message: Message) -> None:
-        """Hand a message to the pipeline, and to the checkpoint what the map may know more by."""
+        """Hand a message to the pipeline, and store it where it may add to the map."""
         if self._pipeline.push(topics.node_of(sample.key), message):
             self._store(sample, message)
 
@@ -237,7 +237,7 @@ class FusionNode:
             return self._pipeline.guidance_world()
 
     def _report(self) -> None:
-        """Put what was left out, and what is or went wrong, into the diagnostics."""
+        """Put what was left out, and what is wrong or went wrong, into the diagnostics."""
         now_ns, health = self._clock.elapsed_ns(), self._node.health
         for reason, more in self._diagnostics.left_out(self._pipeline, now_ns):
             health.count(f"left_out.{reason}", more)

@@ -143,7 +143,8 @@ class Pipeline:
     def push(self, node: str, message: Message) -> bool:
         """Take a message of a camera or robot; one that is not in the site file is counted.
 
-        Returns whether the map may know more by it: without the others it is the same.
+        Returns whether it may add to the map: without the messages that do not, the map is the
+        same.
         """
         if isinstance(message, Odometry) and node in self.site.robots:
             return self._push_odometry(node, message)
@@ -201,7 +202,7 @@ class Pipeline:
         return False
 
     def resumed(self, *, is_new: bool = False) -> None:
-        """Say that what was pushed so far came from a checkpoint: it is worked out at once.
+        """Say that what was pushed so far came from a checkpoint: it is all used at once.
 
         Whoever wrote it may have sent more corrections than it shows. `is_new`: there was nothing
         in it.
@@ -219,9 +220,9 @@ class Pipeline:
     def advance(self, now_ns: int | None = None, *, most: int | None = None) -> list[Output]:
         """Use what is ready; return what is to be sent.
 
-        `now_ns`: the time, for what is too late to make a correction; None: nothing is (offline).
-        `most`: how many observations of a robot are used at most, so that a turn ends soon whatever
-        came; `is_behind` says whether more are ready.
+        `now_ns`: the time, by which a sighting may be too late for a correction; None: none is
+        (offline). `most`: how many observations of a robot are used at most, so that a turn ends
+        soon whatever came; `is_behind` says whether more are ready.
         """
         used = self._use_ready(now_ns, most)
         is_quiet = not used
@@ -249,7 +250,7 @@ class Pipeline:
         return used
 
     def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
-        """Have everything solved to its end where that is due."""
+        """Have the session settled where that is due."""
         count, is_idle = follower.count, follower.is_idle
         if now_ns is not None and self._schedule.is_due(
             count, now_ns, is_quiet=is_quiet, is_idle=is_idle
@@ -322,7 +323,7 @@ class Pipeline:
     # -- results ----------------------------------------------------------------------------------
 
     def finish(self) -> list[Output]:
-        """Solve everything to the end from all that came in; the last messages to send.
+        """Solve everything to the end; the last messages to send.
 
         Where a solver does that, `is_answered` says when it has.
         """
@@ -361,8 +362,8 @@ class Pipeline:
         return follower is None or (follower.reported is not None and follower.reported.is_final)
 
     def results(self) -> Results:
-        """The network with covariance and trajectories as it is known now, or to a solver when it
-        last reported; raise OperationError where it has not yet."""
+        """The network with covariance and trajectories as it is known now, or as a solver last
+        reported it; raise OperationError where it has not yet."""
         if self._follower is None:
             assert isinstance(self._estimator, Estimator)
             return results_of(self._data, self._estimator, self.map_id)
@@ -394,7 +395,7 @@ class Pipeline:
         return estimator.guidance_world() if isinstance(estimator, Inspectable) else None
 
     def residuals(self) -> dict[str, CameraResiduals]:
-        """What is left over of each camera's corners; empty where the estimator does not say."""
+        """The residuals of each camera's corners; empty where the estimator does not say."""
         estimator = self._estimator
         if not isinstance(estimator, Inspectable):
             return {}

@@ -1,9 +1,9 @@
-"""Which odometry messages of a robot the checkpoint keeps: of one that stands, ever fewer.
+"""Chooses the odometry messages that the checkpoint keeps: ever fewer of a robot that stands.
 
 A robot that stands for days says the same fifty times a second. The first messages of a standstill
-are kept as they come; then one whenever the time since the last one kept is twice the time before
-it, so that nothing that is read again looks like a gap; and the last two before it moves on, or
-before a gap, which shows that way.
+are kept as they come. Then one is kept whenever the time since the last is twice the interval
+before it, so that nothing looks like a gap when it is read again. The last two before the robot
+moves on, or falls silent, are kept too, so that a real gap looks like one.
 """
 
 from collections import deque
@@ -31,11 +31,11 @@ class StandingOdometry:
         self._wanted_ns: int | None = None
 
     def want(self, stamp_ns: int) -> None:
-        """A sighting of this moment is stored: have odometry of then stored too."""
+        """Keep the odometry of this moment too: a sighting of then is stored."""
         self._wanted_ns = stamp_ns
 
     def take(self, message: Odometry, payload: bytes) -> list[bytes]:
-        """Take a message that is newer than those before; what is to be stored now, in order."""
+        """Take a message that is newer than those before; the payloads to store now, in order."""
         is_after_gap = self._is_after_gap(message)
         self._standing = self._standing + 1 if self._has_stood(message) else 0
         self._last = message
@@ -53,7 +53,7 @@ class StandingOdometry:
         return found
 
     def rest(self) -> list[bytes]:
-        """What is still to be stored before anything that follows."""
+        """The payloads to store before anything that follows."""
         found = [payload for _, payload in self._held]
         if self._held:
             self._stored(self._held[-1][0])
@@ -72,7 +72,7 @@ class StandingOdometry:
         return last is not None and message.stamp_ns - last.stamp_ns > to_ns(LONGEST_GAP_S)
 
     def _is_due(self) -> bool:
-        """Whether the last message that is held is to be stored."""
+        """Whether the last message that is held back is to be stored."""
         if not self._held:
             return False
         stamp_ns, _ = self._held[-1]

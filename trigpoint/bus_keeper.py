@@ -1,8 +1,8 @@
-"""What is to be well and does not always get well by itself: renewed once it has not been for long.
+"""Renews a connection that has been broken for long and does not mend itself.
 
-Zenoh connects again by itself. What it does not notice is a transport of which one link is lost, or
-one to a router that is gone (of an hour with 5 % of loss and a router killed every three minutes,
-corrections went without datagrams for most of the time after an overload).
+Zenoh connects again by itself, but it does not notice a transport that lost one of its links, nor
+one to a router that is gone. (In an hour with 5 % of loss and a router killed every three minutes,
+corrections went without datagrams for most of the time after an overload.)
 """
 
 import logging
@@ -16,17 +16,17 @@ from .errors import BusError
 _log = logging.getLogger(__name__)
 
 LOST_S = 5.0
-"""Within this time Zenoh itself is back, where it can be: it tries again each second."""
+"""What Zenoh can mend by itself is back by then: it tries again each second."""
 _MOST_S = 60.0
 _GROWTH = 2.0
 _LOOKS = 5
-"""How often it is looked at within the time in which it may be lost."""
+"""Checks within the time in which it may be lost."""
 _CLOSE_S = 15.0
 """A client whose router is gone took 10 s to close, all told."""
 
 
 class Keeper:
-    """A thread that renews what is not well; in vain, it waits twice as long for the next time.
+    """A thread that renews what is not well, and waits twice as long after each attempt in vain.
 
     `is_well` and `renew` are called by that thread alone; `renew` raises BusError where it fails.
     """
@@ -64,7 +64,8 @@ class Keeper:
 
 
 def close_in_time(close: Callable[[], object], what: str) -> None:
-    """Close something that may wait for who is gone; what takes too long is left behind."""
+    """Close something that may wait for a peer that is gone; where that takes too long it is left
+    behind."""
     thread = threading.Thread(target=close, name=f"{what} closes", daemon=True)
     thread.start()
     thread.join(_CLOSE_S)

@@ -1,4 +1,4 @@
-"""The contract's noise of odometry, of one step or many: what robot, fusion and simulator go by."""
+"""The contract's noise of odometry, shared by robot, fusion and simulator."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,11 @@ class StepVariances:
 
 
 def step_variances(noise: OdometryNoise, length_m: ArrayLike, turn_rad: ArrayLike) -> StepVariances:
-    """Of steps (…) of these lengths and absolute turns, as reported: a random walk, k² · (metres or
-    radians travelled), each step's independent of the others' (contract, section 2, «Odometry
-    noise»; `vertical`, `tilt` and `tilt_turn` go on with it in space)."""
+    """Variances of steps (…) of these lengths and absolute turns, as reported.
+
+    Each step is an independent random walk with variances k² · (metres or radians travelled)
+    (contract, section 2, «Odometry noise»; `vertical`, `tilt` and `tilt_turn` extend it to space).
+    """
     length, turn = (np.asarray(value, dtype=float)[..., None] for value in (length_m, turn_rad))
     by_length = np.square([noise.tilt, noise.tilt, noise.heading_drive])
     by_turn = np.square([noise.tilt_turn, noise.tilt_turn, noise.heading_turn])

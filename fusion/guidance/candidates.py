@@ -1,7 +1,7 @@
-"""Poses that a robot can be expected to be able to drive to, and how long the way there is.
+"""Poses that a robot can probably drive to, and the length of the way there.
 
-The floor is known by where robots have driven: squares within half a metre of their ways, joined
-to their neighbours. A robot that does not move in a plane is only sent where one of its kind was.
+The floor is known by where robots have driven: squares within half a metre of their ways, joined to
+their neighbours. A robot that does not move in a plane is only sent where one of its kind was.
 """
 
 from dataclasses import dataclass

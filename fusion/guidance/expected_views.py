@@ -69,9 +69,9 @@ def visits(
     chosen: Candidates,
     cameras: list[str],
 ) -> tuple[Candidates, list[Visit]]:
-    """Those of the candidates at which a camera sees the robot, and what each tells.
+    """The candidates at which a camera sees the robot, and what each would tell.
 
-    Of too many those that the first camera sees have half of the room.
+    Where there are too many, those that the first camera sees get half of the room.
     """
     seen = {
         name: faces_seen(world, place, chosen.map_from_base, name, world.state.cameras[name])

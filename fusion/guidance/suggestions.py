@@ -155,8 +155,8 @@ class Options:
 def options(
     world: GuidanceWorld, ground: Ground, joint: JointCovariance, place: RobotPlace, here: Pose
 ) -> Options | None:
-    """What every visit that can be thought of from `here` is expected to do for the worst camera;
-    None where there is none."""
+    """What every conceivable visit from `here` is expected to do for the worst camera; None where
+    there is none."""
     worst = joint.worst(world.views)
     if worst is None:
         return None
@@ -188,9 +188,9 @@ def _best(
 def _after(
     joint: JointCovariance, place: RobotPlace, motion: ExpectedMotion, visit: Visit, camera: str
 ) -> float:
-    """A camera's position sigma after going somewhere and being seen there.
+    """A camera's position sigma after the robot went somewhere and was seen there.
 
-    Only what the visit touches is worked out, so a candidate costs the same in any network.
+    Only what the visit touches is computed, so a candidate costs the same in any network.
     """
     mine = joint.position_rows(camera)
     last, scales = joint.columns(place.robot)

@@ -1,1 +1,1 @@
-"""Where a camera or a robot is that nothing is known of yet, without a guess."""
+"""Locates a camera or a robot of which nothing is known yet, without a guess."""

@@ -18,7 +18,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
 MOST_HYPOTHESES = 8
-# Of a coordinate, in sigmas; with more the best hypothesis is none.
+# Of a coordinate, in sigmas; a best hypothesis that is worse than this is not accepted.
 ACCEPTABLE_RMS = 3.0
 _MOST_ROUNDS = 3
 

@@ -33,10 +33,10 @@ class Undetermined:
 
 
 def locate(data: DataSet, state: State, camera: str) -> Located | Undetermined:
-    """Locate a camera by the observations of it whose robot pose is known.
+    """Locate a camera by those of its observations whose robot pose is known.
 
-    By one robot after the other, since how two robots stand to each other is not known here; what
-    the others saw of it is fitted in once it is located.
+    One robot after the other, since how two robots stand to each other is not known here; what the
+    others saw of it is fitted in once it is located.
     """
     result = Undetermined(("the robot that it saw is not located in the map yet",))
     for indices in _by_robot(data, camera):
@@ -75,7 +75,7 @@ def _locate(data: DataSet, state: State, camera: str, indices: list[int]) -> Loc
 
 
 def decide(data: DataSet, hypotheses: list[Hypothesis]) -> Hypothesis | Undetermined:
-    """The hypothesis that the data decide for; they are given best first."""
+    """The hypothesis that the data support alone; they are given best first."""
     best = hypotheses[0]
     if best.rms > ACCEPTABLE_RMS:
         return Undetermined(

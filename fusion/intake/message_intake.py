@@ -74,7 +74,7 @@ class Intake:
         return sum(len(queue) for queue in self._waiting.values())
 
     def add(self, camera: str, message: Sightings, lens: CameraModel) -> bool:
-        """Take the sightings of one picture; whether the map may know more by it."""
+        """Take the sightings of one picture; whether they may add to the map."""
         if (message.width, message.height) != (lens.width, lens.height):
             self.left_out.add(
                 "wrong_size",
@@ -108,7 +108,7 @@ class Intake:
         return False
 
     def _views(self, camera: str, message: Sightings) -> tuple[dict[str, list[View]], bool]:
-        """By robot, and whether there are others, whose robot is to be identified."""
+        """The views by robot, and whether there are others, whose robot is yet to be identified."""
         views: dict[str, list[View]] = {}
         shared: list[dict[str, View]] = []
         eye = self._site.cameras[camera]
@@ -173,7 +173,7 @@ class Intake:
         return [robot for robot, target in self._targets.items() if target.name == face.target]
 
     def _queue(self, robot: str, observation: Observation) -> bool:
-        """Have an observation wait for odometry; whether it says more than others have said."""
+        """Have an observation wait for its odometry; whether it may add to the map."""
         if self._standstills is not None and self._standstills.repeats(observation):
             observation = replace(observation, is_repeat=True)
             self.left_out.add("standing_still")

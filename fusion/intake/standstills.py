@@ -1,9 +1,9 @@
-"""Which sightings of a robot that stands repeat what others of the same standstill have said.
+"""Finds the sightings of a standing robot that only repeat earlier ones of the same standstill.
 
-The errors of corners are partly systematic and stay while a robot stands (decisions/0604), so that
-a standstill's pictures soon say nothing new; but a robot may stand for days before a camera. What
-is kept of a standstill is a stated number of pictures for each way the robot looks to the camera: a
-robot that was put elsewhere, a camera that was moved, or a face that appears look otherwise.
+Errors of corners are partly systematic and stay while a robot stands (decisions/0604), so a
+standstill's pictures soon tell nothing new; but a robot may stand before a camera for days. So a
+fixed number of pictures is kept for each look of the robot. A robot that was put elsewhere, a
+camera that was moved, or a face that appears is another look.
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,20 +18,20 @@ from trigpoint.fusion.model.odometry import OdometryTrack
 from .admission import Budget
 
 MOST_ALIKE = 64
-"""So many pictures that look alike are kept of a standstill. With a systematic part of variance b²
-in units of the noise's they know b² + 1/64 of it, and all others together would know b²."""
-# A robot may be seen to look otherwise this often in one standstill, and once an hour after that: a
-# camera that trembles makes no new picture of the map.
+"""How many pictures of one look are kept. Where their errors have a systematic part of variance b²,
+in units of the noise's, the mean of these has b² + 1/64, and that of all would have b²."""
+# So many looks may a standstill have, and one more an hour: a camera that trembles would make ever
+# new ones.
 _MOST_LOOKS = 16
 _LOOKS_HZ = 1 / 3600
-# So many corners show whether a face is where it was.
+# It takes so many common corners to tell whether a face is where it was.
 _LEAST_CORNERS = 4
 
 
 @dataclass(slots=True)
 class _Standstill:
-    """A robot before a camera, until the last picture of it. `views`: how it looks there; `count`:
-    how many such pictures were kept; `kept`: how many may be."""
+    """A robot before a camera, until the last picture of it. `views`: its present look; `count`:
+    how many pictures of that look were kept; `kept`: the budget for all looks."""
 
     last_ns: int
     views: tuple[View, ...]
@@ -40,15 +40,16 @@ class _Standstill:
 
 
 class Standstills:
-    """Every robot before every camera. Not thread-safe. `tracks`: the robots' odometry."""
+    """The standstills of every robot before every camera. Not thread-safe. `tracks`: the robots'
+    odometry."""
 
     def __init__(self, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
         self._found: dict[tuple[str, str], _Standstill] = {}
 
     def repeats(self, observation: Observation) -> bool:
-        """Whether an observation says only what others have said; they are asked about in the order
-        in which they come."""
+        """Whether an observation only repeats earlier ones; to be asked in the order in which they
+        come."""
         found = self._standstill(observation)
         new = tuple(v for v in observation.views if not any(_shows(v, w) for w in found.views))
         has_moved = any(v not in new and not _is_alike(v, found.views) for v in observation.views)
@@ -71,7 +72,7 @@ class Standstills:
         return found
 
     def _has_stood(self, observation: Observation, since_ns: int) -> bool:
-        """Whether the robot has stood since a moment, as far as its odometry has come."""
+        """Whether the robot has stood since a moment, as far as its odometry reaches."""
         track = self._tracks[observation.robot]
         if not len(track):
             return True
@@ -88,7 +89,7 @@ def _shows(view: View, other: View) -> bool:
 
 
 def _is_alike(view: View, others: Iterable[View]) -> bool:
-    """Whether a view shows its face where another one of it does."""
+    """Whether a view shows its face at the same place as one of the others."""
     return any(_shows(view, other) and _is_at_one_place(view, other) for other in others)
 
 

@@ -61,7 +61,7 @@ class _Coming:
 
 
 class Follower:
-    """See `Live`; results that need a solver come with the solver's news. Not thread-safe."""
+    """A `Live` estimator whose results come with a solver's news. Not thread-safe."""
 
     def __init__(self, data: DataSet, solver: Solver) -> None:
         self.data, self._solver = data, solver
@@ -104,7 +104,7 @@ class Follower:
         self._tell(observation, is_collected=True)
 
     def _use(self, current: CurrentFilter, observation: Observation) -> RobotEstimate | None:
-        """Bring a filter on by an observation; it is as before where that fails."""
+        """Update a filter with an observation; where that fails it is as before."""
         entry = Entry(of_its_time(self.data.moves, observation))
         known = current.known
         if known is None or not known.has_robot(observation.robot):
@@ -122,7 +122,7 @@ class Follower:
     # -- the solver -------------------------------------------------------------------------------
 
     def attend(self) -> Iterator[Suggested | Happened]:
-        """Take the solver's news and give it what it lacks; what is to be reported of it.
+        """Take the solver's news and pass on its orders; what there is to report.
 
         Called at every turn.
         """
@@ -242,10 +242,11 @@ class Follower:
 
 
 def catching_up(came: int, before: int) -> int:
-    """How many sightings a new filter is brought on by in a turn in which some came, and before it.
+    """By how many sightings a new filter catches up in a turn, given how many came in it and in the
+    turn before.
 
-    It gains on them whatever comes, and in a turn in which a robot waits it does no more than that
-    takes: nothing for a single sighting after a turn without one.
+    It gains on them whatever comes. In a turn in which a robot waits it does no more than it must:
+    nothing for a single sighting after a turn without one.
     """
     if not came:
         return _CATCHING_UP

@@ -59,8 +59,8 @@ Shares = dict[tuple[str, str], tuple[int, float]]
 class Solved:
     """A solution over the first `count` observations.
 
-    `shares`: see `CurrentFilter`; `jumps`: robot -> the steps of its odometry in which its
-    way is broken; `located`: the cameras that are part of it; `took_s`: how long it took.
+    `shares`: see `CurrentFilter`; `jumps`: robot -> the steps of its odometry in which its track is
+    broken; `located`: the cameras that are part of it; `took_s`: how long it took.
     """
 
     count: int

@@ -67,7 +67,7 @@ def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bo
 
 
 def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dict[str, CameraState]:
-    """The places of one camera with its one lens and clock."""
+    """The places of one camera, which share its lens and its clock."""
     return {
         name: CameraState(
             camera.map_from_camera,
@@ -130,8 +130,8 @@ def _chain(
 
 
 def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
-    """The moments, with more of them where two lie far apart, but no two in one step of odometry:
-    a step in which the robot stood may last for days."""
+    """The moments, with more between two that lie far apart, but never two within one step of
+    odometry: a step in which the robot stood may last for days."""
     parts = [moments]
     for gap in np.flatnonzero(np.diff(moments) > 2 * _FILL_NS):
         count = int((moments[gap + 1] - moments[gap]) // _FILL_NS)

@@ -66,8 +66,8 @@ class Lift:
 
 @dataclass(frozen=True, slots=True)
 class CameraMove:
-    """A camera was moved between its last sighting from its old place and the first from the
-    new one."""
+    """A camera was moved between its last sighting from the old place and the first from the new
+    one."""
 
     camera: str
     until_ns: int
@@ -141,11 +141,11 @@ class DataSet:
         return [*(move.name for move in self.moves), *self.site.cameras]
 
     def site_camera(self, name: str) -> str:
-        """The camera of a place of it."""
+        """The camera that a place is of."""
         return next((move.camera for move in self.moves if move.name == name), name)
 
     def places_of(self, camera: str) -> list[str]:
-        """The names of a camera's places, in order of time, its own the last."""
+        """The names of a camera's places in order of time, its own name last."""
         return [*(move.name for move in self.moves if move.camera == camera), camera]
 
     def rename(self, camera: str, name: str, *, until_ns: int) -> None:
@@ -162,7 +162,7 @@ class DataSet:
         self.events.append(Event(kind, text))
 
     def of_camera(self, camera: str) -> list[Entry]:
-        """Its entries, in the order in which they came."""
+        """A camera's entries, in the order in which they came."""
         for entry in self.entries[self._sorted :]:
             self._by_camera.setdefault(entry.observation.camera, []).append(entry)
         self._sorted = len(self.entries)

@@ -19,8 +19,8 @@ _WRONG_SIGHTING = 1e-5
 # How often a robot stands farther from where its sightings put it than the gate.
 _ELSEWHERE = 1 / 3000
 
-# How often a corner of a robot that stands lies farther from where another picture has it; half the
-# corners of a view never do.
+# How often a corner of a standing robot lies farther than the gate from where another picture has
+# it; the median of a view's corners never does.
 _SAME_CORNER = 1 / 100
 
 
@@ -38,11 +38,11 @@ def length_gate(probability: float) -> float:
 DECISIVE = -2 * math.log(_AMBIGUOUS)
 WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
 WILD_CORNER_IN_TAILS_SIGMAS = length_gate(_WILD_CORNER_IN_TAILS)
-# Beyond so many sigmas a corner counts linearly while the start may be rough (Huber).
+# Beyond so many sigmas a corner counts linearly, as long as the start may be rough (Huber).
 HUBER_SIGMAS = 4.0
-# With more wild corners than this a view is wrong.
+# A view with a larger share of wild corners is wrong.
 WILD_SHARE = 0.25
-# Between two pictures, both of which err.
+# Between two pictures, each with its noise.
 SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 
 

@@ -1,4 +1,4 @@
-"""How a robot stands otherwise in a picture than its odometry's plane says."""
+"""How a robot in a picture stands off the plane of its odometry."""
 
 from dataclasses import dataclass
 

@@ -33,7 +33,7 @@ class Motion:
     is_still: np.ndarray
 
     def where(self, chosen: np.ndarray) -> "Motion":
-        """Only the chosen (n,) bool ones."""
+        """The motions chosen by (n,) bool."""
         return Motion(
             self.earlier_from_later[chosen],
             self.covariance[chosen],
@@ -54,8 +54,8 @@ class Motion:
 class OdometryStep:
     """A robot's step by odometry; leading dimensions as its pose has.
 
-    `end`: the pose after it; a disturbance of the start moves the end by `by_start` (…, 6, 6), one
-    of the motion by `by_motion` (…, 6, 6), a change of the scales by `by_scales` (…, 6, 2).
+    `end`: the pose after it. Its disturbance is `by_start` (…, 6, 6) times the start's, `by_motion`
+    (…, 6, 6) times the motion's, and `by_scales` (…, 6, 2) times a change of the scales.
     """
 
     end: Pose
@@ -65,7 +65,8 @@ class OdometryStep:
 
 
 def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
-    """t' = t + R Δt, R' = R ΔR of one motion: a turn of the start swings the end about it."""
+    """One motion from a start: t' = t + R Δt, R' = R ΔR. A turn of the start swings the end about
+    it."""
     end = start @ motion.earlier_from_later[0]
     by_motion = turned_axes(start.rotation)
     by_start = lever(end.translation - start.translation)
@@ -105,13 +106,13 @@ def moved(twists: Array) -> Pose:
 
 
 def both(scale: Array) -> Array:
-    """A twist's six factors by those (2,) of distance and heading."""
+    """Factors (2,) of distance and heading as a twist's six."""
     return np.repeat(scale, 3)
 
 
 def composed_motion(twists: Array, noise: StepNoise, segment: np.ndarray, scales: Array) -> Motion:
-    """Compose steps (m) of unscaled twists (m, 6) into one motion a segment; `segment` (m,): which
-    one a step belongs to, ascending, none left out."""
+    """Compose steps (m) of unscaled twists (m, 6) into one motion for each segment; `segment` (m,):
+    which one a step belongs to, ascending and without gaps."""
     ends = np.cumsum(np.bincount(segment))
     starts = np.concatenate([[0], ends[:-1]])
     scaled = twists * both(1 + scales)

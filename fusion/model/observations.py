@@ -43,8 +43,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One face in one picture: corner ids (n,), pixels (n, 2), sigma of a coordinate as far as lens
-    and print are believed.
+    """One face in one picture: corner ids (n,), pixels (n, 2), and the sigma of a coordinate, lens
+    and print included.
 
     `readings`: every way in which the view can be read; `sweep`: by a rolling shutter.
     """
@@ -60,7 +60,7 @@ class View:
 class Observation:
     """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
     camera's clock. `chosen`: a reading for each view, or None where that is open; `is_repeat`: it
-    says of the map only what others of the same standstill have said.
+    tells nothing of the map that others of the same standstill have not told.
 
     `outliers`: for each view, (n,) bool, the corners that contradict the rest.
     """
@@ -90,7 +90,7 @@ class Observation:
         return any(view.sweep is not None for view in self.views)
 
     def moving(self, twist: Array) -> "Observation":
-        """The same of a robot that moved by a twist (6,)."""
+        """The same observation of a robot that moves with a twist (6,)."""
         views = (
             replace(view, sweep=view.sweep.moving(twist)) if view.sweep is not None else view
             for view in self.views
@@ -105,7 +105,7 @@ class Observation:
         return len(self.views) - sum(bool(np.all(wild)) for wild in self.outliers)
 
     def by_view(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Rows (n, …) of all corners, apart by view; what lies behind them is left out."""
+        """Rows (n, …) of all corners, split by view; rows beyond those (padding) are dropped."""
         ends = np.cumsum([len(view.corners) for view in self.views])
         return tuple(np.split(rows[: ends[-1]], ends[:-1]))
 
@@ -157,8 +157,8 @@ def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> Vie
 def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ...]) -> Observation:
     """A new observation; its reading is chosen where there is only one.
 
-    Where a shutter rolls, it is of the moment when the middle of the corners was exposed;
-    `stamp_ns`: after which the views have their corners.
+    `stamp_ns`: the picture's stamp, from which the views' times count. With a rolling shutter the
+    observation's moment is when the middle of its corners was exposed.
     """
     is_plain = all(len(view.readings) == 1 for view in views)
     chosen = tuple(view.readings[0] for view in views) if is_plain else None
@@ -176,9 +176,9 @@ def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ..
 def moving(
     observations: list[Observation], track: OdometryTrack, times_ns: np.ndarray, scales: Array
 ) -> list[Observation]:
-    """Observations of a robot with its twists at the true times (n,) at which it was seen, by its
-    odometry; those that no rolling shutter made stay as they are. `scales`: of the odometry, (2,).
-    """
+    """Observations of a robot, each with the robot's twist at the true time (n,) at which it was
+    seen, by its odometry; those without a rolling shutter stay as they are. `scales`: of the
+    odometry, (2,)."""
     if not any(observation.is_swept for observation in observations):
         return observations
     _, twists = track.carried(times_ns, np.zeros(len(times_ns)), scales)

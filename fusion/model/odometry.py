@@ -46,8 +46,8 @@ _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
 _GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
-# Of a robot that stands so many messages are kept one by one (20 s at 50 Hz); those that follow are
-# one step without motion, whose end moves on.
+# Of a standstill so many messages are kept one by one (20 s at 50 Hz); the later ones are a single
+# step without motion, whose end moves on.
 MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
@@ -85,7 +85,7 @@ class OdometryTrack:
         self._broken_rows: list[int] = []  # those that odometry itself does not show
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
         self._period_ns = 0  # from the message before the last to the last
-        self._standing = 0  # how many messages there were since the robot moved last
+        self._standing = 0  # messages since the robot moved last
 
     def __len__(self) -> int:
         return self._count
@@ -120,7 +120,7 @@ class OdometryTrack:
     def add(self, stamp_ns: int, odom_from_base: Pose) -> Added:
         """Append a message; one that is not newer than the last is refused.
 
-        Where the robot has stood for long, the last one is moved on to it instead.
+        Once the robot has stood for long, the last message is moved on instead.
         """
         if self._count and stamp_ns <= self.last_ns:
             return Added.STALE
@@ -152,7 +152,7 @@ class OdometryTrack:
         return bool(np.abs(self._twists[row]).max() < STILL)
 
     def _write_planar(self, row: int, pose: Pose) -> None:
-        """The pose in the plane; by plain numbers, since there are many messages a second."""
+        """Store a pose in the plane; with plain floats, which are quicker for one row."""
         forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
         length = math.hypot(forward, left)
         cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)
@@ -229,13 +229,13 @@ class OdometryTrack:
             self._broken_rows = [*self._broken_rows, row]
 
     def _split(self, stamp_ns: int) -> None:
-        """Have a message at a moment within a long step in which the robot stood."""
+        """Insert a message at a moment within a long step in which the robot stood."""
         row = int(np.searchsorted(self.stamps_ns, stamp_ns))
         if not 0 < row < self._count or self._stamps[row] == stamp_ns or not self._stands(row):
             return
         if self._stamps[row] - self._stamps[row - 1] <= to_ns(LONGEST_GAP_S):
             return
-        # Anew, since others may read what was.
+        # New arrays, since copies of this track share the old ones.
         for name in _ARRAYS:
             array = getattr(self, name)
             setattr(self, name, np.insert(array, row, array[row], axis=0))
@@ -254,7 +254,7 @@ class OdometryTrack:
         return track
 
     def noisy(self, noise: OdometryNoise, *, slip: float, skid: float) -> "OdometryTrack":
-        """The same odometry so far with another noise, to be read only."""
+        """The same odometry so far with other noise; read-only."""
         track = copy.copy(self)
         track.noise, track.slip, track.skid = noise, slip, skid
         return track
@@ -277,8 +277,8 @@ class OdometryTrack:
         return tuple(zip(self._stamps[rows - 1].tolist(), self._stamps[rows].tolist(), strict=True))
 
     def jump_in(self, steps: Iterable[tuple[int, int]]) -> None:
-        """The motion in these steps is unknown, and in those that jump by themselves, and nowhere
-        else."""
+        """Break the track in these steps, from one message's stamp to another's, and nowhere else;
+        what jumps by itself stays a jump."""
         self.mend()
         ends_ns = []
         for start_ns, end_ns in steps:

@@ -28,8 +28,8 @@ def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
 def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
     """Weighted Jacobian (n, K, 2, d + q), residual (n, K, 2) and dense columns (q,) of a batch.
 
-    Residual = (projection - pixel)/sigma; d columns of the node, the dense ones from the camera's
-    pose on.
+    Residual = (projection - pixel)/sigma. The first d columns are the node's; the dense ones begin
+    with the camera's pose.
     """
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain, layout = problem.chains[batch.robot], problem.layout
@@ -83,9 +83,9 @@ def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A batch's corners (n, K, 3) at a state, by the axes that they are taken in: of the face, of
-    the robot as it was seen, of its node and of the camera (from the camera, the map's axes; and in
-    the optical frame). `twist` (n, 6): the robot's, where the camera has a time offset."""
+    """A batch's corners (n, K, 3) at a state, in the axes of the face, of the robot as it was seen,
+    of its node, and of the camera (from the camera in the map's axes, and in the optical frame).
+    `twist` (n, 6): the robot's, where the camera has a time offset."""
 
     in_face_axes: Array
     in_seen_axes: Array
@@ -121,7 +121,7 @@ def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
 
 
 def _rotated(rows: Array, matrix: Array) -> Array:
-    """Rows (…, 3) times one matrix, as one product: numpy would make it one each."""
+    """Rows (…, 3) times one matrix, in one product; numpy would make many small ones."""
     return (rows.reshape(-1, 3) @ matrix).reshape(rows.shape)
 
 

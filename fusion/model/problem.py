@@ -51,7 +51,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Everything that is worked out."""
+    """All unknowns with their present values."""
 
     cameras: dict[str, CameraState]
     robots: dict[str, RobotState]
@@ -62,7 +62,7 @@ class Chain:
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
-    worked out; `track`: the odometry behind it.
+    computed; `track`: the odometry behind it.
     """
 
     robot: str
@@ -77,7 +77,7 @@ class Chain:
     def unlinked(
         cls, robot: str, stamps_ns: np.ndarray, track: OdometryTrack, scales: Array | None = None
     ) -> Self:
-        """Nodes between which nothing is said of the motion."""
+        """Nodes without any motion between them."""
         here = scales if scales is not None else np.zeros(2)
         return cls(robot, stamps_ns, None, track, here, track.planar, is_anchored=False)
 
@@ -118,7 +118,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Gaussian knowledge from before, as (column, expected disturbance)-free standard forms.
+    """Gaussian priors of the dense unknowns.
 
     `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
     drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,

@@ -1,4 +1,4 @@
-"""Where corners fall in a picture, and how that changes with the poses that they hang from."""
+"""Projects corners into a picture, with the derivative by the poses that they depend on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,15 +8,16 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-# What is nearer to a camera's plane than this, or behind it, counts as this far before it: there a
-# residual is large and its derivative harmless.
+# What is behind a camera, or nearer to its plane, is put this far in front of it: there a residual
+# is large and its derivative harmless.
 NEAREST_M = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Corners of a body in a picture: `pixels` (…, k, 2); their derivative (…, k, 2, 6) `by_body`,
-    a disturbance of the body's pose; `is_ahead` (…, k): whether a corner is before the camera."""
+    """Corners of a body in a picture: `pixels` (…, k, 2); `by_body`: their derivative (…, k, 2, 6)
+    by a disturbance of the body's pose; `is_ahead` (…, k): whether a corner is in front of the
+    camera."""
 
     pixels: Array
     by_body: Array
@@ -26,8 +27,8 @@ class Projection:
 def projected(
     lens: CameraModel, frame_from_body: Pose, points: Array, frame_from_camera: Pose | None = None
 ) -> Projection:
-    """Points (…, k, 3) of a body at its poses (…), in any frame, before one camera there; without
-    `frame_from_camera` the frame is the camera's optical one."""
+    """Project points (…, k, 3) of a body at its poses (…) into a camera; without
+    `frame_from_camera` the poses are in the camera's optical frame."""
     arm = points @ np.swapaxes(frame_from_body.rotation, -1, -2)
     optical = arm + frame_from_body.translation[..., None, :]
     if frame_from_camera is not None:
@@ -40,7 +41,7 @@ def projected(
 
 
 def before_camera(optical: Array) -> Array:
-    """Points (…, 3) in the optical frame, at least `NEAREST_M` before it."""
+    """Points (…, 3) in the optical frame, pushed to at least `NEAREST_M` in front of it."""
     pushed = optical.copy()
     pushed[..., 2] = np.maximum(optical[..., 2], NEAREST_M)
     return pushed
@@ -51,10 +52,10 @@ def by_disturbance(by_point: Array, arm: Array, tangent: Sequence[int] = range(6
     that carries the points: metres, then radians, by the contract, t' = t + δt, R' = Exp(δθ) R.
 
     `by_point`: (…, k, 2, 3) by the point, in the axes of the pose's parent; `arm`: (…, k, 3) the
-    point from the body's origin, in the same axes. With p = t + a: ∂p/∂δt = I, ∂p/∂δθ = -[a]×
-    (Solà et al., section 4), and a row b of `by_point` times -[a]× is a × b. A camera that moves
-    does to what it sees the opposite of a body that moves with its origin: with the point from the
-    camera for `arm`, the derivative by its pose is this one of `-by_point`.
+    point from the body's origin, in the same axes. With p = t + a: ∂p/∂δt = I, ∂p/∂δθ = -[a]× (Solà
+    et al., section 4), and a row b of `by_point` times -[a]× is a × b. To a camera the points move
+    the opposite way: the derivative by its pose is this one with `-by_point`, and the point from
+    the camera as `arm`.
     """
     result = np.empty((*by_point.shape[:-1], len(tangent)))
     for column, component in enumerate(tangent):

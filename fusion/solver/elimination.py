@@ -75,7 +75,7 @@ class BandElimination:
 
 
 class NestedElimination:
-    """See above.
+    """`Elimination` by nested dissection.
 
     SuperLU factorises the whole, bordered by B and g, in the order given and without pivoting:
 

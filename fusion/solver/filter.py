@@ -164,8 +164,8 @@ class Filter:
         return carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
 
     def carried(self, data: DataSet, robot: str, stamp_ns: int) -> "Filter":
-        """The robot's last pose moved on to a later time, where its odometry leads; unlike
-        `carried_on` with what is not known of its scales."""
+        """The robot's last pose moved on to a later time by its odometry; unlike `carried_on`, with
+        the uncertainty of its scales."""
         start = self.robot(data, robot)
         if stamp_ns <= start.stamp_ns:
             return self
@@ -173,11 +173,11 @@ class Filter:
         return self.advanced(data, robot, stamp_ns, guess)
 
     def before(self, data: DataSet, robot: str, camera: str, stamp_ns: int) -> Array:
-        """Covariance (6, 6) of where a camera has a robot at its last node, or later by its
-        odometry.
+        """Covariance (6, 6) of a robot's pose relative to a camera, at the robot's last node or
+        later by its odometry.
 
-        That may be far less than what is not known of both in the map. The camera disturbed by
-        (δt, δθ) takes along what stands before it by δt + δθ × a, with a the way to it.
+        It may be far smaller than that of either in the map. A camera disturbed by (δt, δθ) takes
+        along what stands before it by δt + δθ × a, with a the way to it.
         """
         ahead = self.carried(data, robot, stamp_ns)
         last = self._columns(self.layout.last[robot])
@@ -193,7 +193,8 @@ class Filter:
         return self.state.robots[robot].scales
 
     def camera_sigma_px(self, camera: str, distance_m: float) -> float:
-        """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
+        """By about how many pixels the camera's own uncertainty moves what it sees at a
+        distance."""
         pose = self._columns(self.layout.pose[camera])
         variances = np.diagonal(self.known.covariance_of(pose))
         turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
@@ -234,8 +235,9 @@ class Filter:
     def updated(
         self, data: DataSet, observation: Observation, *, share: float = 1.0
     ) -> tuple["Filter", float]:
-        """With an observation of the robot at its last node; also its surprise, χ² over twice the
-        corners (the normalised innovation squared). `share`: how much the observation counts.
+        """The filter after an observation of the robot at its last node; also the observation's
+        surprise, χ² over twice the corners (the normalised innovation squared). `share`: how much
+        it counts.
 
         The Jacobian's triangular factor R stands for it (J = QR), so that there are only as many
         equations as unknowns that a sighting bears on.

@@ -108,7 +108,8 @@ def covariance_of(information: Array) -> Array:
 def eliminate(
     equations: NormalEquations, damping: float
 ) -> tuple[Array, Array, dict[str, Elimination]]:
-    """Information and gradient of the dense part after the chains' elimination, and the latter."""
+    """Information and gradient of the dense part after the chains' elimination, and the eliminated
+    chains."""
     information, gradient = equations.dense.copy(), equations.gradient.copy()
     chains: dict[str, Elimination] = {}
     for name, chain in equations.chains.items():

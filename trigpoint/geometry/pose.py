@@ -47,7 +47,7 @@ class Pose:
         )
 
     def repeated(self, count: int) -> "Pose":
-        """One pose `count` times; to be read only."""
+        """This pose `count` times; read-only."""
         return Pose(
             np.broadcast_to(self.rotation, (count, 3, 3)),
             np.broadcast_to(self.translation, (count, 3)),

@@ -1,10 +1,10 @@
-"""Errors of poses, by the contract's convention, and their covariances.
+"""Errors of poses in the contract's convention, and their covariances.
 
 An error is a disturbance (δt, δθ), t' = t + δt, R' = Exp(δθ) R: metres and radians in the parent's
-axes (`Pose.disturbed`, `Pose.difference`). A covariance (6, 6) of a pose is of that, everywhere but
-in two places, which turn theirs into it where they hand them on: the extended Kalman filter's
-errors are left twists (`fusion.estimators.filters.pose_errors`, `kalman_state`), those of the dead
-reckoning on a robot are in the moving base's axes (`robot.reckoning`).
+axes (`Pose.disturbed`, `Pose.difference`). The covariance (6, 6) of a pose is that of its
+disturbance. Two places use other errors inside and convert what they hand out: the extended Kalman
+filter's are left twists (`fusion.estimators.filters.pose_errors`, `kalman_state`), those of a
+robot's dead reckoning are in the moving base's axes (`robot.reckoning`).
 """
 
 import numpy as np
@@ -23,16 +23,16 @@ def carried_covariance(parent_from_old: Pose, covariance: Array) -> Array:
 
 
 def turned_axes(rotation: Array) -> Array:
-    """Disturbances in an old parent's axes as in a new one's, by new_from_old (…, 3, 3):
-    (…, 6, 6)."""
+    """(…, 6, 6) that takes a disturbance from an old parent's axes into a new one's, by
+    new_from_old (…, 3, 3)."""
     turn = np.zeros((*rotation.shape[:-2], 6, 6))
     turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
     return turn
 
 
 def lever(arm: Array) -> Array:
-    """How a disturbance of a pose disturbs what is fixed to it, `arm` (…, 3) away in the same axes:
-    δt + δθ × arm and δθ, (…, 6, 6)."""
+    """(…, 6, 6) that takes the disturbance of a pose to that of something fixed to it, `arm` (…, 3)
+    away in the same axes: δt + δθ × arm and δθ."""
     jacobian = np.zeros((*arm.shape[:-1], 6, 6))
     jacobian[...] = np.eye(6)
     jacobian[..., :3, 3:] = -hat(arm)
@@ -40,10 +40,11 @@ def lever(arm: Array) -> Array:
 
 
 def relative_jacobians(parent_from_a: Pose, parent_from_b: Pose) -> tuple[Array, Array]:
-    """How a disturbance of a_from_b follows one of a and one of b in their parent, (…, 6, 6) each.
+    """Derivatives of the disturbance of a_from_b by those of a and of b in their parent, (…, 6, 6)
+    each.
 
-    With C = R_aᵀ: t = C (t_b - t_a), so ∂t/∂δt_b = C, ∂t/∂δt_a = -C, ∂t/∂δθ_a = C [t_b - t_a]×,
-    and both rotations turn with C.
+    With C = R_aᵀ: t = C (t_b - t_a), so ∂t/∂δt_b = C, ∂t/∂δt_a = -C, ∂t/∂δθ_a = C [t_b - t_a]×, and
+    both rotations turn with C.
     """
     to_a = np.swapaxes(parent_from_a.rotation, -1, -2)
     between = parent_from_b.translation - parent_from_a.translation
