@@ -12,9 +12,10 @@ import msgspec
 import numpy as np
 
 from trigpoint.config import parse_site
+from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.messages import CameraInfo, FaceSighting, Message, Odometry, Sightings
+from trigpoint.messages import CameraInfo, FaceSighting, Odometry, Sightings
 from trigpoint.target import Target
 from trigpoint.tools.simulation.targets import target_of
 from trigpoint.tools.simulation.visibility import seen_faces
@@ -68,7 +69,7 @@ class Corridor:
         numbers = range(1, self.robots + 1)
         return {f"r{n}": msgspec.structs.replace(target, name=f"{target.name}{n}") for n in numbers}
 
-    def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Message]]:
+    def messages(self, *, seed: int = 0) -> Iterator[tuple[str, Input]]:
         """(camera or robot, message) in the order of their stamps."""
         random, targets = np.random.default_rng(seed), self.targets
         lens = CameraModel.from_field_of_view(640, 480, np.radians(62.0))

@@ -10,22 +10,25 @@ import ctypes
 import gc
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trigpoint import cdr, topics
-from trigpoint.clock import to_ns
+from trigpoint import cdr
+from trigpoint.clock import SystemClock, to_ns
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_messages import Finish, News, Order
 from trigpoint.fusion.live.solver_worker import SolverWorker
-from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.standing_odometry import StandingOdometry
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.messages import Message, Odometry, Sightings
 
 from .corridor import EPOCH_NS, Corridor
 from .machine import machine
@@ -34,8 +37,6 @@ _ODOMETRY_HZ, _PICTURES_HZ = 50.0, 5.0
 _NOISE_PX = 0.1
 # The solver is asked for everything this often.
 _ASKED_NS = to_ns(30.0)
-_TYPES = {CameraInfo: topics.CAMERA_INFO, Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS}
-_HEAD = 30  # bytes of a record beside key and payload
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,52 +62,90 @@ class _Orders:
     """A solver that only keeps what it is told."""
 
     def __init__(self) -> None:
-        self.told: list[Order] = []
+        self._told: list[Order] = []
 
     def tell(self, orders: Sequence[Order]) -> None:
-        self.told += orders
+        self._told += orders
+
+    def taken(self) -> list[Order]:
+        """What it was told since the last call."""
+        told, self._told = self._told, []
+        return told
 
     def news(self) -> list[News]:
         return []
 
     def close(self) -> None:
-        pass
+        """Nothing is held open."""
+
+
+class _Run:
+    """A live estimator with its checkpoint in a folder; or, if it `solves`, its solver too.
+
+    `last`: the last message of each type, and who sent it.
+    """
+
+    def __init__(self, inputs: Inputs, folder: Path, *, solves: bool) -> None:
+        self._site, self._orders = inputs.site, _Orders()
+        self._pipeline = Pipeline(inputs, solver=self._orders)
+        self._worker = SolverWorker(inputs.data_set(), time.perf_counter) if solves else None
+        self._path = folder / "checkpoint.bin"
+        self._storage = MapStorage(self._path, inputs.site, SystemClock(), knows=lambda _: True)
+        self._asked_ns = EPOCH_NS
+        self.last: dict[type[Message], tuple[str, Message]] = {}
+
+    def phase(self, messages: Iterable[tuple[str, Input]], seconds: float) -> Growth:
+        """Take messages, and say what they added."""
+        memory_mb, stored_mb, pictures, kept = _memory_mb(), self._stored_mb(), 0, 0
+        for node, message in messages:
+            self.last[type(message)] = node, message
+            is_kept = self._take(node, message)
+            self._solve(message.stamp_ns)
+            pictures += isinstance(message, Sightings)
+            kept += isinstance(message, Sightings) and is_kept
+        grown = _memory_mb() - memory_mb
+        return Growth(seconds / 60, pictures, kept, grown, self._stored_mb() - stored_mb)
+
+    def close(self) -> None:
+        self._storage.close()
+
+    def _take(self, node: str, message: Input) -> bool:
+        is_kept = self._pipeline.push(node, message)
+        self._pipeline.advance(message.stamp_ns)
+        if is_kept:
+            key = INPUT_TOPICS[type(message)].key(self._site.name, node)
+            self._storage.store(key, cdr.encode(message), message)
+        return is_kept
+
+    def _solve(self, stamp_ns: int) -> None:
+        orders = self._orders.taken()
+        if self._worker is None:
+            return
+        if stamp_ns - self._asked_ns > _ASKED_NS:
+            self._asked_ns = stamp_ns
+            orders.append(Finish())
+        for order in orders:
+            for _ in self._worker.carry_out(order):
+                pass
+
+    def _stored_mb(self) -> float:
+        return self._path.stat().st_size / 1e6
 
 
 def measured(corridor: Corridor, stands_s: float, *, solves: bool) -> list[Growth]:
-    """The drive's growth and the standstill's: of the solver, or of all the rest."""
+    """The drive's growth and the standstill's."""
     return_large_arrays()
-    inputs, orders = corridor.inputs, _Orders()
-    pipeline = Pipeline(inputs, solver=orders)
-    worker = SolverWorker(inputs.data_set(), time.perf_counter) if solves else None
-    odometry = StandingOdometry()
-    found, last, asked_ns = [], {}, EPOCH_NS
-    phases = (corridor.messages(), _standing(last, stands_s, corridor))
-    for phase, seconds in zip(phases, (corridor.duration_s, stands_s), strict=True):
-        before, pictures, kept, size = _memory_mb(), 0, 0, 0
-        for node, message in phase:
-            assert isinstance(message, CameraInfo | Odometry | Sightings)
-            last[type(message)] = node, message
-            is_kept = pipeline.push(node, message)
-            pipeline.advance(message.stamp_ns)
-            pictures += isinstance(message, Sightings)
-            kept += isinstance(message, Sightings) and is_kept
-            size += _stored(node, message, odometry) if is_kept else 0
-            told, orders.told = orders.told, []
-            if worker is not None:
-                if message.stamp_ns - asked_ns > _ASKED_NS:
-                    told, asked_ns = [*told, Finish()], message.stamp_ns
-                for order in told:
-                    for _ in worker.carry_out(order):
-                        pass
-        grown = _memory_mb() - before
-        found.append(Growth(seconds / 60, pictures, kept, grown, size / 1e6))
-    return found
+    with (
+        TemporaryDirectory() as folder,
+        closing(_Run(corridor.inputs, Path(folder), solves=solves)) as run,
+    ):
+        drives = run.phase(corridor.messages(), corridor.duration_s)
+        return [drives, run.phase(_standing(run.last, stands_s, corridor), stands_s)]
 
 
 def _standing(
-    last: dict[type, tuple[str, Message]], seconds: float, corridor: Corridor
-) -> Iterator[tuple[str, Message]]:
+    last: dict[type[Message], tuple[str, Message]], seconds: float, corridor: Corridor
+) -> Iterator[tuple[str, Input]]:
     """The robot standing where it arrived, before the camera that saw it last."""
     (robot, here), (camera, seen) = last[Odometry], last[Sightings]
     assert isinstance(here, Odometry)
@@ -122,15 +161,6 @@ def _standing(
                 for f in seen.faces
             )
             yield camera, replace(seen, stamp_ns=stamp_ns, faces=faces)
-
-
-def _stored(node: str, message: Message, odometry: StandingOdometry) -> int:
-    """Bytes that a message takes in the checkpoint."""
-    topic = _TYPES[type(message)]
-    payload, head = cdr.encode(message), _HEAD + len(topic.key("corridor", node))
-    if not isinstance(message, Odometry):
-        return head + len(payload)
-    return sum(head + len(item) for item in odometry.take(message, payload))
 
 
 def _memory_mb() -> float:

@@ -18,12 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint import cdr, topics
+from trigpoint import cdr
 from trigpoint.clock import to_ns, to_seconds
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import CameraInfo, Odometry, Sightings
+from trigpoint.messages import Sightings
 
 from .corridor import EPOCH_NS, Corridor
 from .live import worked_s
@@ -33,11 +34,6 @@ _TURN_NS = to_ns(0.02)
 _MEASURED_LAPS = 0.2
 # So far the session runs ahead of its solver at most.
 _LEAD_NS = to_ns(30.0)
-_TYPES = {
-    CameraInfo: topics.CAMERA_INFO,
-    Odometry: topics.ODOMETRY,
-    Sightings: topics.SIGHTINGS,
-}
 Turn = list[tuple[str, str, bytes, bool]]
 """Node, type, payload, and whether there is a face in it."""
 
@@ -112,15 +108,14 @@ def _turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
     """The session cut into turns: until when, and what came."""
     until_ns, turn = EPOCH_NS + _TURN_NS, Turn()
     for node, message in corridor.messages():
-        assert isinstance(message, CameraInfo | Odometry | Sightings)
         while message.stamp_ns >= until_ns:
             yield until_ns, turn
             until_ns, turn = until_ns + _TURN_NS, Turn()
         turn.append((node, *_encoded(message)))
 
 
-def _encoded(message: CameraInfo | Odometry | Sightings) -> tuple[str, bytes, bool]:
-    topic = _TYPES[type(message)]
+def _encoded(message: Input) -> tuple[str, bytes, bool]:
+    topic = INPUT_TOPICS[type(message)]
     has_face = isinstance(message, Sightings) and bool(message.faces)
     return topic.type_name, cdr.encode(message), has_face
 

@@ -6,7 +6,7 @@ from trigpoint import cdr, topics
 from trigpoint.bus import Bell, Bus, Sample, Subscription
 from trigpoint.clock import Clock, to_ns
 from trigpoint.errors import MessageError
-from trigpoint.messages import CameraInfo, Odometry, Sightings
+from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.node import Node
 from trigpoint.topics import Topic
 
@@ -18,6 +18,11 @@ _TAKING_NS = to_ns(0.05)
 _MOST_AT_ONCE = 512
 
 Input = CameraInfo | Odometry | Sightings
+INPUT_TOPICS: dict[type[Message], Topic] = {
+    Odometry: topics.ODOMETRY,
+    CameraInfo: topics.CAMERA_INFO,
+    Sightings: topics.SIGHTINGS,
+}
 
 
 class Inbox:
@@ -33,7 +38,7 @@ class Inbox:
 
     def open(self, site: str) -> None:
         """Subscribe."""
-        for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.SIGHTINGS):
+        for topic in INPUT_TOPICS.values():
             expression = topic.expression(site)
             subscription = self._bus.subscribe(
                 topic, expression, wanted=self._admission.knows, in_turns=True, bell=self._news

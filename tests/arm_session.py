@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from builders import REAL_DATA
 
-from trigpoint import cdr, topics
+from trigpoint import cdr
 from trigpoint.clock import to_ns
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.picture_files import read_picture
+from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.messages import CameraInfo, Odometry, Sightings
@@ -125,13 +126,8 @@ def write_arm_session(folder: Path) -> Path:
         stamp_ns = EPOCH_NS + number * PERIOD_NS
         messages.append(("r1", Odometry(stamp_ns, "r1/odom", "r1/base", pose)))
         messages.append(("c1", sightings(picture, stamp_ns, detector)))
-    keys = {
-        CameraInfo: topics.CAMERA_INFO,
-        Odometry: topics.ODOMETRY,
-        Sightings: topics.SIGHTINGS,
-    }
     for node, message in messages:
-        topic, stamp_ns = keys[type(message)], message.stamp_ns
+        topic, stamp_ns = INPUT_TOPICS[type(message)], message.stamp_ns
         key = topic.key("arm", node)
         writer.add(topic, key, cdr.encode(message), log_ns=stamp_ns, published_ns=stamp_ns)
     writer.finish()

@@ -12,10 +12,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from trigpoint import cdr, topics
+from trigpoint import cdr
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise, parse_site
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
@@ -34,8 +35,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 STEP_S = 0.025
 _FEWEST_CORNERS = 6
 
-Sent = CameraInfo | Odometry | Sightings
-TOPICS = {CameraInfo: topics.CAMERA_INFO, Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS}
+Sent = Input
 
 Way = Callable[[Array], Pose]
 
@@ -323,7 +323,7 @@ def write_session(session: Session, folder: Path) -> Path:
         for name, model in session.inputs.lenses.items()
     ]
     for node, message in (*infos, *session.messages):
-        topic = TOPICS[type(message)]
+        topic = INPUT_TOPICS[type(message)]
         writer.add(
             topic,
             topic.key("lab", node),

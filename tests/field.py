@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from signal import SIGKILL, SIGTERM, Signals
 
-from drives import EPOCH_NS, TOPICS, Sent, Session, offline
+from drives import EPOCH_NS, Sent, Session, offline
 
 from trigpoint import cdr
 from trigpoint.bus import Bus
@@ -21,6 +21,7 @@ from trigpoint.bus_zenoh import open_bus
 from trigpoint.camera_info import write_camera_info
 from trigpoint.clock import to_ns
 from trigpoint.config import Site, load_site, parse_site
+from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.messages import Odometry
 from trigpoint.network import Network
 from trigpoint.tools.simulation.targets import target_text
@@ -180,12 +181,11 @@ class Drive:
             (name, shifted(message, self.start_ns - EPOCH_NS))
             for name, message in field.session.messages
         )
-        names = {name for name, _ in self.messages}
-        self.buses = {name: field.session_of_bus() for name in sorted(names)}
+        topic_of = {name: INPUT_TOPICS[type(message)] for name, message in self.messages}
+        self.buses = {name: field.session_of_bus() for name in sorted(topic_of)}
         self._publishers = {
             name: self.buses[name].publisher(topic, topic.key("lab", name))
-            for name in names
-            for topic in (TOPICS[type(next(m for n, m in self.messages if n == name))],)
+            for name, topic in topic_of.items()
         }
         self.thread = threading.Thread(target=self._run, name="drive")
         self.thread.start()

@@ -21,6 +21,7 @@ from trigpoint.correction import decode_mark
 from trigpoint.errors import OperationError
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.intake.standstills import MOST_ALIKE
 from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.node import FusionNode
@@ -29,8 +30,6 @@ from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sigh
 from trigpoint.network import decode_network, load_network
 from trigpoint.node import Node
 from trigpoint.topics import Topic
-
-TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
 
 
 @dataclass(slots=True)
@@ -48,7 +47,7 @@ class Running:
         """Publish, and wait until all of it was taken."""
         publishers = {}
         for name, message in messages:
-            topic = TOPIC_OF[type(message)]  # pyright: ignore[reportArgumentType]
+            topic = INPUT_TOPICS[type(message)]
             key = topic.key("lab", name)
             if key not in publishers:
                 publishers[key] = self.bus.publisher(topic, key)

@@ -14,14 +14,13 @@ from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.live.follower import catching_up
 from trigpoint.fusion.pipeline import Output, Pipeline
 from trigpoint.fusion.solver import gaussian
-from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
 from trigpoint.network import Network
 
 # What is waited for comes by work alone, of which a busy machine does a twentieth of the usual.
 PATIENCE_S = 500.0
 
 Messages = tuple[tuple[str, Message], ...]
-TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
 
 
 def driven(pipeline: Pipeline, messages: Messages) -> list[Output]:

@@ -13,19 +13,20 @@ from drives import Session
 from networks import assert_same_places
 from solvers import SlowSolver, StuckSolver
 
-from trigpoint import cdr, topics
+from trigpoint import cdr
 from trigpoint.bus import Publisher
 from trigpoint.bus_memory import MemoryBroker
 from trigpoint.clock import SystemClock
 from trigpoint.errors import OperationError
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.live.solver_messages import News, Report, Reported, Solver
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.model.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.messages import Message, Odometry
 from trigpoint.network import load_network
 from trigpoint.node import Node
 
@@ -33,7 +34,6 @@ from trigpoint.node import Node
 PATIENCE_S = 500.0
 
 Messages = tuple[tuple[str, Message], ...]
-TOPIC_OF = {Odometry: topics.ODOMETRY, Sightings: topics.SIGHTINGS, CameraInfo: topics.CAMERA_INFO}
 
 
 class Feed(Protocol):
@@ -60,7 +60,7 @@ def running(
             publishers: dict[str, Publisher] = {}
             before = node.health.total("received lab/robot/r1/odom")
             for name, message in messages:
-                topic = TOPIC_OF[type(message)]  # pyright: ignore[reportArgumentType]
+                topic = INPUT_TOPICS[type(message)]
                 key = topic.key("lab", name)
                 if key not in publishers:
                     publishers[key] = other.publisher(topic, key)
@@ -169,7 +169,7 @@ def test_what_comes_while_a_checkpoint_is_read_follows_it(
     half = len(charuco.messages) // 2
     checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
     for name, message in charuco.messages[:half]:
-        topic = TOPIC_OF[type(message)]
+        topic = INPUT_TOPICS[type(message)]
         checkpoint.write(topic.key("lab", name), cdr.encode(message))
     checkpoint.close()
     solver = SlowSolver(charuco.inputs)
@@ -185,7 +185,7 @@ def test_stop_while_a_checkpoint_is_read_leaves_everything_as_it_was(
 ) -> None:
     checkpoint = Checkpoint(tmp_path / "checkpoint.bin", SystemClock())
     for name, message in charuco.messages:
-        key = TOPIC_OF[type(message)].key("lab", name)
+        key = INPUT_TOPICS[type(message)].key("lab", name)
         checkpoint.write(key, cdr.encode(message))
     checkpoint.close()
     (tmp_path / "network.json").write_text("of before")
