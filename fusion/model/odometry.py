@@ -7,7 +7,6 @@ twist, and its variance the same part of the increment's.
 
 import bisect
 import copy
-import math
 from collections.abc import Iterable
 from enum import Enum
 
@@ -20,6 +19,7 @@ from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.odometry_noise import step_variances
 
+from .increment import in_plane, increment, planar_increment
 from .motion import (
     STILL,
     Motion,
@@ -127,11 +127,8 @@ class OdometryTrack:
         self._grow()
         row = self._count
         self._stamps[row] = stamp_ns
-        if self.planar:
-            self._write_planar(row, odom_from_base)
-        else:
-            self._rotations[row] = odom_from_base.rotation
-            self._translations[row] = odom_from_base.translation
+        pose = in_plane(odom_from_base) if self.planar else odom_from_base
+        self._rotations[row], self._translations[row] = pose.rotation, pose.translation
         self._count += 1
         if row == 0:
             return Added.TAKEN
@@ -151,43 +148,10 @@ class OdometryTrack:
     def _is_without_motion(self, row: int) -> bool:
         return bool(np.abs(self._twists[row]).max() < STILL)
 
-    def _write_planar(self, row: int, pose: Pose) -> None:
-        """Store a pose in the plane; with plain floats, which are quicker for one row."""
-        forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
-        length = math.hypot(forward, left)
-        cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)
-        self._rotations[row] = ((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
-        self._translations[row, :2] = pose.translation[:2]
-        self._translations[row, 2] = 0.0
-
-    def _twist(self, row: int) -> tuple[float, float, Array]:
-        """Length (m) and angle (rad) of the increment that ends at a row, and its twist (6,)."""
-        if self.planar:
-            return self._planar_twist(row)
-        before = Pose(self._rotations[row - 1], self._translations[row - 1])
-        step = before.inverse() @ Pose(self._rotations[row], self._translations[row])
-        turn = so3.log(step.rotation)
-        straight = np.linalg.solve(so3.left_jacobian(turn), step.translation)
-        length, angle = np.linalg.norm(step.translation), np.linalg.norm(turn)
-        return float(length), float(angle), np.concatenate([straight, turn])
-
-    def _planar_twist(self, row: int) -> tuple[float, float, Array]:
-        """The same in the plane: t = V v, V = [a -b; b a], a = sin θ/θ, b = (1 - cos θ)/θ."""
-        (cosine, _, _), (sine, _, _), _ = self._rotations[row - 1].tolist()
-        (forward, _, _), (left, _, _), _ = self._rotations[row].tolist()
-        here, there = self._translations[row - 1].tolist(), self._translations[row].tolist()
-        dx, dy = there[0] - here[0], there[1] - here[1]
-        x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-        turn = math.atan2(cosine * left - sine * forward, cosine * forward + sine * left)
-        a, b = 1.0 - turn**2 / 6, turn / 2
-        if abs(turn) > 1e-4:
-            a, b = math.sin(turn) / turn, (1 - math.cos(turn)) / turn
-        square = a * a + b * b
-        twist = np.array([(a * x + b * y) / square, (a * y - b * x) / square, 0, 0, 0, turn])
-        return math.hypot(x, y), abs(turn), twist
-
     def _add_twist(self, row: int) -> Added:
-        length, angle, twist = self._twist(row)
+        before = Pose(self._rotations[row - 1], self._translations[row - 1])
+        after = Pose(self._rotations[row], self._translations[row])
+        length, angle, twist = (planar_increment if self.planar else increment)(before, after)
         seconds = (self._stamps[row] - self._stamps[row - 1]) / NANOSECONDS
         if row > 1:
             usual = self._period_ns / NANOSECONDS

@@ -1,0 +1,56 @@
+"""The increment between two odometry messages, taken as a motion with a constant twist."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+
+
+class Increment(NamedTuple):
+    """Length (m), angle (rad), and twist (6,): translation, rotation vector, in the base's axes."""
+
+    length_m: float
+    angle_rad: float
+    twist: Array
+
+
+def increment(before: Pose, after: Pose) -> Increment:
+    """From one pose to the next, in space."""
+    step = before.inverse() @ after
+    turn = so3.log(step.rotation)
+    straight = np.linalg.solve(so3.left_jacobian(turn), step.translation)
+    length, angle = np.linalg.norm(step.translation), np.linalg.norm(turn)
+    return Increment(float(length), float(angle), np.concatenate([straight, turn]))
+
+
+def planar_increment(before: Pose, after: Pose) -> Increment:
+    """The same in the plane: t = V v, V = [a -b; b a], a = sin θ/θ, b = (1 - cos θ)/θ.
+
+    With plain floats, which are quicker for one step.
+    """
+    (cosine, _, _), (sine, _, _), _ = before.rotation.tolist()
+    (forward, _, _), (left, _, _), _ = after.rotation.tolist()
+    here, there = before.translation.tolist(), after.translation.tolist()
+    dx, dy = there[0] - here[0], there[1] - here[1]
+    x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+    turn = math.atan2(cosine * left - sine * forward, cosine * forward + sine * left)
+    a, b = 1.0 - turn**2 / 6, turn / 2
+    if abs(turn) > 1e-4:
+        a, b = math.sin(turn) / turn, (1 - math.cos(turn)) / turn
+    square = a * a + b * b
+    twist = np.array([(a * x + b * y) / square, (a * y - b * x) / square, 0, 0, 0, turn])
+    return Increment(math.hypot(x, y), abs(turn), twist)
+
+
+def in_plane(pose: Pose) -> Pose:
+    """The pose's place and heading in the plane; with plain floats too."""
+    forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
+    length = math.hypot(forward, left)
+    cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)
+    rotation = np.array(((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)))
+    x, y, _ = pose.translation.tolist()
+    return Pose(rotation, np.array((x, y, 0.0)))

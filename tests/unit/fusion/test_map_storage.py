@@ -1,0 +1,102 @@
+"""What a restart goes on from: which messages are stored, and which of them are used again."""
+
+from pathlib import Path
+
+import pytest
+from builders import make_site
+
+from trigpoint import cdr
+from trigpoint.clock import SystemClock, to_ns
+from trigpoint.errors import OperationError
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
+from trigpoint.fusion.intake.admission import AHEAD_NS
+from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.model.odometry import MOST_STANDING
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry, Sightings
+
+SITE = make_site()
+
+
+def opened(folder: Path, *, known: tuple[str, ...] = ("r1", "c1")) -> MapStorage:
+    def knows(key: str) -> bool:
+        return any(f"/{name}/" in key for name in known)
+
+    return MapStorage(folder / "checkpoint.bin", SITE, SystemClock(), knows=knows)
+
+
+def store(storage: MapStorage, node: str, *messages: Input) -> None:
+    for message in messages:
+        key = INPUT_TOPICS[type(message)].key(SITE.name, node)
+        assert storage.store(key, cdr.encode(message), message) == 0
+
+
+def read(folder: Path, **known: tuple[str, ...]) -> list[object]:
+    """What a restart uses."""
+    storage = opened(folder, **known)
+    messages = [storage.message(key, payload) for key, payload in storage.records()]
+    storage.close()
+    return [message for message in messages if message is not None]
+
+
+def odometry(stamp_ns: int, x: float = 0.0) -> Odometry:
+    return Odometry(stamp_ns, "r1/odom", "r1/base", Pose.planar(x, 0.0, 0.0))
+
+
+def test_what_was_stored_is_used_again_in_order(tmp_path: Path) -> None:
+    storage, seen = opened(tmp_path), Sightings(2, "c1/optical", 640, 480, ())
+    store(storage, "r1", odometry(1), odometry(2, 0.1))
+    store(storage, "c1", seen)
+    storage.close()
+    stamps = [(type(message), message.stamp_ns) for message in read(tmp_path)]  # pyright: ignore[reportAttributeAccessIssue]
+    assert stamps == [(Odometry, 1), (Odometry, 2), (Sightings, 2)]
+
+
+def test_a_robot_that_the_site_file_lost_is_left_out(tmp_path: Path) -> None:
+    storage = opened(tmp_path)
+    store(storage, "r1", odometry(1))
+    storage.close()
+    assert read(tmp_path, known=("c1",)) == []
+
+
+def test_a_checkpoint_of_another_site_is_refused(tmp_path: Path) -> None:
+    storage = opened(tmp_path)
+    with pytest.raises(OperationError, match="another site"):
+        storage.message("hall/robot/r1/odom", cdr.encode(odometry(1)))
+    storage.close()
+
+
+@pytest.mark.parametrize("is_damaged", [False, True])
+def test_what_cannot_be_of_its_time_or_not_be_read_is_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, *, is_damaged: bool
+) -> None:
+    storage = opened(tmp_path)
+    store(storage, "r1", odometry(1), odometry(SystemClock().now_ns() + 2 * AHEAD_NS, 0.1))
+    storage.close()
+    storage = opened(tmp_path)
+    (key, first), (_, ahead) = storage.records()
+    assert storage.message(key, first) is not None
+    assert storage.message(key, ahead[:-1] if is_damaged else ahead) is None
+    assert "left out" in caplog.text
+    storage.close()
+
+
+def test_of_a_standstill_little_is_stored_and_its_end_too(tmp_path: Path) -> None:
+    storage = opened(tmp_path)
+    store(storage, "r1", *(odometry(to_ns(0.1 * i)) for i in range(1, 3 * MOST_STANDING)))
+    storage.close()
+    found = read(tmp_path)
+    assert MOST_STANDING < len(found) < MOST_STANDING + 20
+    last = found[-1]
+    assert isinstance(last, Odometry)
+    assert last.stamp_ns == to_ns(0.1 * (3 * MOST_STANDING - 1))
+
+
+def test_a_new_map_begins_empty_and_the_old_one_is_kept(tmp_path: Path) -> None:
+    storage = opened(tmp_path)
+    store(storage, "r1", odometry(1))
+    storage.restart()
+    store(storage, "r1", odometry(7))
+    storage.close()
+    assert [message.stamp_ns for message in read(tmp_path)] == [7]  # pyright: ignore[reportAttributeAccessIssue]
+    assert (tmp_path / "checkpoint.1.bin").exists()
