@@ -160,7 +160,7 @@ class _Drive:
             has_sightings, pushes_s = False, 0.0
             if now_s - waited_s >= _LEAD_S:
                 waited_s = now_s
-                self._pipeline.ask()
+                self._pipeline.reports.ask()
                 self._wait()
                 self._note(now_s)
         return began_s
@@ -181,7 +181,7 @@ class _Drive:
 
     def _wait(self) -> None:
         """Until the solver has done everything that it was told."""
-        while not self._pipeline.is_answered:
+        while not self._pipeline.reports.is_answered:
             time.sleep(_TURN_S)
             self._pipeline.advance()
 

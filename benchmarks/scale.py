@@ -132,8 +132,8 @@ def _taken(pipeline: Pipeline, now_ns: int, turn: Turn) -> float:
 
 def _wait(pipeline: Pipeline) -> None:
     """Until the solver has done everything that it was told."""
-    pipeline.ask()
-    while not pipeline.is_answered:
+    pipeline.reports.ask()
+    while not pipeline.reports.is_answered:
         time.sleep(0.05)
         pipeline.advance()
 

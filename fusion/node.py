@@ -145,7 +145,7 @@ class FusionNode:
                 "the last solution would take longer than a stop may; the previous one is kept; "
                 "run `trigpoint calibrate` over the recording for the last one"
             )
-        if not self._pipeline.has_results:
+        if not self._pipeline.reports.has_results:
             _log.warning("no network is written: nothing is worked out yet")
             return
         with ENDING.writing():
@@ -158,12 +158,12 @@ class FusionNode:
         until_ns = self._clock.elapsed_ns() + to_ns(within_s)
         try:
             self._pipeline.finish()
-            while not self._pipeline.is_answered and self._clock.elapsed_ns() < until_ns:
+            while not self._pipeline.reports.is_answered and self._clock.elapsed_ns() < until_ns:
                 time.sleep(_LOOK_S)
                 self._pipeline.advance()
         except OperationError as reason:
             _log.error("%s", reason)
-        return self._pipeline.is_answered and self._pipeline.is_final
+        return self._pipeline.reports.is_answered and self._pipeline.reports.is_final
 
     # -- the working thread -----------------------------------------------------------------------
 
@@ -337,10 +337,10 @@ class FusionNode:
         self._wait_for_the_checkpoint()
         with self._lock:
             pipeline = self._pipeline
-            pipeline.ask()
+            pipeline.reports.ask()
         # A solver answers once it is done with what it is at; until then the last answer holds.
         until_ns = self._clock.elapsed_ns() + to_ns(_ANSWER_S)
-        while not pipeline.is_answered and self._clock.elapsed_ns() < until_ns:
+        while not pipeline.reports.is_answered and self._clock.elapsed_ns() < until_ns:
             if self._node.stopping.wait(_LOOK_S):
                 break
         with self._lock:

@@ -11,22 +11,22 @@ from uuid import UUID
 from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.config import Site
-from trigpoint.errors import OperationError
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
 from trigpoint.network import Network
 from trigpoint.target import Target
 
 from .camera_announcements import CameraAnnouncements
-from .estimators.interface import CameraEstimate, Collecting, Estimator, Inspectable, Live, Sampled
+from .estimators.interface import CameraEstimate, Collecting, Inspectable, Live, Sampled
 from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
-from .estimators.results import Results, map_id_of, results_of
+from .estimators.results import Results, map_id_of
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
+from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver, Suggested
 from .model.dataset import DataSet, Event, KnownCameras
@@ -59,8 +59,12 @@ class Pipeline:
     """One map from its first message to its last. Not thread-safe.
 
     `is_live`: whether anyone listens to what it says on the way; `solver`: who solves, so that no
-    turn takes long; None: whatever the site file names, at its turn.
+    turn takes long; None: whatever the site file names, at its turn. `reports`: the results.
     """
+
+    reports: Reports
+    _estimator: Live
+    _follower: Follower | None
 
     def __init__(
         self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
@@ -68,8 +72,11 @@ class Pipeline:
         self._is_live = is_live
         self.site, self._inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
-        self._follower = Follower(data, solver) if solver is not None else None
-        self._estimator: Live = self._follower or make_estimator(data)
+        if solver is not None:
+            self._follower = self._estimator = self.reports = Follower(data, solver)
+        else:
+            self._estimator = estimator = make_estimator(data)
+            self._follower, self.reports = None, Immediate(data, estimator)
         self._intake = Intake(
             inputs.site,
             inputs.targets,
@@ -325,7 +332,7 @@ class Pipeline:
     def finish(self) -> list[Output]:
         """Solve everything to the end; the last messages to send.
 
-        Where a solver does that, `is_answered` says when it has.
+        Where a solver does that, `reports` say when it has.
         """
         self.advance()
         self._use_rest()
@@ -345,36 +352,9 @@ class Pipeline:
                 for observation in self._intake.rest(robot, track.last_ns):
                     self._use(observation, None)
 
-    def ask(self) -> None:
-        """Have a solver report what is known now; `is_answered` says when it has."""
-        if self._follower is not None:
-            self._follower.ask()
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether a solver has reported on everything that it was asked for."""
-        return self._follower is None or self._follower.is_answered
-
-    @property
-    def is_final(self) -> bool:
-        """Whether the results are those of everything, solved to the end."""
-        follower = self._follower
-        return follower is None or (follower.reported is not None and follower.reported.is_final)
-
     def results(self) -> Results:
-        """The network with covariance and trajectories as it is known now, or as a solver last
-        reported it; raise OperationError where it has not yet."""
-        if self._follower is None:
-            assert isinstance(self._estimator, Estimator)
-            return results_of(self._data, self._estimator, self.map_id)
-        if self._follower.reported is None:
-            raise OperationError("nothing is worked out yet; ask again in a moment")
-        return self._follower.reported.results
-
-    @property
-    def has_results(self) -> bool:
-        """Whether there are any."""
-        return self._follower is None or self._follower.reported is not None
+        """The results as they are known now; see `reports`."""
+        return self.reports.results()
 
     def network(self) -> Network:
         """The network as it is known now."""

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from scipy.linalg import LinAlgError
 
 from trigpoint.clock import to_ns
+from trigpoint.errors import OperationError
 from trigpoint.fusion.estimators.interface import CameraEstimate, Update
+from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.camera_relocation import of_its_time
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import DataSet, Entry
@@ -61,7 +63,7 @@ class _Coming:
 
 
 class Follower:
-    """A `Live` estimator whose results come with a solver's news. Not thread-safe."""
+    """A `Live` estimator whose `Reports` come with a solver's news. Not thread-safe."""
 
     def __init__(self, data: DataSet, solver: Solver) -> None:
         self.data, self._solver = data, solver
@@ -74,7 +76,7 @@ class Follower:
         self._asked = 0
         self._located: tuple[str, ...] = ()
         self._came, self._came_before = 0, 0
-        self.reported: Reported | None = None
+        self._reported: Reported | None = None
         self._has_new_camera = False
         self.longest_solution_s = 0.0
 
@@ -135,7 +137,7 @@ class Follower:
         if isinstance(news, Solved):
             self._take_over(news)
         elif isinstance(news, Reported):
-            self.reported = news
+            self._reported = news
         else:
             yield news
 
@@ -220,8 +222,21 @@ class Follower:
     @property
     def is_answered(self) -> bool:
         """Whether every requested report has come."""
-        reported = self.reported
+        reported = self._reported
         return reported is not None and reported.orders >= self._asked
+
+    @property
+    def has_results(self) -> bool:
+        return self._reported is not None
+
+    @property
+    def is_final(self) -> bool:
+        return self._reported is not None and self._reported.is_final
+
+    def results(self) -> Results:
+        if self._reported is None:
+            raise OperationError("nothing is worked out yet; ask again in a moment")
+        return self._reported.results
 
     # -- output -----------------------------------------------------------------------------------
 

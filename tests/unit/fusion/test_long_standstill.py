@@ -67,7 +67,7 @@ def test_live_a_standstill_is_bounded_has_corrections_and_ends_where_batch_ends(
             assert len(solver.data.tracks["r1"]) < MOST_STANDING + 50
     pipeline.finish()
     pipeline.advance()
-    assert pipeline.is_answered
+    assert pipeline.reports.is_answered
     while_standing = [m for m in corrected if m.stamp_ns < drives_ns]
     assert len(while_standing) > PICTURES - MOST_ALIKE // 2
     assert pipeline.left_out["standing_still"] == PICTURES - MOST_ALIKE

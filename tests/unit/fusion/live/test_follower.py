@@ -36,9 +36,13 @@ def driven(pipeline: Pipeline, messages: Messages) -> list[Output]:
 def finished(pipeline: Pipeline) -> Network:
     """The network after everything was solved to the end."""
     pipeline.finish()
-    assert eventually(lambda: bool(pipeline.advance()) or pipeline.is_answered, timeout_s=60.0)
-    assert eventually(lambda: pipeline.is_answered or bool(pipeline.advance()), timeout_s=60.0)
-    assert pipeline.is_final
+
+    def is_reported() -> bool:
+        pipeline.advance()
+        return pipeline.reports.is_answered
+
+    assert eventually(is_reported, timeout_s=60.0)
+    assert pipeline.reports.is_final
     return pipeline.results().network
 
 
