@@ -122,7 +122,7 @@ class EdgeNode:
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
 
     def _run_again(self) -> None:
-        """A picture came; what was wrong with the source is over."""
+        """Note that pictures come again."""
         self._say("running")
         self._node.health.release("source")
         if self._lost_ns is not None:
@@ -175,7 +175,7 @@ class EdgeNode:
                 self._say_lens(frame, self._lens)
 
     def _follow_clock(self) -> None:
-        """Where stamps follow a clock that was set back, what came before is later."""
+        """Accept earlier stamps once they follow a clock that was set back."""
         if isinstance(self._clock, SteadyClock) and self._clock.followed != self._followed:
             self._followed = self._clock.followed
             self._last_ns = -1

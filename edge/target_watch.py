@@ -1,4 +1,4 @@
-"""What a camera tells people of the target: first seen, lost for long, seen again, summed up."""
+"""Reports the target to people: first seen, lost for long, seen again, summed up."""
 
 import logging
 
@@ -21,7 +21,7 @@ class TargetWatch:
         self._is_lost = False
 
     def saw(self, faces: int) -> None:
-        """So many faces were found in one more picture."""
+        """Note how many faces were found in one more picture."""
         now_ns = self._clock.elapsed_ns()
         self._pictures += 1
         if faces:
@@ -48,7 +48,7 @@ class TargetWatch:
         self._seen_ns, self._is_lost = now_ns, False
 
     def sum_up(self, *, lost: int) -> None:
-        """Say what came of it all; `lost`: pictures that could not be used."""
+        """Report the totals; `lost`: pictures that could not be used."""
         _log.info(
             "camera %s: %s, %d with the target, %s; %d lost",
             self._camera,

@@ -1,8 +1,8 @@
-"""Finds faces in one camera's pictures, one after the other, by where they were before.
+"""Follows faces through one camera's pictures.
 
-A face that was seen is first looked for where its motion puts it, then around there; the whole
-picture is searched where nothing is followed, and now and then for faces that come in; what is
-about the followed ones more often.
+A face that was seen is first looked for where its motion puts it, then around there. The whole
+picture is searched where nothing is followed, and now and then for new faces; the surroundings of
+the followed ones more often.
 """
 
 from collections.abc import Sequence
@@ -52,9 +52,9 @@ _COARSE = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A face that is followed: what was last seen of it, when, and how its plane's homography
-    changes a second, (3, 3), as `_scaled`; None until it was seen twice. `misses`: pictures since
-    then in which it was looked for; `is_steady`: unless it was found beside where it was
+    """A followed face: what was last seen of it, when, and how its plane's homography changes a
+    second, (3, 3), as `_scaled`; None until it was seen twice. `misses`: pictures since then in
+    which it was looked for; `is_steady`: false where it was found away from where it was
     expected."""
 
     located: Located
@@ -64,7 +64,7 @@ class Track:
     is_steady: bool = True
 
     def reach_px(self, stamp_ns: int) -> float:
-        """How far about that it is looked for."""
+        """How far around its expected place it is looked for."""
         if self.change is None:
             return UNKNOWN_REACH_PX
         moved = self.pixels_at(stamp_ns) - self.located.found.pixels
@@ -76,10 +76,10 @@ class Track:
         return self.fit_at(stamp_ns).project(_points(self.located))
 
     def fit_at(self, stamp_ns: int) -> PlanarFit:
-        """The plane that they should lie on.
+        """The plane that its corners should lie on.
 
-        A plane that only moves changes two columns of its homography not at all and the third one
-        evenly, near or far; one that turns a little, nearly so.
+        Where a plane moves without turning, two columns of its homography stay and the third
+        changes evenly, near or far; where it turns a little, nearly so.
         """
         fit = self.located.found.fit
         if self.change is None:
@@ -223,7 +223,7 @@ class _Budget:
         self.was_over = False
 
     def is_left(self) -> bool:
-        """Whether what can wait may be begun; nothing is given up where not."""
+        """Whether there is time to begin work that can wait; leaving that out gives nothing up."""
         return self._end_ns is None or self._clock.elapsed_ns() <= self._end_ns
 
     def is_over(self) -> bool:
@@ -233,7 +233,7 @@ class _Budget:
 
 
 def _is_among(located: Located, found: Sequence[Located]) -> bool:
-    """Whether a face is one of those: the only one of its look, or in the same place."""
+    """Whether a face is one of these: the only one of its look, or at the same place."""
     middle = located.found.pixels.mean(axis=0)
     for other in found:
         if other.look is not located.look:
@@ -245,7 +245,7 @@ def _is_among(located: Located, found: Sequence[Located]) -> bool:
 
 
 def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
-    """Whether what was located is the face of a track."""
+    """Whether a located face is the one of a track."""
     if track.located.look is not located.look:
         return False
     if located.look.is_unique:
@@ -257,7 +257,7 @@ def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
 
 
 def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track:
-    """The track of a face that was just located, and before, or not."""
+    """The track of a face that was just located; `last`: its track until now."""
     if last is None or len(located.found.corners) < LEAST_CORNERS:
         return Track(located, stamp_ns, None)
     now, then = located.found.fit, last.located.found.fit
@@ -278,14 +278,14 @@ def _points(located: Located) -> Array:
 
 
 def _scaled(homography: Array) -> Array:
-    """The homography with its first two columns of length 1 together, as those of a face that moves
-    but does not turn keep it, and with points in front of the camera."""
+    """The homography scaled so that its first two columns together have length 1, which a face that
+    moves without turning keeps, and points are in front of the camera."""
     length = np.linalg.norm(homography[:, :2])
     return homography * (np.sign(homography[2, 2]) / length)
 
 
 def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
-    """The picture without the faces that are found."""
+    """The picture with the faces that were found painted over."""
     if not found:
         return grey
     left = grey.copy()
@@ -301,6 +301,6 @@ def _has_moved(last: Array, outline: Array) -> bool:
 
 
 def _outlines(found: Sequence[Located]) -> list[Array]:
-    """Outlines (n, 2) of faces, pixels, without those that were not projected in earnest."""
+    """Outlines (n, 2) of faces, pixels, without those that project out of all bounds."""
     outlines = [face.found.fit.project(face.look.face.outline[:, :2]) for face in found]
     return [outline for outline in outlines if np.abs(outline).max() < _FAR_PX]

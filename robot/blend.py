@@ -26,8 +26,8 @@ class Blend:
     def told(
         self, at: Stamped, map_from_base: Pose, covariance: Array, *, establishes: bool = False
     ) -> tuple[Pose, Array]:
-        """The pose to tell the robot, and its covariance (6, 6), which owns up to what is held
-        back; a pose that establishes is told as it is."""
+        """The pose to tell the robot, and its covariance (6, 6), which includes what is held back;
+        a pose that establishes is told as it is."""
         if self._told is None or establishes or self._span_s == 0:
             self._told = (at, map_from_base)
             return map_from_base, covariance

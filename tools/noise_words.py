@@ -8,18 +8,18 @@ _FAR = 2.0
 
 def noise_text(chi2_per_dof: float) -> str:
     """A line, or two where the noise is not as it was stated."""
-    text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is what it was said to be)"
+    text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is as stated)"
     if chi2_per_dof > _FAR:
         return (
-            f"{text}\n  it is {math.sqrt(chi2_per_dof):.1f} times what was said: sigmas are too "
-            "small by that; look at each camera's residuals in the report, give a better lens, or "
-            "raise [robots.NAME.odometry] where all cameras have it"
+            f"{text}\n  the noise is {math.sqrt(chi2_per_dof):.1f} times what was stated, and the "
+            "sigmas are too small by as much; look at each camera's residuals in the report, give "
+            "a better lens, or raise [robots.NAME.odometry] where all cameras have it"
         )
     if chi2_per_dof < 1 / _FAR:
         return (
-            f"{text}\n  it is {math.sqrt(chi2_per_dof):.2f} of what was said, so sigmas are rather "
-            "too large: no corner is believed better than 0.02 px (decisions/0661), which sharp "
-            "pictures through a known lens are, and odometry may be better than its noise in the "
-            "site file"
+            f"{text}\n  the noise is {math.sqrt(chi2_per_dof):.2f} times what was stated, so the "
+            "sigmas are too large: no corner counts as better than 0.02 px (decisions/0661), "
+            "though sharp pictures through a known lens are, and the odometry may be better than "
+            "the site file says"
         )
     return text

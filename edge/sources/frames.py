@@ -70,16 +70,16 @@ class FrameSource(Protocol):
         ...
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """Pictures in order of time, the newest first served: a slow taker skips pictures.
+        """Pictures in order of time; a slow consumer skips to the newest.
 
-        Ends at the end of a file or soon after `stopping` is set; raises FrameError when the
-        source is lost.
+        Ends at the end of a file or soon after `stopping` is set; raises FrameError when the source
+        is lost.
         """
         ...
 
     @property
     def skipped(self) -> int:
-        """How many pictures were made but not handed out, since the taker was slow."""
+        """How many pictures were made but not handed out, since the consumer was slow."""
         ...
 
     def close(self) -> None: ...
@@ -108,5 +108,5 @@ def source_class(scheme: str) -> Callable[..., FrameSource]:
 
 
 def local_path(url: str) -> Path:
-    """What stands behind the scheme, as a path."""
+    """The part behind the scheme, as a path."""
     return Path(url.partition("://")[2])

@@ -60,11 +60,11 @@ def _truth(results: CalibrationResults) -> str:
 
 def noise_words(chi2: float) -> str:
     """What χ² says, and what follows where it is far from 1."""
-    words = "χ² per degree of freedom; 1 where noise is what it was said to be"
+    words = "χ² per degree of freedom; 1 where noise is as stated"
     if chi2 > 2.0:
         return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
     if chi2 < 0.5:
-        return f"{words}; sigmas are rather too large: corners or odometry are better than said"
+        return f"{words}; sigmas are too large: corners or odometry are better than stated"
     return words
 
 
