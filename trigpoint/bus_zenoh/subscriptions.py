@@ -27,7 +27,8 @@ def subscribe(
     What is recovered after a break has a subscriber for each of the `named` keys, and what others
     send is taken as it comes. One for all of them hands on only the end of a sender's history where
     the answer about another's ends meanwhile: 23 of 120 starts lost up to 288 of 300 messages,
-    which nothing counted; with one for each key, none of 150 did (zenoh-ext 1.10.2).
+    which nothing counted; with one for each key, none of 150 did (zenoh-ext 1.10.2). Two senders
+    with a history on one key would bring that back; whoever comes second is refused (`peers`).
     """
 
     def receive(sample: zenoh.Sample) -> None:
