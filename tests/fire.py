@@ -1,6 +1,5 @@
 """What a site may meet in a week, at drawn moments, while a drive goes on: see `Fire`."""
 
-import itertools
 import random
 import subprocess
 import sys
@@ -8,7 +7,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from signal import SIGSTOP
 
 import numpy as np
@@ -18,7 +16,6 @@ from field import Drive, Field, Program
 from trigpoint import cdr, topics
 from trigpoint.bus import Bus, Publisher
 from trigpoint.clock import to_ns
-from trigpoint.fusion.checkpoint import read_checkpoint
 from trigpoint.geometry import Pose
 from trigpoint.messages import FaceSighting, Odometry, Sightings
 from trigpoint.topics import Topic, command_key
@@ -53,13 +50,8 @@ with open_bus(site) as bus:
 """
 
 
-_DRIVEN = ("c1", "c2", "r1")
-"""The names that the drive's own programs send under."""
-
-
 class Stranger:
-    """Somebody's program on the bus. Under the drive's own names it keeps nothing for those who
-    come late: of two histories on one key Zenoh may hand on only the end of each (`subscribe`)."""
+    """Somebody's program on the bus."""
 
     def __init__(self, field: Field) -> None:
         self.bus: Bus = field.session_of_bus()
@@ -68,8 +60,7 @@ class Stranger:
     def put(self, topic: Topic, name: str, payload: bytes) -> None:
         key = topic.key("lab", name)
         if key not in self._publishers:
-            kept = replace(topic, cache=0) if name in _DRIVEN else topic
-            self._publishers[key] = self.bus.publisher(kept, key)
+            self._publishers[key] = self.bus.publisher(topic, key)
         self._publishers[key].put(payload)
 
 
@@ -231,9 +222,11 @@ def flip_bit_of_odometry(field: Field) -> None:
     map begins."""
     path = field.out / "checkpoint.bin"
     data = bytearray(path.read_bytes())
-    odometry = (p for key, p in read_checkpoint(path) if key == "lab/robot/r1/odom")
-    payload = next(itertools.islice(odometry, 5, None))
-    data[data.index(payload) + 20] ^= 1
+    key = b"lab/robot/r1/odom"
+    at = -1
+    for _ in range(5):
+        at = data.index(key, at + 1)
+    data[at + len(key) + 20] ^= 1
     path.write_bytes(bytes(data))
 
 

@@ -1,6 +1,5 @@
 """Every key of the contract: its expression, type, delivery, and whether it is recorded."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -178,16 +177,6 @@ def node_of(key: str) -> str:
     topic = topic_of(key)
     match = topic.match(key) if topic else None
     return match[1] if match else ""
-
-
-def recovered_keys(site: str, cameras: Iterable[str], robots: Iterable[str]) -> frozenset[str]:
-    """The keys of these cameras and robots whose samples are recovered after a break."""
-    return frozenset(
-        topic.key(site, node)
-        for topic in TOPICS
-        if topic.delivery is Delivery.RECOVERED
-        for node in (cameras if topic.path.startswith("camera/") else robots)
-    )
 
 
 def alive_key(site: str, kind: str, node: str) -> str:

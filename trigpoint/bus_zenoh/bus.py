@@ -16,7 +16,7 @@ from trigpoint.bus_queue import SampleQueue
 from trigpoint.bus_server import Server
 from trigpoint.ending import ENDING
 from trigpoint.errors import BusError
-from trigpoint.topics import Delivery, Topic, key_matches, sent_key
+from trigpoint.topics import Delivery, Topic, sent_key
 
 from .datagrams import Datagrams
 from .publisher import Forget, ZenohPublisher
@@ -62,10 +62,8 @@ class ZenohBus:
         gate: Gate | None = None,
         warning: Callable[[], str] = str,
         datagrams: Datagrams | None = None,
-        named: frozenset[str] = frozenset(),
     ) -> None:
-        """`named`: the keys of the site's own cameras and robots."""
-        self._datagrams, self._named = datagrams, named
+        self._datagrams = datagrams
         self._session, self._locators, self._gate = session, locators, gate
         self._warning = warning
         self._connect = connect
@@ -162,10 +160,7 @@ class ZenohBus:
             if topic.delivery is Delivery.URGENT:
                 undeclare = subscribe_urgent(self._session, self._datagrams, expression, queue)
             else:
-                named = frozenset(
-                    key for key in self._named if topic.match(key) and key_matches(expression, key)
-                )
-                undeclare = subscribe(self._session, topic, expression, queue, named)
+                undeclare = subscribe(self._session, topic, expression, queue)
             return queue
 
         return self._declare(expression, declare)

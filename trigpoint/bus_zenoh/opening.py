@@ -17,7 +17,6 @@ from trigpoint.bus_settings import (
 )
 from trigpoint.config import Site
 from trigpoint.errors import BusError
-from trigpoint.topics import recovered_keys
 
 from .bus import ZenohBus
 from .datagrams import Datagrams
@@ -55,7 +54,6 @@ def open_bus(
             gate=gate,
             warning=means.warning,
             datagrams=_datagrams(site, settings, session),
-            named=recovered_keys(site.name, site.cameras, site.robots),
         )
     except BaseException:
         session.close()

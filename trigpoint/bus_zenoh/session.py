@@ -6,6 +6,7 @@ threads with their unbounded queues took 44 to 410 ms and kept the program from 
 """
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from typing import TypeVar
@@ -19,6 +20,10 @@ from trigpoint.errors import BusError
 from trigpoint.topics import Delivery
 
 _SWITCH_INTERVAL_S = 0.001
+_RUNTIME = "(rx: (worker_threads: 8))"
+"""Whoever does not read keeps one of the threads that receive busy for up to 10 s where it is sent
+what it asked of a history: with two, Zenoh's default, two such peers held up everything (measured:
+commands unanswered for 10 s beside a subscriber that was stopped)."""
 FLUSH_S = 0.5
 CLOSE_S = 5.0
 """How long closing may take where nobody told the process to stop: what is still to be sent, and
@@ -43,6 +48,7 @@ def open_session(settings: Settings) -> zenoh.Session:
     """Open a Zenoh session; raise BusError."""
     # The receiving threads wait this long for the interpreter when another thread computes.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read as the process opens its first session
     config = zenoh.Config()
     try:
         for key, value in settings.values().items():
@@ -55,9 +61,11 @@ def open_session(settings: Settings) -> zenoh.Session:
         raise BusError(f"the bus cannot be opened: {plain(reason)}") from None
 
 
-def called_at_once(function: Callable[[_Said], None]) -> "zenoh.handlers.Callback[_Said]":
-    """On the thread that receives."""
-    return zenoh.handlers.Callback(function, indirect=False)
+def called_at_once(
+    function: Callable[[_Said], None], *, end: Callable[[], None] | None = None
+) -> "zenoh.handlers.Callback[_Said]":
+    """On the thread that receives; `end` once nothing more comes."""
+    return zenoh.handlers.Callback(function, end, indirect=False)
 
 
 def has_link(session: zenoh.Session) -> bool:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 
 import zenoh
 from zenoh import ext
@@ -12,57 +11,28 @@ from trigpoint.bus_urgent import Newest
 from trigpoint.topics import Topic
 
 from .datagrams import Datagrams
+from .history import History
 from .session import Arrival, called_at_once
 
 
 def subscribe(
-    session: zenoh.Session,
-    topic: Topic,
-    expression: str,
-    queue: SampleQueue[Arrival],
-    named: frozenset[str],
+    session: zenoh.Session, topic: Topic, expression: str, queue: SampleQueue[Arrival]
 ) -> Callable[[], None]:
     """Declare what fills `queue`; return what takes it back.
 
-    What is recovered after a break has a subscriber for each of the `named` keys, and what others
-    send is taken as it comes. One for all of them hands on only the end of a sender's history where
-    the answer about another's ends meanwhile: 23 of 120 starts lost up to 288 of 300 messages,
-    which nothing counted; with one for each key, none of 150 did (zenoh-ext 1.10.2). Two senders
-    with a history on one key would bring that back; whoever comes second is refused (`peers`).
+    Of topics with a cache, what the senders keep and what was sent during a break comes too, and
+    what of it is lost is counted.
     """
 
     def receive(sample: zenoh.Sample) -> None:
         queue.push((time.time_ns(), sample))
 
-    def receive_of_others(sample: zenoh.Sample) -> None:
-        if str(sample.key_expr) not in named:
-            receive(sample)
-
     if not topic.cache:
         return session.declare_subscriber(expression, called_at_once(receive)).undeclare
-    if not named:
-        return _subscribe_with_history(session, topic, expression, receive, queue)
-    undeclare = ExitStack()
-    for key in sorted(named):
-        undeclare.callback(_subscribe_with_history(session, topic, key, receive, queue))
-    others = session.declare_subscriber(expression, called_at_once(receive_of_others))
-    undeclare.callback(others.undeclare)
-    return undeclare.close
-
-
-def _subscribe_with_history(
-    session: zenoh.Session,
-    topic: Topic,
-    expression: str,
-    receive: Callable[[zenoh.Sample], None],
-    queue: SampleQueue[Arrival],
-) -> Callable[[], None]:
-    """Of what the senders keep, and of what was sent during a break, too; return what takes it
-    back."""
     subscriber = ext.declare_advanced_subscriber(
         session,
         expression,
-        called_at_once(receive),
+        called_at_once(History(session, topic.cache, receive).receive),
         history=ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.cache),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )

@@ -1,17 +1,24 @@
 """What came in is on the disk: whole, cut off, foreign."""
 
+import struct
+import zlib
 from pathlib import Path
+from random import Random
 
+import msgspec
 import pytest
 from builders import largest_file
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trigpoint.cdr import encode
 from trigpoint.clock import ManualClock
 from trigpoint.errors import OperationError
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
+from trigpoint.geometry import Pose
+from trigpoint.messages import Odometry
 
-RECORDS = [(f"lab/robot/r1/odom{i}", bytes([i]) * (10 * i)) for i in range(8)]
+RECORDS = [(f"lab/robot/r1/odom{i}", Random(i).randbytes(10 * i)) for i in range(8)]
 
 
 def write(path: Path, records: list[tuple[str, bytes]]) -> None:
@@ -32,6 +39,28 @@ def test_what_is_written_is_read_again_also_over_several_lives(
     write(path, records[:parts])
     write(path, records[parts:])
     assert list(read_checkpoint(path)) == records
+
+
+def test_odometry_takes_a_fraction_of_its_length(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.bin"
+    messages = [
+        encode(
+            Odometry(20_000_000 * number, "r1/odom", "r1/base", Pose.planar(x, 0.3 * x, 0.1 * x))
+        )
+        for number, x in enumerate(Random(1).random() for _ in range(100))
+    ]
+    write(path, [("lab/robot/r1/odom", message) for message in messages])
+    assert path.stat().st_size < sum(map(len, messages)) / 4
+
+
+def test_file_of_before_messages_were_compressed_is_read_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.bin"
+    odometry = ("lab/robot/r1/odom", encode(Odometry(1, "r1/odom", "r1/base", Pose.identity())))
+    body = msgspec.msgpack.encode(odometry)
+    head = struct.pack("<II", len(body), zlib.crc32(body))
+    path.write_bytes(b"trigpoint-checkpoint/1\n" + head + body)
+    write(path, RECORDS)
+    assert list(read_checkpoint(path)) == [odometry, *RECORDS]
 
 
 def test_no_file_holds_nothing(tmp_path: Path) -> None:

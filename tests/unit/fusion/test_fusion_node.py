@@ -256,8 +256,10 @@ def test_fusion_goes_on_where_the_disk_is_full_and_says_so(
     charuco: Session, tmp_path: Path
 ) -> None:
     with running(charuco.inputs, tmp_path) as fusion:
-        with largest_file(20_000):
+        with largest_file(1_000):
             fusion.feed(charuco.messages[:300])
+            fusion.clock.advance(1.0)  # after which it writes
+            fusion.feed(charuco.messages[300:310])
             assert eventually(lambda: fusion.node.health.lost("checkpoint") > 0)
         assert eventually(lambda: "cannot be written now" in fusion.node.health.last_error)
         assert fusion.ask("fusion/map")["map_id"]
