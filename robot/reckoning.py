@@ -52,7 +52,8 @@ def _carry(way: Array, rotation: Array, turn: Array) -> Array:
 
 
 def _added(way: Array, rotation: Array, turn: Array, noise: OdometryNoise) -> Array:
-    """Along and across the direction at mid-heading, given in the axes at the step's end."""
+    """The noise (n, 8, 8) that steps add, in the axes at their ends; that of the shift is along and
+    across the direction at mid-heading."""
     length, turned = np.sqrt(np.sum(way * way, axis=-1)), np.sqrt(np.sum(turn * turn, axis=-1))
     end_from_begin = np.swapaxes(rotation, -1, -2)
     end_from_middle = end_from_begin @ exp(0.5 * turn)

@@ -134,12 +134,16 @@ class OdometryTrack:
             return Added.TAKEN
         added = self._add_twist(row)
         self._period_ns = stamp_ns - int(self._stamps[row - 1])
+        self._merge_if_standing(row)
+        return added
+
+    def _merge_if_standing(self, row: int) -> None:
+        """Merge the last message with the one before it, where the robot has stood for long."""
         is_there = not self._jumps[row] and self._is_without_motion(row)
         self._standing = self._standing + 1 if is_there else 0
         if self._standing > MOST_STANDING and self._stands(row) and self._stands(row - 1):
+            self._stamps[row - 1] = self._stamps[row]
             self._count = row
-            self._stamps[row - 1] = stamp_ns
-        return added
 
     def _stands(self, row: int) -> bool:
         """Whether the robot is known not to have moved in the step that ends at a row."""
