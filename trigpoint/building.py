@@ -120,8 +120,8 @@ def lay_network(
 
 
 def own_covariances(network: Network) -> Array:
-    """(6n, 6n) of the located cameras, without what they err in together: where the joint one is
-    not at hand."""
+    """(6n, 6n) of the located cameras without their correlations, where the joint one is not at
+    hand."""
     located = network.located
     joint = np.zeros((6 * len(located), 6 * len(located)))
     for i, name in enumerate(located):

@@ -43,7 +43,7 @@ class Reply:
 
 
 class Bell:
-    """Wakes one that waits for anything to come; rung from any thread, twice is as good as once.
+    """Wakes a thread that waits for anything to come. Any thread may ring it, once or more often.
 
     A bare lock, held while nothing has come: a Condition wakes its waiter under a lock that the
     waker still holds, which takes twice as long (49 against 23 µs).
@@ -59,7 +59,7 @@ class Bell:
                 self._is_silent.release()
 
     def wait(self, timeout_s: float) -> bool:
-        """Until it is rung, or has been since the last time; false where the time was over."""
+        """Until it is rung, or has been since the last wait; false where the time is over."""
         return self._is_silent.acquire(timeout=max(0.0, timeout_s))
 
 
@@ -97,8 +97,8 @@ class Publisher(Protocol):
     """Sends on one key."""
 
     def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
-        """Hand it over to be sent; never waits for anybody, so it may be called by what reads a
-        port or a camera."""
+        """Hand it over to be sent; never waits for anybody, so that a thread which reads a port or
+        a camera may call it."""
         ...
 
     @property

@@ -1,8 +1,8 @@
-"""What is said first when a session that had lost everybody meets somebody again: who it is.
+"""Holds samples back until a session that had lost everybody is known again.
 
-A subscriber that met a publisher's next sample before the news of who has those before asked nobody
-for them, and they were lost (of eight times that a router died on a network that loses packets,
-once). So what must be recovered waits until that news has got round.
+A subscriber that met a publisher's next sample before the news of who has the earlier ones asked
+nobody for those, and they were lost (once in eight times that a router died on a network that loses
+packets). So samples that must be recovered wait until that news has got round.
 """
 
 import time

@@ -75,7 +75,7 @@ class TlsFiles:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """With what a session lets others in: its certificate, and Zenoh's `access_control`."""
+    """How a session lets others in: its certificate, and Zenoh's `access_control`."""
 
     files: TlsFiles
     access: dict[str, object]

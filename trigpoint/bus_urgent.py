@@ -16,8 +16,8 @@ WAITING = 256
 
 
 class Newest:
-    """Lets through what is newer than the last of its key and sender: neither a copy of what has
-    come, nor what was overtaken. May be asked from any thread."""
+    """Lets newer samples through, by key and sender: no copy of one that came, and none that was
+    overtaken. May be asked from any thread."""
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[str, int]] = {}

@@ -1,8 +1,9 @@
-"""How a program ends that was told to stop: within two seconds, whatever hangs.
+"""Ends a program that was told to stop: within two seconds, whatever hangs.
 
-One a process, as signals are. Whoever waits while it ends asks `left_s` how long it may; whoever
-writes what cannot be made again does so inside `writing`, which is given more time on a machine
-that is busy; what does not close in time is left behind, and the process leaves without it.
+There is one `Ending` a process, as with signals. What waits during the end asks `left_s` how long
+it may. What writes something that cannot be made again does so inside `writing`, and gets more time
+where the machine is busy. What does not close in time is left behind, and the process leaves
+without it.
 """
 
 import _thread

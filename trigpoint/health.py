@@ -67,7 +67,7 @@ class Health:
             self._totals[name] += amount
 
     def lose(self, name: str, amount: int = 1) -> None:
-        """Count lost data."""
+        """Count data that was lost."""
         with self._lock:
             self._losses[name] += amount
 

@@ -1,4 +1,4 @@
-"""network.json: what a calibration ends in; the contract's section 4 has the format."""
+"""network.json, the result of a calibration; the contract's section 4 has the format."""
 
 import io
 import math

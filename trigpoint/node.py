@@ -129,7 +129,7 @@ class Node:
         _log.info("%s stopped", self.label)
 
     def _say_last(self) -> None:
-        """The last word has the final counts."""
+        """Send the last diagnostics, which have the final counts."""
         try:
             if self._publisher is not None:
                 self._publisher.put(encode(self.diagnostics()))
@@ -330,8 +330,8 @@ class Node:
 
 
 def stopped_by_signals(node: Node) -> Node:
-    """The node, which SIGINT and SIGTERM stop from before its life begins: a signal that came as it
-    began would leave it half begun. Call it on the main thread."""
+    """The node, which SIGINT and SIGTERM stop from before its start: a signal during the start
+    would leave it half started. Call it on the main thread."""
     stop_on_signals([node])
     return node
 
