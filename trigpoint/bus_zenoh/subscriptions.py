@@ -8,7 +8,7 @@ from zenoh import ext
 
 from trigpoint.bus_queue import SampleQueue
 from trigpoint.bus_urgent import Newest
-from trigpoint.topics import Topic
+from trigpoint.topics import Delivery, Topic
 
 from .datagrams import Datagrams
 from .history import History
@@ -29,10 +29,12 @@ def subscribe(
 
     if not topic.cache:
         return session.declare_subscriber(expression, called_at_once(receive)).undeclare
+    if topic.delivery is Delivery.RECOVERED:  # of the others the last value is all that is kept
+        receive = History(session, topic.cache, receive).receive
     subscriber = ext.declare_advanced_subscriber(
         session,
         expression,
-        called_at_once(History(session, topic.cache, receive).receive),
+        called_at_once(receive),
         history=ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.cache),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
