@@ -25,8 +25,7 @@ COUNTER = """
 import sys, time
 from builders import make_site
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import Site
-from trigpoint.topics import ODOMETRY, SIGHTINGS
+from trigpoint.topics import ODOMETRY
 with open_bus(make_site(bus=sys.argv[1])) as bus:
     bus.declare_alive("lab/alive/robot/r1")
     publisher = bus.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
