@@ -17,8 +17,8 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+
+from trigpoint.closing import Closing
 
 _TUNSETIFF, _IFF_TUN_NO_PI = 0x400454CA, 0x1001
 _CLONE_NEWNET = 0x40000000
@@ -110,7 +110,7 @@ class _Direction:
     waiting: list[tuple[float, int, bytes]] = field(default_factory=list)
 
 
-class Link:
+class Link(Closing):
     """A cable between two namespaces. `is_up` may be set at any time; so may `impairment`."""
 
     def __init__(
@@ -183,14 +183,3 @@ class Link:
         self._thread.join()
         for tun in self._tuns:
             os.close(tun)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

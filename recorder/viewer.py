@@ -15,12 +15,12 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 from urllib.parse import quote
 
 import rerun_cli
 
+from trigpoint.closing import Closing
 from trigpoint.errors import OperationError
 
 from .viewer_page import LOOPBACK, ViewerPage
@@ -44,7 +44,7 @@ class Ports:
     web: int
 
 
-class Viewer:
+class Viewer(Closing):
     """A running viewer; ends with `close`, or by itself when its window is closed."""
 
     def __init__(
@@ -119,17 +119,6 @@ class Viewer:
             self._process.wait(STOP_TIMEOUT_S)
         self._output.close()
         self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _start(self, file: Path | None) -> subprocess.Popen[bytes]:
         command = [str(program()), *([str(file)] if file else [])]

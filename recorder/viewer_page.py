@@ -9,15 +9,16 @@ import threading
 import urllib.error
 import urllib.request
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
+
+from trigpoint.closing import Closing
 
 LOOPBACK = "127.0.0.1"
 _TIMEOUT_S = 10.0
 _PIECE = 1 << 16
 
 
-class ViewerPage:
+class ViewerPage(Closing):
     """The page, until `close`."""
 
     def __init__(
@@ -46,17 +47,6 @@ class ViewerPage:
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _handler(origin: str, policy: str) -> type[BaseHTTPRequestHandler]:

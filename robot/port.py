@@ -10,12 +10,12 @@ import select
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import serial
 from serial.tools import list_ports
 
+from trigpoint.closing import Closing
 from trigpoint.errors import PortError
 
 READ_TIMEOUT_S = 0.1
@@ -28,7 +28,7 @@ class PortTimeoutError(PortError):
     """The other side takes no bytes; what was to be written is lost."""
 
 
-class Port:
+class Port(Closing):
     """An open port. One thread may read while another writes; `close` ends both.
 
     Raises PortError in one line where the port cannot be opened or is lost.
@@ -56,17 +56,6 @@ class Port:
         if hurry is not None:
             with suppress(ValueError, OSError):
                 hurry(True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def read(self) -> tuple[bytes, int]:
         """What has come, and the monotonic clock (ns) when all of it was there; returns nothing

@@ -6,13 +6,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
 
 from .bus import COMMAND_TIMEOUT_S, Bell, Closable, Reply, Sample
 from .bus_queue import SampleQueue
 from .bus_server import Server
 from .clock import Clock, SystemClock
+from .closing import Closing
 from .errors import BusError
 from .topics import Topic, key_matches
 
@@ -108,7 +107,7 @@ class _Token:
                 self._broker.tokens.remove(self._key)
 
 
-class MemoryBus:
+class MemoryBus(Closing):
     """One session; use `MemoryBroker.session()`."""
 
     def __init__(self, broker: MemoryBroker, identity: str) -> None:
@@ -212,17 +211,6 @@ class MemoryBus:
     def close(self) -> None:
         while self._declared:
             self._declared.pop().close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _history(self, expression: str, count: int) -> list[Sample]:
         """What the matching publishers keep, each key's latest `count`, in order of time."""

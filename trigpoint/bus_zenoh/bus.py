@@ -3,8 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import zenoh
 from zenoh import CongestionControl
@@ -14,6 +13,7 @@ from trigpoint.bus_gate import Gate
 from trigpoint.bus_outbox import Outbox
 from trigpoint.bus_queue import SampleQueue
 from trigpoint.bus_server import Server
+from trigpoint.closing import Closing
 from trigpoint.ending import ENDING
 from trigpoint.errors import BusError
 from trigpoint.topics import Delivery, Topic, sent_key
@@ -50,7 +50,7 @@ stop may take."""
 _Declared = TypeVar("_Declared", bound=Closable)
 
 
-class ZenohBus:
+class ZenohBus(Closing):
     """An open session, which it owns; made by `open_bus`."""
 
     def __init__(
@@ -236,17 +236,6 @@ class ZenohBus:
             if self._gate is not None:
                 self._gate.close()
             self._session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _declare(self, key: str, declare: Callable[[], _Declared]) -> _Declared:
         try:
