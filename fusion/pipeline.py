@@ -214,11 +214,12 @@ class Pipeline:
         Whoever wrote it may have sent more corrections than it shows. `is_new`: there was nothing
         in it.
         """
+        if isinstance(self._estimator, Collecting) and not is_new:
+            self._use_rest()
+            self._estimator.finish()
         self._is_live = True
         if is_new:
             return
-        if isinstance(self._estimator, Collecting):
-            self._estimator.finish()
         self._robots.skip_corrections(self.site.robots)
         self._outputs.clear()
 
@@ -231,6 +232,8 @@ class Pipeline:
         (offline). `most`: how many observations of a robot are used at most, so that a turn ends
         soon whatever came; `is_behind` says whether more are ready.
         """
+        if not self._is_collecting:
+            self._intake.tell_apart()
         used = self._use_ready(now_ns, most)
         is_quiet = not used
         if self._is_live and is_quiet:
@@ -246,6 +249,11 @@ class Pipeline:
         self._outputs += self._cameras.next(is_quiet=is_quiet)
         outputs, self._outputs = self._outputs, []
         return outputs
+
+    @property
+    def _is_collecting(self) -> bool:
+        """Whether all is worked out at the end alone, where most is known of all of it."""
+        return not self._is_live and isinstance(self._estimator, Collecting)
 
     def _use_ready(self, now_ns: int | None, most: int | None) -> list[Observation]:
         used = []
@@ -288,7 +296,8 @@ class Pipeline:
             )
         # Its camera's time offset is left out; what uses it puts that right.
         observation = self._data.moving(observation, observation.stamp_ns)
-        if not self._is_live and isinstance(self._estimator, Collecting):
+        if self._is_collecting:
+            assert isinstance(self._estimator, Collecting)
             if not observation.is_repeat:
                 self._estimator.collect(observation)
             return
@@ -347,6 +356,7 @@ class Pipeline:
         return self.advance()
 
     def _use_rest(self) -> None:
+        self._intake.tell_apart(is_end=True)
         for robot, track in self._data.tracks.items():
             if len(track):
                 for observation in self._intake.rest(robot, track.last_ns):

@@ -9,7 +9,11 @@ package is a threshold.
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+from scipy.special import chdtri
+
 from trigpoint.config import PriorConfig
+from trigpoint.geometry.rotation import Array
 
 # What the explanations that place a camera elsewhere may hold together of the posterior.
 EVIDENCE = 1e-5
@@ -31,6 +35,22 @@ class Events:
     def wrong_score(self) -> float:
         """Of a sighting that is wrong, beside the pose that its board has then."""
         return 2 * math.log((1 - self.priors.wrong_sighting) / self.priors.wrong_sighting)
+
+    @property
+    def room_variances(self) -> Array:
+        """(6,): of a pose anywhere in the room, in m² and rad²; nothing is known less well."""
+        x, y, z = self.priors.room
+        return np.array([x**2, y**2, z**2, *[(2 * np.pi) ** 2] * 3]) / 12
+
+    @property
+    def sighting_gate(self) -> float:
+        """The χ² of a pose (six degrees of freedom) beyond which a good sighting is no evidence."""
+        return float(chdtri(6, EVIDENCE))
+
+    @property
+    def wrong_limit(self) -> float:
+        """The score above which a sighting is wrong: that of a board which may be anywhere."""
+        return self.pose_score + self.wrong_score
 
     def happened(self, count: int) -> float:
         """Of so many lifts and moves, beside where robot and cameras are put."""

@@ -171,9 +171,7 @@ class Graph:
 
     def room(self, path: RobotPath) -> Array:
         """Variances (d,) of where a robot may be put down."""
-        x, y, z = self.events.priors.room
-        whole = np.array([x**2, y**2, z**2, *[(2 * np.pi) ** 2] * 3]) / 12
-        return whole[path.tangent]
+        return self.events.room_variances[path.tangent]
 
     def layout(self, places: Sequence[Place]) -> Layout:
         """With all robots' nodes and these places."""

@@ -1,7 +1,7 @@
 """One visit by itself: every place of the camera, seen from where the robot then was, that its
 pictures and the odometry between them allow."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -66,12 +66,14 @@ class Mode:
 
 @dataclass(slots=True)
 class _Trial:
-    """How each picture is read at the moment, and which of its views are taken to be wrong."""
+    """How each picture is read at the moment, and which of its views are taken to be wrong;
+    `hidden`: those that no reading can show, what they would be to first order means nothing."""
 
-    readings: dict[int, list[Reading]]
     wrong: dict[int, list[bool]]
-    wild: dict[int, list[np.ndarray]]
     poses: dict[int, Pose]
+    readings: dict[int, list[Reading]] = field(default_factory=dict)
+    wild: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    hidden: set[tuple[int, int]] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class LocalProblem:
         ones than this it is given up once it had time to take them back.
         """
         first = {index: list(row) for index, row in (wrong or {}).items()}
-        trial = _Trial({}, first, {}, dict(self.poses))
+        trial = _Trial(first, dict(self.poses))
         camera, seen = start, set[tuple[object, ...]]()
         for round_ in range(_MOST_ROUNDS):
             self._read(trial, camera)
@@ -146,6 +148,7 @@ class LocalProblem:
     def _read(self, trial: _Trial, camera: CameraState) -> None:
         """Read each view as it fits best where robot and camera are thought to be."""
         from_map = camera.map_from_camera.inverse()
+        trial.hidden.clear()
         for index, observation in self.observations.items():
             camera_from_base = from_map @ trial.poses[index]
             best = [
@@ -154,6 +157,7 @@ class LocalProblem:
             ]
             trial.readings[index] = [reading for reading, _, _ in best]
             hidden = [not np.isfinite(rms) for _, rms, _ in best]
+            trial.hidden.update((index, order) for order in np.flatnonzero(hidden).tolist())
             before = trial.wrong.get(index, hidden)
             trial.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
             if index not in trial.wild:
@@ -213,7 +217,6 @@ class LocalProblem:
         whole = replace(batch, weights=self._weights(batch))
         jacobian, residual, columns = batch_jacobian(assembled.problem, whole, state)
         by_base = base_jacobian(assembled.problem, whole, state)
-        limit = self.events.pose_score + self.events.wrong_score
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
         for row, source in enumerate(batch.sources):
             index, start = indices[int(source)], 0
@@ -234,10 +237,10 @@ class LocalProblem:
                     corners.by_base, corners.residual, self.events.wild_score
                 )[1]
                 is_wrong = trial.wrong[index][order]
-                score = self._innovation_score(
+                gain = self._innovation_excess(
                     corners.without(trial.wild[index][order]), covariance, is_used=not is_wrong
                 )
-                excess[is_wrong].append((score - limit, index, order))
+                excess[is_wrong].append((gain, index, order))
         most = max((gain for gain, *_ in excess[False]), default=0.0)
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
@@ -248,7 +251,7 @@ class LocalProblem:
         if most > 0:
             return
         for gain, index, order in excess[True]:
-            if gain < 0:
+            if gain < 0 and (index, order) not in trial.hidden:
                 trial.wrong[index][order] = False
 
     def _weights(self, batch: Batch) -> Array:
@@ -259,9 +262,10 @@ class LocalProblem:
             weights[row, : len(each)] = each
         return weights
 
-    def _innovation_score(self, corners: "_Corners", covariance: Array, *, is_used: bool) -> float:
+    def _innovation_excess(self, corners: "_Corners", covariance: Array, *, is_used: bool) -> float:
         """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
-        else makes the pose that a sighting shows by itself.
+        else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
+        anywhere, or of one that is off by any amount, small ones too.
 
         `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
         P the pose's own covariance and H its derivative by the unknowns, what is left over has
@@ -269,14 +273,15 @@ class LocalProblem:
         """
         flat = corners.by_base.reshape(-1, 6)
         try:
-            own = np.linalg.inv(flat.T @ flat)
+            own = np.linalg.inv(flat.T @ flat + np.diag(1 / self.events.room_variances))
             step = -own @ (flat.T @ corners.residual.reshape(-1))
             by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
             if (jitter := self.data.jitter.get(self.robot)) is not None:
                 own = own + np.diag(jitter.variances)
             root = np.linalg.cholesky(own)
         except np.linalg.LinAlgError:
-            return 0.0  # it shows no pose that could contradict
+            # It shows no pose that could contradict.
+            return -self.events.wrong_limit
         whitened = np.linalg.solve(root, by_state)
         values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)
         pulled = vectors.T @ np.linalg.solve(root, step)
@@ -287,7 +292,9 @@ class LocalProblem:
         else:
             left = 1 + np.maximum(values, 0.0)
             spread += float(np.sum(np.log(left)))
-        return float(np.sum(pulled**2 / left)) + min(spread, self.events.pose_score)
+        chi2 = float(np.sum(pulled**2 / left))
+        score = chi2 + min(spread, self.events.pose_score)
+        return max(score - self.events.wrong_limit, chi2 - self.events.sighting_gate)
 
     # -- to first order ---------------------------------------------------------------------------
 
@@ -303,7 +310,7 @@ class LocalProblem:
         }
         wrong = {index: [r is None for r in row] for index, row in mode.readings.items()}
         wild = {index: list(row) for index, row in mode.wild.items()}
-        assembled = self._assembled(_Trial(readings, wrong, wild, dict(mode.poses)), mode.camera)
+        assembled = self._assembled(_Trial(wrong, dict(mode.poses), readings, wild), mode.camera)
         (batch,) = assembled.problem.batches
         return linearised(
             self.data, assembled, batch, [(row, None) for row in range(len(batch.nodes))]
@@ -312,7 +319,7 @@ class LocalProblem:
     def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
         """Which sightings are wrong, likeliest first, by everything about a mode to first order:
         those that one after the other would never be found, since several agree by chance."""
-        trial = _Trial({}, {}, {}, dict(mode.poses))
+        trial = _Trial({}, dict(mode.poses))
         self._read(trial, mode.camera)
         assembled = self._assembled(trial, mode.camera)
         (batch,) = assembled.problem.batches

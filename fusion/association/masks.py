@@ -30,7 +30,7 @@ def likeliest_wrong(
     mean, covariance = _before(linear, events)
     means, covariances = mean[None], covariance[None]
     scores, flags = np.zeros(1), np.zeros((1, 0), dtype=bool)
-    limit = events.pose_score + events.wrong_score
+    limit = events.wrong_limit
     for shift, own, by in zip(linear.shifts, linear.own, linear.by_unknowns, strict=True):
         own = own if jitter is None else own + np.diag(jitter.variances)
         gain = covariances @ by.T
@@ -57,9 +57,7 @@ def _before(linear: Linear, events: Events) -> tuple[Array, Array]:
     """Mean (u,) and covariance (u, u) of the unknowns by odometry and priors, the camera anywhere
     in the room."""
     information = linear.prior.copy()
-    x, y, z = events.priors.room
-    room = np.array([x**2, y**2, z**2, *[(2 * np.pi) ** 2] * 3]) / 12
-    information[linear.camera, linear.camera] += 1 / room
+    information[linear.camera, linear.camera] += 1 / events.room_variances
     weighted = np.swapaxes(linear.steps_by_unknowns, 1, 2) @ np.linalg.inv(linear.spread)
     information += (weighted @ linear.steps_by_unknowns).sum(axis=0)
     pull = (weighted @ linear.steps[..., None])[..., 0].sum(axis=0)

@@ -32,7 +32,6 @@ class PictureReader:
         camera = self.mode.camera
         camera_from_base = camera.map_from_camera.inverse() @ map_from_base
         jitter = self.data.jitter.get(observation.robot)
-        limit = self.events.pose_score + self.events.wrong_score
         readings: list[Reading | None] = []
         wilds: list[np.ndarray] = []
         for view in observation.views:
@@ -45,8 +44,8 @@ class PictureReader:
             spread = 2 * own + drift + (0.0 if jitter is None else 2 * np.diag(jitter.variances))
             spread = 0.5 * (spread + spread.T) + 1e-12 * np.eye(6)
             score = float(step @ np.linalg.solve(spread, step))
-            score += min(float(np.linalg.slogdet(spread)[1]), self.events.pose_score)
-            is_right = np.isfinite(rms) and score < limit
+            room = min(float(np.linalg.slogdet(spread)[1]), self.events.pose_score)
+            is_right = np.isfinite(rms) and score + room < self.events.wrong_limit
             readings.append(reading if is_right else None)
             wilds.append(wild)
         return tuple(readings), tuple(wilds)

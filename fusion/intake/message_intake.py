@@ -141,12 +141,13 @@ class Intake:
             self._shared.add(camera, message.stamp_ns, tuple(shared))
         return views, bool(shared)
 
-    def _tell_apart(self, *, is_end: bool = False) -> None:
-        """Queue the sightings of identical targets whose robot is identified."""
+    def tell_apart(self, *, is_end: bool = False) -> None:
+        """Queue the sightings of identical targets whose robot is identified by now; `is_end`: of
+        all that came."""
         if self._shared is None:
             return
         for observation in self._shared.ready(is_end=is_end):
-            self._queue(observation.robot, observation)
+            self._queue(observation.robot, observation, has_odometry=True)
         self._count_untold(self._shared)
 
     def tell_by_place(self, estimator: Live, *, is_end: bool = False) -> bool:
@@ -157,7 +158,7 @@ class Intake:
             return False
         found = self._shared.by_place(estimator, is_end=is_end)
         for observation in found:
-            self._queue(observation.robot, observation)
+            self._queue(observation.robot, observation, has_odometry=True)
         self._count_untold(self._shared)
         return bool(found)
 
@@ -172,13 +173,14 @@ class Intake:
             return list(self._targets)
         return [robot for robot, target in self._targets.items() if target.name == face.target]
 
-    def _queue(self, robot: str, observation: Observation) -> bool:
-        """Have an observation wait for its odometry; whether it may add to the map."""
+    def _queue(self, robot: str, observation: Observation, *, has_odometry: bool = False) -> bool:
+        """Have an observation wait for its odometry; whether it may add to the map. `has_odometry`:
+        it is there already."""
         if self._standstills is not None and self._standstills.repeats(observation):
             observation = replace(observation, is_repeat=True)
             self.left_out.add("standing_still")
         queue = self._waiting[robot]
-        if len(queue) >= _MOST_WAITING:
+        if len(queue) >= _MOST_WAITING and not has_odometry:
             heapq.heappop(queue)
             self.left_out.add("without_odometry", f"no odometry of {robot}; check its bridge")
         self._order += 1
@@ -194,7 +196,6 @@ class Intake:
 
         Those from before its odometry began are left out.
         """
-        self._tell_apart()
         queue, found = self._waiting[robot], []
         while queue and queue[0].latest_ns <= last_ns and (most is None or len(found) < most):
             waiting = heapq.heappop(queue)
@@ -217,7 +218,6 @@ class Intake:
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
         """At the end of the odometry: the observations of its last moments, which may be within
         it."""
-        self._tell_apart(is_end=True)
         queue = self._waiting[robot]
         kept, found = [], []
         for waiting in sorted(queue):

@@ -31,6 +31,10 @@ _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
 # One picture fits any robot: its camera may be anywhere.
 _LEAST_PICTURES = 2
+# Where one sighting in ten is wrong, so many one after the other are one time in a thousand.
+_LEAST_LASTING = 3
+# A run is looked at once, and again after each of two events in it.
+_MOST_LOOKS = 3
 # χ²: five sigmas from where it is thought to have stood.
 _AT_PLACE = 25.0
 # A robot that was elsewhere fits only against its odometry, at several times the noise's χ².
@@ -58,20 +62,17 @@ class RobotIdentification:
     def add(self, camera: str, stamp_ns: int, faces: tuple[dict[str, View], ...]) -> None:
         """Take one picture, each face as a view of every robot that may carry it; a late picture
         joins the visit that goes on."""
-        visit = self._open.setdefault(camera, [])
-        is_over = visit and stamp_ns - visit[-1].stamp_ns > _AWAY_NS
-        if is_over or len(visit) >= _MOST_PICTURES:
-            self._closed.append((camera, visit))
-            visit = self._open[camera] = []
-        visit.append(Picture(stamp_ns, faces))
+        self._open.setdefault(camera, []).append(Picture(stamp_ns, faces))
 
     def ready(self, *, is_end: bool = False) -> list[Observation]:
-        """The identified observations of the visits that have ended by all robots' odometry, or of
-        all visits at the end."""
+        """The identified observations of the visits that have ended by all robots' odometry, or are
+        as long as anyone waits for, or of all visits at the end. The longer they are, the better
+        and the quicker they tell: whoever has the time asks at the end alone."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
-            if is_end or max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns:
+            is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns
+            if is_end or is_over or len(visit) >= _MOST_PICTURES:
                 self._closed.append((camera, self._open.pop(camera)))
         found: list[Observation] = []
         closed, self._closed = self._closed, []
@@ -209,22 +210,37 @@ class RobotIdentification:
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
         found: list[Observation] = []
         for run in runs(self._data, camera, visit):
-            rest = run
-            while rest:
-                best = self._best(camera, rest)
-                if best is None:
-                    self._leave_out(camera, rest)
+            left = run
+            for look in range(_MOST_LOOKS):
+                told, rest = self._told_of(camera, left)
+                found += told
+                is_last = not told or look + 1 == _MOST_LOOKS
+                left = [] if is_last else _lasting(left, {seen.stamp_ns for seen in told})
+                again = {picture.stamp_ns for picture in left}
+                self._leave_out(camera, [p for p in rest if p.stamp_ns not in again])
+                if not left:
                     break
-                robot, every = best
-                right = every[robot].right(rest)
-                own, left = _split(camera, robot, right, rest)
-                shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
-                if self._is_clear(camera, robot, every, rest, shown):
-                    found += own
-                else:
-                    self._leave_out(camera, shown)
-                rest = left
         return found
+
+    def _told_of(self, camera: str, run: list[Picture]) -> tuple[list[Observation], list[Picture]]:
+        """The observations of each robot that a run shows, and what is left of its pictures."""
+        found: list[Observation] = []
+        known, rest, unclear = set[str](), run, list[Picture]()
+        while rest:
+            best = self._best(camera, rest)
+            if best is None or best[0] in known:
+                break
+            robot, every = best
+            known.add(robot)
+            right = every[robot].right(rest)
+            own, left = _split(camera, robot, right, rest)
+            shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
+            if self._is_clear(camera, robot, every, shown):
+                found += own
+            else:
+                unclear += shown
+            rest = left
+        return found, unclear + rest
 
     def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:
         """The robot whose motion explains a visit best, and how each does that does; None where
@@ -239,21 +255,17 @@ class RobotIdentification:
         return (max(every, key=lambda robot: every[robot].gain), every) if every else None
 
     def _is_clear(
-        self,
-        camera: str,
-        robot: str,
-        every: dict[str, RobotFit],
-        visit: list[Picture],
-        shown: list[Picture],
+        self, camera: str, robot: str, every: dict[str, RobotFit], shown: list[Picture]
     ) -> bool:
         """Whether no other robot explains nearly as well what of a visit is `shown` to be this
-        robot's by its best fit."""
-        if shown != visit:  # scores compare only over the same pictures
-            every = fits(self._data, camera, shown, self._events)
-        gains = {name: fit.gain for name, fit in every.items()}
-        return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
+        robot's by its best fit. None does that explains the whole visit no better."""
+        if _leads(robot, every):
+            return True
+        return _leads(robot, fits(self._data, camera, shown, self._events))
 
     def _leave_out(self, camera: str, visit: list[Picture]) -> None:
+        if not visit:
+            return
         self._left.extend((camera, picture) for picture in visit)
         self.untold += len(visit)
         self.problem = (
@@ -261,6 +273,25 @@ class RobotIdentification:
             "tell which it was; give each robot its own target, or let one alone drive while the "
             "others stand"
         )
+
+
+def _leads(robot: str, every: dict[str, RobotFit]) -> bool:
+    """Whether a robot explains what it does so much better than any other that no other may."""
+    gains = {name: fit.gain for name, fit in every.items()}
+    return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
+
+
+def _lasting(run: list[Picture], told_ns: set[int]) -> list[Picture]:
+    """The longest stretch of a run in which no robot is seen as in the rest of it: wrong sightings
+    come singly, but a camera that was moved or a robot that was lifted stays so."""
+    stretches: list[list[Picture]] = [[]]
+    for picture in run:
+        if picture.stamp_ns in told_ns:
+            stretches.append([])
+        else:
+            stretches[-1].append(picture)
+    longest = max(stretches, key=len)
+    return longest if len(longest) >= _LEAST_LASTING else []
 
 
 def _split(

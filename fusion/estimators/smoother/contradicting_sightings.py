@@ -46,7 +46,6 @@ def _excesses(
 ) -> list[_Excess]:
     """By how much each sighting of a batch that contradicts is worse than a wrong one, with its
     source and order."""
-    limit = events.pose_score + events.wrong_score
     by_base = base_jacobian(assembled.problem, batch, state)
     residual = batch_residual(assembled.problem, batch, state)
     found = []
@@ -56,15 +55,14 @@ def _excesses(
             part = slice(start, start + len(view.corners))
             start = part.stop
             flat = by_base[row, part].reshape(-1, 6)
-            normal = flat.T @ flat
-            if np.linalg.matrix_rank(normal, hermitian=True) < 6:
-                continue  # left out already, or too few corners to contradict
-            own = np.linalg.inv(normal)
+            if not np.any(flat):
+                continue  # left out already
+            own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
             step = -own @ (flat.T @ residual[row, part].reshape(-1))
             if batch.jitter is not None:
                 own = own + np.diag(batch.jitter.variances)
             chi2 = float(step @ np.linalg.solve(own, step))
-            excess = chi2 + float(np.linalg.slogdet(own)[1]) - limit
+            excess = chi2 + float(np.linalg.slogdet(own)[1]) - events.wrong_limit
             if excess > 0:
                 found.append((excess, source, order))
     return found
