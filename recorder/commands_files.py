@@ -70,6 +70,8 @@ def recover(
     file = out or recording.path.parent / "recovered" / recording.path.name
     if file.suffix != ".mcap":
         raise InputError(f"{file}: a recording's name ends in .mcap; write another --out")
+    if file.exists():
+        raise InputError(f"{file}: is there already; write another --out")
     counts = save_sound(recording, file)
     for key, count in counts.items():
         typer.echo(f"{count:8d}  {key}")

@@ -146,6 +146,8 @@ def _kalibr(source: Source, out: Path) -> list[Path]:
     text, left_out = camchain(source.need_network())
     for reason in left_out:
         typer.echo(f"left out: camchain: {reason}", err=True)
+    if not text:
+        return []
     file = out / "camchain.yaml"
     file.write_text(text, encoding="utf-8")
     return [file]

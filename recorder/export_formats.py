@@ -18,7 +18,8 @@ _SMALL_PX = 0.1
 
 
 def camchain(network: Network) -> tuple[str, list[str]]:
-    """Kalibr's camchain.yaml of the located cameras, and what it cannot say.
+    """Kalibr's camchain.yaml of the located cameras ("" where it can say none), and what it cannot
+    say.
 
     Kalibr knows four coefficients of a pinhole's distortion and its equidistant lens; a camera
     whose lens needs more is left out. T_cn_cnm1 maps camera n-1's coordinates to camera n's.
@@ -32,7 +33,9 @@ def camchain(network: Network) -> tuple[str, list[str]]:
         lens = record.intrinsics.camera if record.intrinsics else None
         distortion = _kalibr_distortion(lens) if lens else None
         if lens is None or distortion is None:
-            left_out.append(f"{name}: its lens has no form in Kalibr's camchain")
+            left_out.append(
+                f"{name}: its lens needs more than the four coefficients that Kalibr knows"
+            )
             continue
         entry: dict[str, object] = {
             "camera_model": "pinhole",
@@ -47,6 +50,8 @@ def camchain(network: Network) -> tuple[str, list[str]]:
             entry["T_cn_cnm1"] = _matrix(pose.inverse() @ before)
         before = pose
         chain[f"cam{len(chain)}"] = entry
+    if not chain:
+        return "", left_out
     text = StringIO()
     yaml = YAML()
     yaml.default_flow_style = None

@@ -17,7 +17,7 @@ class Output:
         """Create the file and its folder; what is there already is never written over."""
         self._path = path
         if path.exists():
-            raise OperationError(f"{path}: is there already; give another folder")
+            raise OperationError(f"{path}: is there already; give another name")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=0)

@@ -214,7 +214,13 @@ def open_recording(path: Path) -> Recording:
         raise RecordingError(f"{file}: the session is empty ({why}); record while the site runs")
     if problem:
         total = sum(recording.counts.values())
-        _LOG.warning("%s: not complete: %s; its %d sound messages are read", file, problem, total)
+        _LOG.warning(
+            "%s: not complete: %s; its %d sound messages are read (`trigpoint recover` makes a "
+            "whole file of them)",
+            file,
+            problem,
+            total,
+        )
     return recording
 
 

@@ -167,7 +167,10 @@ def router_settings(
     """A router at the place of the gate: it also hands on between those who connect, and to the
     routers that `connect` names."""
     if not bus.listen:
-        raise ConfigError("a router needs bus.listen: where the others connect to it")
+        raise ConfigError(
+            f"site {site}: a router needs to be told where the others connect to it: write "
+            'listen = ["tcp/<address of this machine>:7447"] below [bus] in the site file'
+        )
     return Settings(
         "router",
         (LOOPBACK, *bus.listen),
