@@ -5,7 +5,7 @@ that is too improbable to matter; where a robot was carried or a camera moved on
 (`Events.event`), and what lies beyond may be anywhere.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from .graph import Break, Graph, Tie
 
@@ -32,7 +32,7 @@ def tied_twice(
     first = _first_seen(graph, used)
     found: set[_Spot] | None = None
     for cut in [None, *edges]:
-        if cut is not None and (cut[1] < first.get(cut[0], 0) or is_watched(graph, used, cut)):
+        if cut is not None and (cut[1] < first.get(cut[0], 0) or _is_watched(graph, used, cut)):
             continue  # nothing was seen before: the map begins there; or it was seen all the while
         reached = _reached(graph, ties, breaks | ({cut} if cut else set()), first)
         reached |= {place for place, node in seen.items() if node in reached}
@@ -40,7 +40,7 @@ def tied_twice(
     return found or set()
 
 
-def is_watched(graph: Graph, used: Collection[int], gap: Break) -> bool:
+def _is_watched(graph: Graph, used: Mapping[int, int], gap: Break) -> bool:
     """Whether one visit goes on across a gap, with odometry as it is."""
     robot, step = gap
     begin, end = graph.paths[robot].stamps_ns[step : step + 2]

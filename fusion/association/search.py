@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .agreement import agreement
-from .bridges import is_watched
 from .events import Events, window
 from .graph import Break, Graph, Placed, Tie, Variant
 from .minimum import placed
@@ -247,15 +246,12 @@ class Search:
         return self.visits[join.number].visit.robot
 
     def _gaps(self, join: _Join) -> list[int]:
-        """The nodes after which a robot may have been lifted since the place was first seen: none
-        after which a visit goes on to the next."""
+        """The nodes after which a robot may have been lifted since the place was first seen."""
         robot = self._robot(join)
-        used = [*join.before.ties, *join.before.open, join.number]
         same = [n for n in join.there if self.visits[n].visit.robot == robot]
         first = self.graph.node_of[min(same)] if same else 0
         last = self.graph.node_of[join.number]
-        gaps = [(robot, g) for g in range(first, last) if (robot, g) not in join.before.breaks]
-        return [gap[1] for gap in gaps if not is_watched(self.graph, used, gap)]
+        return [g for g in range(first, last) if (robot, g) not in join.before.breaks]
 
     # -- which modes agree ------------------------------------------------------------------------
 
