@@ -1,8 +1,8 @@
-"""Who may do what on a site's keys: one row a kind of node, and Zenoh's access rules from it.
+"""Who may do what on a site's keys: one row per kind of node, turned into Zenoh's access rules.
 
-The rules are enforced where a link from another machine ends: at the gate of a machine that
-listens, and at routers. What no row allows is denied. Processes of that machine itself meet on
-loopback and are not asked. Pure: knows no Zenoh and no files.
+The rules are enforced where a link from another machine ends: at the gate of a listening machine,
+and at routers. Whatever no row allows is denied. Processes on that machine itself meet on loopback
+and are not checked. Pure: knows no Zenoh and no files.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ _NODES = "*"
 
 
 class Kind(StrEnum):
-    """What a certificate says that its holder is."""
+    """The kind of node that a certificate's holder is."""
 
     CAMERA = "camera"
     ROBOT = "robot"
@@ -29,7 +29,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One holder of a certificate, by the name in it: «lab/camera/c1»."""
+    """The holder of a certificate, by the name in it: «lab/camera/c1»."""
 
     site: str
     kind: Kind
@@ -41,12 +41,12 @@ class Identity:
 
     @property
     def stem(self) -> str:
-        """What its files are called: camera-c1.key, camera-c1.pem."""
+        """The stem of its files: camera-c1 for camera-c1.key and camera-c1.pem."""
         return f"{self.kind}-{self.name}"
 
     @classmethod
     def parse(cls, common_name: str) -> "Identity | None":
-        """The holder that a certificate names; None where it is none of ours."""
+        """The holder named by a certificate; None if it is not one of ours."""
         parts = common_name.split("/")
         if len(parts) != 3 or parts[1] not in set(Kind) or not all(parts):
             return None
@@ -68,7 +68,7 @@ class Grants:
     own: bool = False
 
     def expression(self, topic: Topic, name: str) -> str:
-        """The keys of a topic that the grant is about, below the site."""
+        """The topic's keys that the grant covers, below the site."""
         return topic.path.format(id=name if self.own else _NODES)
 
 
@@ -121,7 +121,7 @@ GRANTS: dict[Kind, Grants] = {
     ),
     Kind.VIEWER: Grants(subscribes=topics.TOPICS),
 }
-"""Routers are not in it: each holds who connects to it to the rules, and hands on the rest."""
+"""Without routers: each enforces the rules on those who connect to it, and relays the rest."""
 
 _ANY = ("**", "**/@adv/**")
 
@@ -140,7 +140,7 @@ _EVERYTHING = (
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """Messages that may come from (`ingress`) or go to (`egress`) the node, on these keys."""
+    """Messages allowed from (`ingress`) or to (`egress`) the node, on these keys."""
 
     flow: str
     messages: tuple[str, ...]
@@ -148,9 +148,9 @@ class _Rule:
 
 
 def access_control(identities: Iterable[Identity], *, sites: Iterable[str]) -> dict[str, object]:
-    """Zenoh's `access_control` for a session in which the links of these nodes end.
+    """Zenoh's `access_control` for a session to which these nodes connect.
 
-    `sites`: whose keys a router that connects may hand on.
+    `sites`: the sites whose keys a connecting router may relay.
     """
     rules: dict[str, _Rule] = {}
     policies: list[dict[str, object]] = []
@@ -206,7 +206,7 @@ def _rules(identity: Identity, sites: Iterable[str]) -> list[_Rule]:
     puts = keys_of(topic.path for topic in grants.publishes)
     reads = keys_of(topic.path for topic in grants.subscribes)
     rules = [*_publishing(puts), *_subscribing(reads)]
-    # A session's name is in no certificate. Who answers for another is only waited for in vain.
+    # Certificates do not name sessions. Answering for another session only costs a wait.
     sent = (sent_key(identity.site, "*"),)
     rules += [*_serving(sent if puts else ()), *_asking(sent if reads else ())]
     rules += [*_serving(keys_of(grants.serves)), *_asking(keys_of(grants.asks))]
@@ -221,7 +221,7 @@ def _rules(identity: Identity, sites: Iterable[str]) -> list[_Rule]:
 
 
 def _publishing(keys: tuple[str, ...]) -> list[_Rule]:
-    """A publisher with a cache also answers for it, and says that it is there, on `@adv` keys."""
+    """A publisher with a cache also serves that cache and announces itself, on `@adv` keys."""
     cached = _cache(keys)
     return [
         _Rule("ingress", ("put",), (*keys, *cached)),

@@ -1,8 +1,8 @@
-"""Corrections that only fusion can have made: a signature behind the mark in their attachment.
+"""Signs corrections, so that only fusion can have made them: a signature follows the mark.
 
-The rules of the bus (`access`) let only fusion publish corrections. The signature holds where they
-do not: against a process on a machine that relays, and against a correction that is said again. In
-a site without `[bus.tls]` the attachment is the mark alone, and nothing is checked.
+The rules of the bus (`access`) let only fusion publish corrections. The signature protects where
+they cannot: against a process on a relaying machine, and against a replayed correction. On a site
+without `[bus.tls]` the attachment is the mark alone, and nothing is checked.
 """
 
 import struct
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _COUNTER = struct.Struct("<Q")
 _SIDE = 32
-"""Bytes of r and of s, the two numbers of a P-256 signature (FIPS 186-5)."""
+"""Bytes of each of r and s, the two numbers of a P-256 signature (FIPS 186-5)."""
 LENGTH = _COUNTER.size + 2 * _SIDE
 _DOMAIN = b"trigpoint correction 1"
 
@@ -35,15 +35,15 @@ class Verifier(Protocol):
     """The bridge's side."""
 
     def verify(self, key: str, payload: bytes, attachment: bytes) -> bytes:
-        """The attachment without its authenticator; raise MessageError where that is wrong."""
+        """The attachment without its authenticator; raise MessageError if that is wrong."""
         ...
 
 
 def correction_signer(site: Site, clock: Clock) -> Signer:
-    """What signs a site's corrections; raise ConfigError where fusion's key is not here."""
+    """The signer of a site's corrections; raise ConfigError if fusion's key is not here."""
     if site.bus.tls is None:
         return _Plain()
-    from . import security  # needs the extra `secure`, which other sites do without
+    from . import security  # needs the extra `secure`, which only secured sites install
 
     path = security.directory(site) / "fusion-fusion.key"
     if not path.exists():
@@ -52,7 +52,7 @@ def correction_signer(site: Site, clock: Clock) -> Signer:
 
 
 def correction_verifier(site: Site, clock: Clock) -> Verifier:
-    """What checks a site's corrections; raise ConfigError where fusion's public key is not here."""
+    """The verifier of a site's corrections; raise ConfigError if fusion's public key is missing."""
     if site.bus.tls is None:
         return _Plain()
     from . import security
@@ -67,7 +67,7 @@ def correction_verifier(site: Site, clock: Clock) -> Verifier:
 
 
 class CorrectionSigner:
-    """Signs with a counter that never goes back: the clock's nanoseconds, or one above the last."""
+    """Signs with an increasing counter: the clock's nanoseconds, or one above the last."""
 
     def __init__(self, key: "ec.EllipticCurvePrivateKey", clock: Clock) -> None:
         self._key, self._clock, self._last = key, clock, 0
@@ -85,10 +85,10 @@ class CorrectionSigner:
 
 
 class CorrectionVerifier:
-    """Checks one robot's corrections in the order in which they come. Not thread-safe.
+    """Checks one robot's corrections in order of arrival. Not thread-safe.
 
-    `since_ns`: Unix time before which nothing is believed: what was signed before the bridge began
-    may have been heard by its predecessor. So each correction is believed once, whoever says it.
+    `since_ns`: Unix time; anything signed earlier is rejected, because the previous bridge may have
+    accepted it already. So each correction is accepted once, whoever sends it.
     """
 
     def __init__(self, key: "ec.EllipticCurvePublicKey", *, since_ns: int) -> None:
@@ -130,7 +130,7 @@ class CorrectionVerifier:
 
 
 class _Plain:
-    """In a site that is not secured."""
+    """For a site that is not secured."""
 
     def sign(self, key: str, payload: bytes, attachment: bytes) -> bytes:
         del key, payload
@@ -142,6 +142,6 @@ class _Plain:
 
 
 def _statement(key: str, payload: bytes, attachment: bytes) -> bytes:
-    """What is signed: every part with its length before it, so that no two read alike."""
+    """The signed bytes: each part is preceded by its length, so that no two inputs coincide."""
     parts = (_DOMAIN, key.encode(), attachment, payload)
     return b"".join(len(part).to_bytes(4, "little") + part for part in parts)

@@ -1,7 +1,7 @@
-"""What every part sees of the bus; `bus_zenoh` and `bus_memory` implement it.
+"""The bus interface that every part uses; `bus_zenoh` and `bus_memory` implement it.
 
-Nothing runs on the bus's own threads but putting a sample into a bounded queue of ours: whoever
-subscribes takes samples out on a thread of its own. Closing the bus closes what it declared.
+The bus's own threads only put samples into our bounded queues; subscribers take them out on their
+own threads. Closing the bus closes everything declared on it.
 """
 
 import threading
@@ -18,10 +18,10 @@ COMMAND_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One payload that arrived.
+    """One received payload.
 
-    `published_ns`: the sender's Zenoh timestamp as Unix time; `received_ns`: when it came here;
-    `sender`: the Zenoh id of the publishing session, "" where it is not known.
+    `published_ns`: the sender's Zenoh timestamp as Unix time; `received_ns`: when it arrived here;
+    `sender`: the Zenoh id of the publishing session, "" if unknown.
     """
 
     key: str
@@ -35,7 +35,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """An answer to a query; `error` is one line where the other side refused, else ""."""
+    """An answer to a query; `error` is one line if the other side refused, else ""."""
 
     key: str
     payload: bytes
@@ -43,10 +43,10 @@ class Reply:
 
 
 class Bell:
-    """Wakes a thread that waits for anything to come. Any thread may ring it, once or more often.
+    """Wakes a thread that waits for new samples. Any thread may ring it, any number of times.
 
-    A bare lock, held while nothing has come: a Condition wakes its waiter under a lock that the
-    waker still holds, which takes twice as long (49 against 23 µs).
+    It is a bare lock, held while nothing has arrived. A Condition wakes its waiter while the waker
+    still holds the lock, which takes twice as long (49 against 23 µs).
     """
 
     def __init__(self) -> None:
@@ -55,39 +55,39 @@ class Bell:
 
     def ring(self) -> None:
         if self._is_silent.locked():
-            with suppress(RuntimeError):  # another was quicker
+            with suppress(RuntimeError):  # another thread released it first
                 self._is_silent.release()
 
     def wait(self, timeout_s: float) -> bool:
-        """Until it is rung, or has been since the last wait; false where the time is over."""
+        """Wait for a ring since the last wait; false on timeout."""
         return self._is_silent.acquire(timeout=max(0.0, timeout_s))
 
 
 class Subscription(Protocol):
-    """Samples of one key expression, in the order in which they came."""
+    """Samples of one key expression, in order of arrival."""
 
     def take(self, timeout_s: float) -> Sample | None:
-        """The next sample, or None when the time is over or the subscription is closed."""
+        """The next sample, or None on timeout or once the subscription is closed."""
         ...
 
     @property
     def depth(self) -> int:
-        """How many samples wait."""
+        """Number of samples waiting."""
         ...
 
     @property
     def received(self) -> int:
-        """How many samples came."""
+        """Number of samples received."""
         ...
 
     @property
     def dropped(self) -> int:
-        """How many samples were lost: dropped from the full queue, or missed on the way."""
+        """Number of samples lost: dropped from the full queue, or missed in transit."""
         ...
 
     @property
     def losses(self) -> dict[str, int]:
-        """Those that were dropped from the full queue, by key."""
+        """Number of samples dropped from the full queue, by key."""
         ...
 
     def close(self) -> None: ...
@@ -97,20 +97,20 @@ class Publisher(Protocol):
     """Sends on one key."""
 
     def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
-        """Hand it over to be sent; never waits for anybody, so that a thread which reads a port or
-        a camera may call it."""
+        """Queue the payload for sending. Never blocks on a subscriber, so threads that read a port
+        or a camera may call it."""
         ...
 
     @property
     def has_listener(self) -> bool:
-        """Whether anyone subscribes to the key now (pictures are only made where it is so)."""
+        """Whether anyone subscribes to the key now (pictures are made only if so)."""
         ...
 
     def close(self) -> None: ...
 
 
 class Closable(Protocol):
-    """A declaration that can be taken back."""
+    """A declaration that can be withdrawn."""
 
     def close(self) -> None: ...
 
@@ -120,41 +120,41 @@ class Bus(Protocol):
 
     @property
     def identity(self) -> str:
-        """The session's Zenoh id, as samples name it in `sender`."""
+        """The session's Zenoh id, as it appears in `Sample.sender`."""
         ...
 
     @property
     def locators(self) -> tuple[str, ...]:
-        """Where this session listens, as others may write it into `bus.connect`."""
+        """The endpoints where this session listens, in the form that `bus.connect` takes."""
         ...
 
     @property
     def peers(self) -> tuple[str, ...]:
-        """The ids of the sessions that this one is connected to."""
+        """Ids of the sessions that this one is connected to."""
         ...
 
     @property
     def warning(self) -> str:
-        """What will end the connection before long (a certificate's end), "" where nothing will."""
+        """What will soon end the connection (an expiring certificate), "" if nothing will."""
         ...
 
     @property
     def unreached(self) -> tuple[str, ...]:
-        """What `bus.connect` names, while the session is connected to nobody."""
+        """The endpoints in `bus.connect`, while the session is connected to nobody."""
         ...
 
     @property
     def unsent(self) -> int:
-        """How many samples were not sent, since nobody took those before them in time."""
+        """Number of samples never sent, because earlier ones were not taken in time."""
         ...
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until all that was put is sent; whether it is in time."""
+        """Wait until everything put so far is sent; return false on timeout."""
         ...
 
     def catch_up(self, site: str, timeout_s: float) -> bool:
-        """Wait until what the others of a site have sent before has come, as far as every sample of
-        it must arrive; whether all of them answered in time."""
+        """Wait until everything that the site's other sessions have already sent reliably is here;
+        return whether all of them answered in time."""
         ...
 
     def publisher(self, topic: Topic, key: str) -> Publisher:
@@ -170,10 +170,12 @@ class Bus(Protocol):
         in_turns: bool = False,
         bell: Bell | None = None,
     ) -> Subscription:
-        """Subscribe with the topic's delivery and queue. `wanted`: whether a key is; the others'
-        samples are not kept. It is called on the bus's thread. `in_turns`: keys and senders take
-        turns; else samples are taken in the order in which they came. `bell`: rung when one
-        comes."""
+        """Subscribe with the topic's delivery and queue.
+
+        `wanted`: says whether to keep a key's samples; called on the bus's thread. `in_turns`: keys
+        and senders take turns; otherwise samples are taken in order of arrival. `bell`: rung at
+        each arrival.
+        """
         ...
 
     def declare_alive(self, key: str) -> Closable:
@@ -181,21 +183,21 @@ class Bus(Protocol):
         ...
 
     def alive(self, expression: str, *, timeout_s: float = COMMAND_TIMEOUT_S) -> list[str]:
-        """The tokens that are alive now; without those whose sessions do not answer in time."""
+        """The tokens alive now; those of sessions that do not answer in time are missing."""
         ...
 
     def serve(self, key: str, answer: Callable[[bytes], bytes]) -> Closable:
         """Answer queries on `key` on a thread of ours.
 
-        `answer` gets the request's payload and returns the reply's; a TrigpointError that it raises
-        becomes an error reply with its text, any other error one that says so.
+        `answer` gets the request's payload and returns the reply's. If it raises a TrigpointError,
+        the reply is an error with that text; any other exception is reported as such.
         """
         ...
 
     def query(
         self, key: str, payload: bytes = b"", *, timeout_s: float = COMMAND_TIMEOUT_S
     ) -> list[Reply]:
-        """Ask everyone who serves `key`; an empty list where nobody answered in time."""
+        """Ask everyone who serves `key`; an empty list if nobody answers in time."""
         ...
 
     def close(self) -> None: ...

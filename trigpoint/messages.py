@@ -27,7 +27,7 @@ class FaceSighting:
     """One face found in one picture.
 
     `corners`: (n,) uint16 ids; `pixels`: (n, 2) float32, raw picture coordinates; `sigma`: standard
-    deviation of one coordinate, pixels. `face` is -1 where the pattern does not say which it is.
+    deviation of one coordinate, pixels. `face` is -1 if the pattern does not identify the face.
     """
 
     target: str
@@ -119,7 +119,7 @@ class Transform:
 
 @dataclass(frozen=True, slots=True)
 class Transforms:
-    """What is sent on tf."""
+    """The message on tf."""
 
     transforms: tuple[Transform, ...]
 
@@ -146,7 +146,7 @@ class DiagnosticStatus:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """What a node says of itself once a second."""
+    """A node's state, sent once a second."""
 
     stamp_ns: int
     statuses: tuple[DiagnosticStatus, ...]

@@ -1,4 +1,4 @@
-"""network.json, the result of a calibration; the contract's section 4 has the format."""
+"""network.json, the result of a calibration; its format is section 4 of the contract."""
 
 import io
 import math
@@ -19,7 +19,7 @@ ON_ONE_SIGHTING = (
     "rests on one sighting alone, which may have been wrong; drive past it again, where it sees "
     "the robot from elsewhere"
 )
-"""What is to be said of a located camera that is not `confirmed`."""
+"""Remark on a located camera that is not `confirmed`."""
 
 Status = Literal["located", "undetermined", "unseen"]
 
@@ -42,7 +42,7 @@ class PoseRecord(Struct, frozen=True):
 
 
 class IntrinsicsSigma(Struct, frozen=True):
-    """Standard deviations; 0 where a value was taken as known."""
+    """Standard deviations; 0 if a value was taken as known."""
 
     fx: float
     fy: float
@@ -89,7 +89,7 @@ class EarlierPose(Struct, frozen=True):
 
 
 class AlternativeRecord(Struct, frozen=True):
-    """A place that the data leave open; `probability`: its share of the posterior."""
+    """A place that the data do not rule out; `probability`: its share of the posterior."""
 
     map_from_camera: PoseRecord
     covariance: tuple[float, ...]
@@ -97,10 +97,10 @@ class AlternativeRecord(Struct, frozen=True):
 
 
 class CameraRecord(Struct, frozen=True, omit_defaults=False):
-    """One camera; pose and covariance only where it is located.
+    """One camera; pose and covariance only if it is located.
 
-    `confirmed`: false where all rests on one sighting; `alternatives`: the places left open, best
-    first, where it is undetermined.
+    `confirmed`: false if everything rests on one sighting; `alternatives`: if it is undetermined,
+    the possible places, best first.
     """
 
     status: Status
@@ -119,14 +119,14 @@ class CameraRecord(Struct, frozen=True, omit_defaults=False):
 
     @property
     def covariance_matrix(self) -> Array:
-        """(6, 6); raise ValueError where the camera is not located."""
+        """(6, 6); raise ValueError if the camera is not located."""
         if self.covariance is None:
             raise ValueError(f"the camera is {self.status} and has no covariance")
         return np.array(self.covariance).reshape(6, 6)
 
     @property
     def position_sigma(self) -> float:
-        """Root of the position covariance's trace, metres."""
+        """Square root of the position covariance's trace, metres."""
         return math.sqrt(float(np.trace(self.covariance_matrix[:3, :3])))
 
 
@@ -145,7 +145,7 @@ class TargetRecord(Struct, frozen=True):
 class RobotRecord(Struct, frozen=True):
     """One robot; `trajectory` is a TUM file beside the network, map_from_base per odometry message.
 
-    `map_from_odom` is the last one; null where the robot could not be tied to the map.
+    `map_from_odom` is the last one; null if the robot could not be tied to the map.
     """
 
     trajectory: str | None
@@ -184,7 +184,7 @@ def encode_network(network: Network) -> bytes:
 
 
 def decode_network(data: bytes, *, source: str = "network.json") -> Network:
-    """A network from the file's bytes; raise InputError with one line."""
+    """A network from the file's bytes; raise InputError with a one-line message."""
     try:
         network = msgspec.json.decode(data, type=Network)
     except msgspec.DecodeError as reason:
@@ -202,7 +202,7 @@ def load_network(path: Path) -> Network:
 
 def load_covariance(path: Path, network: Network) -> Array:
     """The joint covariance (6n, 6n) beside a network file, or in its folder, in the order of the
-    located cameras; raise InputError where it is not there or belongs to another network."""
+    located cameras; raise InputError if it is missing or belongs to another network."""
     file = (path if path.is_dir() else path.parent) / "covariance.npz"
     try:
         with np.load(file, allow_pickle=False) as archive:
@@ -225,9 +225,9 @@ def save_network(
 ) -> None:
     """Write network.json, covariance.npz (joint, 6n × 6n) and each robot's TUM file.
 
-    Every file is written beside its place first and then moved, so that none is ever half.
-    `trajectories`: robot -> (stamps_ns (n,), map_from_base). Raises OperationError where they
-    cannot be written.
+    Each file is written under a temporary name and then moved, so that none is ever incomplete.
+    `trajectories`: robot -> (stamps_ns (n,), map_from_base). Raises OperationError if a file cannot
+    be written.
     """
     archive = io.BytesIO()
     np.savez(archive, cameras=np.array(network.located), covariance=covariance)
@@ -249,7 +249,7 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def encode_tum(stamps_ns: np.ndarray, poses: Pose) -> bytes:
-    """A TUM trajectory: `t x y z qx qy qz qw` a row, seconds and metres."""
+    """A TUM trajectory: `t x y z qx qy qz qw` per row, seconds and metres."""
     rows = []
     quaternions = poses.quaternion.reshape(-1, 4)
     translations = poses.translation.reshape(-1, 3)

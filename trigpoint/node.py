@@ -1,6 +1,6 @@
 """A node's life: liveliness token, diagnostics once a second, orderly stop.
 
-A command reads:
+A command looks like this:
 
     node = Node(bus, site=site.name, kind="edge", name=camera)
     with stopped_by_signals(node):
@@ -37,23 +37,23 @@ __all__ = ["Health", "Node", "stop_on_signals", "stopped_by_signals"]
 _log = logging.getLogger(__name__)
 
 STOP_S = 2.0
-# Of the time that a stop may take, what is kept for what follows the threads: last words, files.
+# The part of a stop's time kept for what follows the threads: last diagnostics, files.
 _REST_S = 1.3
 _LEAST_JOIN_S = 0.1
 _TAKEOVER_S, _ASKING_S = 2.0, 1.0
 _NEWCOMER_S = 5.0
 _PULSE_S = 10.0
 _MOST_HEARD = 256
-"""How much of what others say of themselves is read at once."""
-# What a turn of work takes is far below this, also on a small machine that is busy.
+"""How many of the other nodes' diagnostics are read in one go."""
+# One turn of work takes far less, even on a small, busy machine.
 _WORK_S = 20.0
 
 
 class Node:
     """One node on the bus. Several may share a bus and a process (an agent with two cameras).
 
-    Nodes that share a process may share `stopping`, so that the end of one is the end of all, and
-    must share `watchdog`, which they tell of their threads.
+    Nodes in one process may share `stopping`, so that all stop when one does, and must share
+    `watchdog`, with which they register their threads.
     """
 
     health: Health
@@ -115,7 +115,7 @@ class Node:
         publisher = self._publisher = self._bus.publisher(DIAGNOSTICS, key)
         others = self._bus.subscribe(DIAGNOSTICS, key)
         self._declared = [publisher, others]
-        encode(self.diagnostics())  # loads the types, for which a stop has no time
+        encode(self.diagnostics())  # loads the types now; a stop has no time to
         self.thread("diagnostics", lambda: self._report(publisher, others))
         self._declared.append(self._bus.declare_alive(self._token_key))
         _log.info("%s runs on site %s (session %s)", self.label, self._site, self._bus.identity)
@@ -129,7 +129,7 @@ class Node:
         _log.info("%s stopped", self.label)
 
     def _say_last(self) -> None:
-        """Send the last diagnostics, which have the final counts."""
+        """Send the last diagnostics, with the final counts."""
         try:
             if self._publisher is not None:
                 self._publisher.put(encode(self.diagnostics()))
@@ -137,7 +137,7 @@ class Node:
             _log.warning("%s: the last diagnostics were not sent: %s", self.label, reason)
 
     def thread(self, name: str, run: Callable[[], object]) -> None:
-        """Start a thread that is joined at the node's end; an error in it stops the node.
+        """Start a thread that is joined when the node ends; an error in it stops the node.
 
         `run` must return within a second of `stopping` being set.
         """
@@ -147,8 +147,8 @@ class Node:
         thread.start()
 
     def work(self, name: str, run: Callable[[Pulse], object], *, within_s: float = _WORK_S) -> None:
-        """Start a thread as `thread` does that the watchdog asks after: `run` beats its pulse from
-        within its work, at least so often; one that hangs is named in the diagnostics."""
+        """Like `thread`, but supervised by the watchdog: `run` must beat its pulse at least every
+        `within_s`; a thread that hangs is named in the diagnostics."""
         pulse = self.watchdog.pulse(f"{self.label} {name}", within_s=within_s)
 
         def watched() -> None:
@@ -164,7 +164,7 @@ class Node:
         self.stopping.set()
 
     def wait(self) -> None:
-        """Return when the node is asked to end; raise what ended one of its threads."""
+        """Return when the node is asked to end; raise the error that ended one of its threads."""
         self.stopping.wait()
         self._raise_error()
 
@@ -189,7 +189,7 @@ class Node:
                 _log.error("thread «%s» did not stop in %.1f s", thread.name, within_s)
 
     def _refuse_second(self) -> None:
-        """Raise OperationError where this identity is taken; a killed one's token goes in time."""
+        """Raise OperationError if the identity is taken; a killed node's token expires by then."""
         deadline = time.monotonic() + _TAKEOVER_S
         while self._bus.alive(self._token_key, timeout_s=_ASKING_S):
             if self.stopping.wait(0.2) or time.monotonic() > deadline:
@@ -216,7 +216,7 @@ class Node:
         self.watchdog.forget(pulse)
 
     def _look_at_clock(self) -> None:
-        """See whether this machine's clock was set: stamps carry on until it is believed."""
+        """Check whether this machine's clock was set; stamps carry on until it is trusted."""
         if not isinstance(self._clock, SteadyClock):
             return
         followed, set_by_ns = self._clock.followed, self._clock.look()
@@ -233,16 +233,16 @@ class Node:
 
     @property
     def clock_set_by_ns(self) -> int:
-        """What this machine's clock was set by without being followed yet; 0 where all is well."""
+        """By how much this machine's clock was set, while not yet followed; 0 if all is well."""
         return self._clock.set_by_ns if isinstance(self._clock, SteadyClock) else 0
 
     @property
     def doubted_names(self) -> frozenset[str]:
-        """The names of the nodes whose clocks were set and are not followed yet."""
+        """Names of the nodes whose clocks were set and are not yet followed."""
         return self._peers.doubted_names
 
     def diagnostics(self) -> Diagnostics:
-        """What the node says of itself now. Called on the diagnostics thread."""
+        """The node's current diagnostics. Called on the diagnostics thread."""
         if (more := self._bus.unsent - self.health.lost("unsent")) > 0:
             self.health.lose("unsent", more)
         report = self.health.report()
@@ -267,7 +267,7 @@ class Node:
         return Diagnostics(self._clock.now_ns(), (status,))
 
     def _log_held(self, held: dict[str, str]) -> None:
-        """Say what began to be wrong, and what is over."""
+        """Log problems that have begun, and those that are over."""
         for name in held.keys() - self._logged_held.keys():
             _log.error("%s: %s", self.label, held[name])
         for name in self._logged_held.keys() - held.keys():
@@ -275,13 +275,13 @@ class Node:
         self._logged_held = held
 
     def _complaint(self) -> str:
-        """What is wrong beyond what the node knows of its own work, "" where nothing is."""
+        """Problems outside the node's own work, "" if there are none."""
         if hung := self.watchdog.hung:
             return f"no sign of life of: {', '.join(hung)}"
         return self._peers.complaint() or self._connection_complaint()
 
     def _connection_complaint(self) -> str:
-        """What is wrong with the connection to the others; a change goes to the log."""
+        """What is wrong with the connection to the other nodes; changes are logged."""
         names = ", ".join(self._bus.unreached)
         complaint = f"nobody answers at {names} (bus.connect); trying again" if names else ""
         if complaint != self._connection:
@@ -309,7 +309,7 @@ class Node:
         return (self._clock.elapsed_ns() - self._started_ns) / NANOSECONDS
 
     def _listen(self, others: Subscription) -> None:
-        """Read what the others say of themselves."""
+        """Read the other nodes' diagnostics."""
         for _ in range(_MOST_HEARD):
             sample = others.take(0.0)
             if sample is None:
@@ -330,29 +330,29 @@ class Node:
 
 
 def stopped_by_signals(node: Node) -> Node:
-    """The node, which SIGINT and SIGTERM stop from before its start: a signal during the start
-    would leave it half started. Call it on the main thread."""
+    """Have SIGINT and SIGTERM stop the node, and return it. Installed before the node starts, as a
+    signal during the start would leave it half started. Call it on the main thread."""
     stop_on_signals([node])
     return node
 
 
 class Stoppable(Protocol):
-    """What can be asked to end: a node, or whatever else runs until then."""
+    """Anything that runs until it is asked to end, such as a node."""
 
     def stop(self) -> None: ...
 
 
 def stop_on_signals(nodes: Sequence[Stoppable]) -> None:
-    """SIGINT and SIGTERM stop these nodes; call it on the main thread.
+    """Have SIGINT and SIGTERM stop these nodes; call it on the main thread.
 
-    One that came before stops them now. Further ones change nothing: a stop ends by itself
-    (`ending`), and Ctrl-C often comes with a SIGTERM of whoever started us.
+    If a signal came earlier, they stop now. Further signals change nothing: a stop ends by itself
+    (`ending`), and Ctrl-C often comes with a SIGTERM from the parent process.
     """
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         if ENDING.ask():
-            # Event.set takes a lock that the interrupted main thread may hold, and so does starting
-            # a threading.Thread.
+            # Event.set takes a lock that the interrupted main thread may hold; so does starting a
+            # threading.Thread.
             _thread.start_new_thread(stop_all, ())
 
     def stop_all() -> None:

@@ -1,8 +1,8 @@
-"""A secured site's files on one machine, and the certificate by which a process connects.
+"""A secured site's files on one machine, and the certificate with which a process connects.
 
-`[bus.tls] directory` holds `trust.pem` (an anchor for each node that may come in; it goes to every
-machine), `corrections.pem` (fusion's public key; to every robot), and of the nodes that run on this
-machine KIND-NAME.key and KIND-NAME.pem. Needs the extra `secure`.
+`[bus.tls] directory` holds `trust.pem` (an anchor for each admitted node; goes to every machine),
+`corrections.pem` (fusion's public key; goes to every robot), and KIND-NAME.key and KIND-NAME.pem of
+each node on this machine. Needs the extra `secure`.
 """
 
 import logging
@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 TRUST = "trust.pem"
 CORRECTIONS = "corrections.pem"
 WARNING = timedelta(days=30)
-"""How long before its end a certificate is warned of: time to send somebody with a new one."""
+"""How long before a certificate expires a warning is given: time to deliver a new one."""
 _PEOPLE = (Kind.OPERATOR, Kind.VIEWER)
 _ANCHOR = "anchor "
 
@@ -45,7 +45,7 @@ class Credentials:
 
     @property
     def files(self) -> TlsFiles:
-        """As a session is given them."""
+        """The files in the form that a session takes."""
         return TlsFiles(
             trust=str(self.trust.absolute()),
             certificate=str(self.certificate.absolute()),
@@ -53,8 +53,8 @@ class Credentials:
         )
 
     def complaint(self, now: datetime) -> str:
-        """What is to be said of the certificate's end, "" while that is far away; read anew, since
-        a new file may have come."""
+        """A warning about the certificate's expiry, "" while that is far away. The file is read
+        again each time, since it may have been renewed."""
         until = load_certificate(self.certificate).not_valid_after_utc
         if until - now > WARNING:
             return ""
@@ -66,13 +66,13 @@ class Credentials:
 
 
 def directory(site: Site) -> Path:
-    """Where the site's files of this machine are."""
+    """The folder of the site's files on this machine."""
     assert site.bus.tls is not None
     return site.path(site.bus.tls.directory)
 
 
 def node_credentials(site: Site, kind: Kind, name: str) -> Credentials:
-    """The files of one node; raise ConfigError where one is missing, open to others or wrong."""
+    """The files of one node; raise ConfigError if one is missing, readable by others, or wrong."""
     identity = Identity(site.name, kind, name)
     folder = directory(site)
     key, file = folder / f"{identity.stem}.key", folder / f"{identity.stem}.pem"
@@ -91,7 +91,7 @@ def node_credentials(site: Site, kind: Kind, name: str) -> Credentials:
 
 
 def person_credentials(site: Site) -> Credentials:
-    """The files of the operator or viewer whose key is on this machine and may be read."""
+    """The files of the operator or viewer whose key is on this machine and readable."""
     for kind in _PEOPLE:
         for key in sorted(directory(site).glob(f"{kind}-*.key")):
             if os.access(key, os.R_OK):
@@ -103,7 +103,7 @@ def person_credentials(site: Site) -> Credentials:
 
 
 def router_credentials(site: Site) -> Credentials:
-    """The files of the one router, or gate, of this machine."""
+    """The files of this machine's only router or gate."""
     found = sorted(directory(site).glob(f"{Kind.ROUTER}-*.key"))
     if len(found) == 1:
         return node_credentials(site, Kind.ROUTER, found[0].stem.removeprefix(f"{Kind.ROUTER}-"))
@@ -117,8 +117,8 @@ def router_credentials(site: Site) -> Credentials:
 
 
 def door(site: Site, *others: Site) -> Door:
-    """With what this machine lets others in: its router's certificate, and the rules for all whom
-    the trust file names; `others`: sites whose nodes a router lets in too."""
+    """How this machine lets others in: its router's certificate, and the rules for everyone in the
+    trust file; `others`: sites whose nodes a router admits too."""
     credentials = router_credentials(site)
     trusts = [credentials.trust, *(directory(other) / TRUST for other in others)]
     identities = [identity for path in trusts for identity in trusted(path)]
@@ -130,7 +130,7 @@ def door(site: Site, *others: Site) -> Door:
 
 
 def fingerprint(site: Site, *others: Site) -> object:
-    """Something that changes when what `door` reads does."""
+    """A value that changes when a file that `door` reads changes."""
     credentials = router_credentials(site)
     paths = [credentials.trust, credentials.certificate, credentials.key]
     paths += [directory(other) / TRUST for other in others]
@@ -138,32 +138,32 @@ def fingerprint(site: Site, *others: Site) -> object:
 
 
 def trusted(trust: Path) -> list[Identity]:
-    """Who may come in, by the anchors of a trust file."""
+    """The identities admitted by the anchors of a trust file."""
     check_untouched(trust)
     found = [anchored(anchor) for anchor in load_certificates(trust)]
     return [identity for identity in found if identity is not None]
 
 
 def anchored(anchor: x509.Certificate) -> Identity | None:
-    """Whose certificates an anchor signs; None where it is no anchor."""
+    """The identity whose certificates an anchor signs; None if it is not an anchor."""
     prefix, _, name = common_name(anchor).partition(_ANCHOR)
     return None if prefix else Identity.parse(name)
 
 
 def anchor_name(identity: Identity) -> str:
-    """The name of the anchor that one node's certificates are signed by."""
+    """The name of the anchor that signs a node's certificates."""
     return _ANCHOR + identity.common_name
 
 
 def check_private(path: Path) -> None:
-    """Raise ConfigError unless a file is its owner's alone (0600 or less)."""
+    """Raise ConfigError unless only its owner can access the file (0600 or less)."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise ConfigError(f"{path} can be read by others (mode {mode:04o}); chmod 600 {path}")
 
 
 def check_untouched(path: Path) -> None:
-    """Raise ConfigError where others than its owner may write a file that says who is trusted."""
+    """Raise ConfigError if anyone but its owner can write a file that says who is trusted."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o022:
         raise ConfigError(f"{path} can be written by others (mode {mode:04o}); chmod 644 {path}")
@@ -185,7 +185,7 @@ def load_certificate(path: Path) -> x509.Certificate:
 
 
 def load_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """A private key; raise ConfigError where it is none of ours."""
+    """A private key; raise ConfigError if it is not of our kind."""
     check_private(path)
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
@@ -199,7 +199,7 @@ def load_key(path: Path) -> ec.EllipticCurvePrivateKey:
 
 
 def load_public_key(path: Path) -> ec.EllipticCurvePublicKey:
-    """A public key; raise ConfigError where it is none of ours."""
+    """A public key; raise ConfigError if it is not of our kind."""
     check_untouched(path)
     try:
         key = serialization.load_pem_public_key(path.read_bytes())
@@ -213,7 +213,7 @@ def load_public_key(path: Path) -> ec.EllipticCurvePublicKey:
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """The name in a certificate, "" where it has none."""
+    """The common name in a certificate, "" if it has none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(names[0].value) if names else ""
 
@@ -228,7 +228,7 @@ def is_signed_by(certificate: x509.Certificate, issuer: x509.Certificate) -> boo
 
 
 def first_complaint(credentials: Iterable[Credentials]) -> str:
-    """What is to be said of the ends of certificates now, "" where nothing is."""
+    """A warning about certificates that expire soon, "" if none does."""
     now = datetime.now(UTC)
     try:
         return next((text for one in credentials if (text := one.complaint(now))), "")

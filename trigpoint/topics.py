@@ -11,7 +11,7 @@ UNTYPED = ("", "zenoh/bytes", "application/cdr", "application/octet-stream")
 
 
 class Delivery(Enum):
-    """How a key's samples travel; `bus_zenoh` turns each into Zenoh's settings."""
+    """How a key's samples are delivered; `bus_zenoh` maps each to Zenoh settings."""
 
     NEWEST = "best effort, newest wins, low priority"
     RECOVERED = "reliable, recovered after a break"
@@ -30,8 +30,8 @@ class Delivery(Enum):
 class Topic:
     """One row: `path` below the site with `{id}` for the camera or robot.
 
-    `queue`: how many samples a subscriber holds; where it is full, the oldest is dropped and
-    counted. `cache`: how many a publisher keeps for those who come late or were away.
+    `queue`: how many samples a subscriber holds; when full, the oldest is dropped and counted.
+    `cache`: how many a publisher keeps for subscribers that come late or were disconnected.
     """
 
     name: str
@@ -44,12 +44,13 @@ class Topic:
 
     @property
     def encoding(self) -> str:
-        """The sample's encoding, with the type's name as its schema."""
+        """The sample's encoding, with the type name as its schema."""
         return f"application/cdr;{self.type_name}"
 
     def may_be(self, encoding: str) -> bool:
-        """Whether a sample of this encoding may be of the type: it is, or it does not say. The key
-        fixes the type (a ROS 2 bridge sets no encoding), and decoding checks it."""
+        """Whether a sample with this encoding may have the topic's type: true if it names that type
+        or none. The key fixes the type (a ROS 2 bridge sets no encoding), and decoding checks
+        it."""
         return encoding in (self.encoding, *UNTYPED)
 
     def key(self, site: str, node: str = "") -> str:
@@ -61,7 +62,7 @@ class Topic:
         return f"{site}/{self.path.format(id='*')}"
 
     def match(self, key: str) -> tuple[str, str] | None:
-        """(site, camera or robot) of a key of this row, else None; "" where the row has no id."""
+        """(site, camera or robot) of a key of this row, else None; "" if the row has no id."""
         site, _, rest = key.partition("/")
         parts, pattern = rest.split("/"), self.path.split("/")
         if not site or len(parts) != len(pattern):
@@ -112,9 +113,9 @@ CORRECTION = Topic(
 CORRECTED = Topic(
     "corrected", "robot/{id}/corrected", messages.POSE_ESTIMATE, Delivery.RELIABLE, queue=256
 )
-"""Where a robot that takes no corrections is, by its bridge: judged, fused, at its odometry."""
+"""Pose of a robot that takes no corrections, from its bridge: checked and fused, per reading."""
 ROBOT_TF = Topic("robot_tf", "robot/{id}/tf", messages.TRANSFORMS, Delivery.RELIABLE, queue=256)
-"""The same as transforms: map → odom, and odom → base where the bridge makes the odometry."""
+"""The same as transforms: map → odom, and odom → base if the bridge makes the odometry."""
 SUGGESTION = Topic(
     "suggestion",
     "robot/{id}/suggestion",
@@ -133,7 +134,7 @@ TF = Topic("tf", "tf", messages.TRANSFORMS, Delivery.RELIABLE, queue=1024)
 TF_STATIC = Topic(
     "tf_static", "tf_static", messages.TRANSFORMS, Delivery.LAST_VALUE, queue=256, cache=1
 )
-"""Every located camera, as ROS's tools expect of what does not move; on `tf` too."""
+"""Every located camera, where ROS tools expect static transforms; also on `tf`."""
 COVERAGE = Topic(
     "coverage",
     "coverage/{id}",
@@ -167,13 +168,13 @@ TOPICS = (
 
 @lru_cache(maxsize=4096)
 def topic_of(key: str) -> Topic | None:
-    """The row of a key, or None where the contract has none."""
+    """The row of a key, or None if the contract has none."""
     return next((topic for topic in TOPICS if topic.match(key)), None)
 
 
 @lru_cache(maxsize=4096)
 def node_of(key: str) -> str:
-    """The camera or robot that a key names, "" where it names none."""
+    """The camera or robot named by a key, "" if none."""
     topic = topic_of(key)
     match = topic.match(key) if topic else None
     return match[1] if match else ""
@@ -185,7 +186,7 @@ def alive_key(site: str, kind: str, node: str) -> str:
 
 
 def sent_key(site: str, session: str) -> str:
-    """The queryable of a session that sends: its answer comes after all that it sent before."""
+    """A sending session's queryable: its answer arrives after everything it sent before."""
     return f"{site}/sent/{session}"
 
 

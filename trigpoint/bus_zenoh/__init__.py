@@ -1,4 +1,4 @@
-"""The bus over Zenoh; the one place that knows zenoh."""
+"""The bus over Zenoh; only this package imports zenoh."""
 
 from .bus import ZenohBus
 from .datagrams import Datagrams

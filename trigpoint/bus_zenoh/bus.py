@@ -1,4 +1,4 @@
-"""A session as the bus: what it declares, it takes back; it ends within a time."""
+"""A Zenoh session as the bus: it withdraws what it declared, and closes within a time limit."""
 
 import threading
 import time
@@ -37,21 +37,21 @@ _ERROR_ENCODING = "text/plain"
 
 _MOST_UNSENT = 4096
 _OUTBOX = {Delivery.NEWEST: 8}
-"""How many samples of a delivery wait to be sent; of pictures the newest are wanted."""
+"""How many samples may wait to be sent, per delivery; of pictures only the newest matter."""
 _DIRECT = set(Delivery) - {Delivery.RELIABLE, Delivery.LAST_VALUE}
-"""What is sent on the caller's thread: odometry and sightings come from threads that have nothing
-else to send, nothing is before a correction, and what may be dropped waits 50 ms at most. All else
-is fusion's, whose corrections must not wait for it."""
+"""Deliveries sent on the caller's thread. Odometry and sightings come from threads that send
+nothing else, nothing is queued ahead of a correction, and droppable samples wait 50 ms at most. All
+others are fusion's, whose corrections must not wait for them."""
 _LEAST_CLOSE_S = 0.2
 _REST_S = 0.2
-"""How long closing takes at least where a stop leaves it no time; what is kept of the time that a
-stop may take."""
+"""The least time that closing gets, even if a stop leaves none; and the part of a stop's time that
+is kept back for what follows."""
 
 _Declared = TypeVar("_Declared", bound=Closable)
 
 
 class ZenohBus(Closing):
-    """An open session, which it owns; made by `open_bus`."""
+    """Owns an open session; made by `open_bus`."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class ZenohBus(Closing):
         self._session, self._locators, self._gate = session, locators, gate
         self._warning = warning
         self._connect = connect
-        # What one delivery waits for holds up no other.
+        # One outbox per delivery, so that a blocked delivery holds up no other.
         self._outboxes = {
             delivery: Outbox(
                 f"bus sends: {delivery.value}",
@@ -123,7 +123,7 @@ class ZenohBus(Closing):
         )
 
     def _answer_what_is_sent(self, site: str) -> None:
-        """Serve what `catch_up` asks for: an answer takes the way of the samples, behind them."""
+        """Serve the query of `catch_up`: the answer follows the samples on the same path."""
         with self._lock:
             is_new = site not in self._answers_for
             self._answers_for.add(site)
@@ -132,8 +132,8 @@ class ZenohBus(Closing):
 
     def catch_up(self, site: str, timeout_s: float) -> bool:
         deadline = time.monotonic() + timeout_s
-        # Answers have the priority of the least urgent sample that must arrive; on a link nothing
-        # overtakes what is as urgent. Where one does not come, Zenoh waits until the time is over.
+        # Answers have the priority of the least urgent reliable sample, and a link keeps the order
+        # within a priority. If an answer is missing, Zenoh waits for the whole time limit.
         self.query(sent_key(site, "*"), timeout_s=timeout_s)
         return time.monotonic() < deadline
 
@@ -213,10 +213,10 @@ class ZenohBus(Closing):
         return [answer for answer in answers if answer is not None]
 
     def close(self) -> None:
-        """Take back every declaration, the latest first, and close the session.
+        """Withdraw every declaration, the latest first, and close the session.
 
-        Zenoh waits for whoever has connected and says nothing (measured: 9.5 s for five idle TCP
-        connections); a process that is to end leaves such a session behind.
+        Zenoh waits for peers that have connected and stay silent (measured: 9.5 s for five idle TCP
+        connections); a process that must end leaves such a session behind.
         """
         thread = threading.Thread(target=self._close, name="bus closes", daemon=True)
         thread.start()
@@ -256,7 +256,7 @@ class ZenohBus(Closing):
 
 
 class _Declaration:
-    """Takes something back once."""
+    """A declaration that is withdrawn only once."""
 
     def __init__(self, undeclare: Callable[[], None], closed: "Forget") -> None:
         self._undeclare, self._closed = undeclare, closed
@@ -267,7 +267,7 @@ class _Declaration:
 
 
 class _Request:
-    """A query that waits in a Server's queue."""
+    """A query waiting in a Server's queue."""
 
     def __init__(self, key: str, query: zenoh.Query) -> None:
         self._key, self._query = key, query
@@ -287,7 +287,7 @@ class _Request:
 
 
 def _reply_of(key: str, reply: zenoh.Reply) -> Reply | None:
-    """A reply; None for Zenoh's own note that the time is over, the only error without a text."""
+    """A reply; None for Zenoh's own timeout error, the only one that is not text."""
     if reply.ok is not None:
         return Reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
     assert reply.err is not None

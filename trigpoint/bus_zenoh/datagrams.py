@@ -1,4 +1,4 @@
-"""What is urgent goes by datagrams as well, which wait for no packet that was lost before them."""
+"""Sends urgent samples as datagrams too: they do not wait for packets that were lost earlier."""
 
 import logging
 import threading
@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 
 
 class Lasting:
-    """A publisher or subscriber that is declared anew on a session that takes another's place."""
+    """A publisher or subscriber that is declared again when its session is replaced."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class Lasting:
         self.is_closed = False
 
     def move(self, session: zenoh.Session) -> None:
-        """Go on by another session; called with the lock."""
+        """Continue on another session; the caller holds the lock."""
         if not self.is_closed:
             self._now = self._declare(session)
 
@@ -50,9 +50,12 @@ class Lasting:
 
 
 class Datagrams:
-    """Sends copies that may be lost, each twice. `session`: beside the bus's own, or that one;
-    `connect`: where the one beside connects to; `reopen`: opens it anew, which is done where it
-    has lost its datagrams for `lost_s` while `main`, the bus's own, reaches somebody."""
+    """Sends copies that may be lost, each twice.
+
+    `session`: the bus's own session or a second one beside it; `connect`: where the second one
+    connects to; `reopen`: opens it again, once it has been without datagrams for `lost_s` while
+    `main`, the bus's own session, reaches somebody.
+    """
 
     def __init__(
         self,
@@ -102,12 +105,13 @@ class Datagrams:
 
     @property
     def unreached(self) -> tuple[str, ...]:
-        """Where nobody answers now."""
+        """Endpoints where nobody answers now."""
         return self._connect if self._connect and not has_link(self._session) else ()
 
     def _is_well(self) -> bool:
-        """Whether datagrams have a link, to the router of the bus's own session where they had
-        that; also while that one reaches nobody, since nothing can be done then."""
+        """Whether datagrams have a link: if they once shared a router with the bus's own session,
+        a link to that router. Also true while that session reaches nobody, as nothing can be done
+        then."""
         assert self._main is not None
         there = {str(link.zid) for link in self._main.info.links()}
         if not there:
@@ -135,7 +139,7 @@ class Datagrams:
             close_in_time(session.close, "a session for datagrams")
 
     def put(self, send: Callable[[], None]) -> None:
-        """Send now, and soon again."""
+        """Send now, and once more soon."""
         send()
         if not self._again.waiting:
             self._again.hold(AGAIN_S)

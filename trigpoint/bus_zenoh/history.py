@@ -1,8 +1,8 @@
-"""What a sender sent before the first of its samples that arrives, asked of what it keeps.
+"""Fetches from a sender's cache what it sent before the first of its samples to arrive.
 
-Zenoh's subscriber (zenoh-ext 1.10.2) asks for it too, but hands on the end alone where the next
-sample comes while the answers to two questions overlap, and counts nothing: seen with several
-senders on one key expression (one start of five), and with one (one of 25, on a busy machine).
+Zenoh's subscriber (zenoh-ext 1.10.2) asks for that too, but if the next sample arrives while the
+answers to two queries overlap, it hands on only the tail and counts no loss. Seen with several
+senders on one key expression (one start in five), and with one (one in 25, on a busy machine).
 """
 
 import logging
@@ -19,15 +19,15 @@ _log = logging.getLogger(__name__)
 _PATIENCE_S = 5.0
 _MOST_SENDERS = 4096
 _MOST_HELD = 4096
-"""So many senders are remembered, and so many samples of one wait for those before them."""
+"""How many senders are remembered, and how many samples of one may wait for earlier ones."""
 
 Sender = tuple[str, int]
-"""The session's identifier, and the publisher's number in it."""
+"""The session's identifier, and the number of the publisher within it."""
 
 
 class History:
-    """Hands samples on, each sender's from its beginning, as far back as it keeps them (`depth`
-    samples); those without a number as they come. Called on Zenoh's threads."""
+    """Hands on each sender's samples from the first that it still keeps (`depth` samples back);
+    samples without a sequence number are handed on as they arrive. Called on Zenoh's threads."""
 
     def __init__(
         self, session: zenoh.Session, depth: int, hand_on: Callable[[zenoh.Sample], None]
@@ -38,7 +38,7 @@ class History:
         self._waiting: dict[Sender, dict[int, zenoh.Sample]] = {}
 
     def receive(self, sample: zenoh.Sample) -> None:
-        """Hand a sample on, at once or after those before it."""
+        """Hand a sample on, at once or after the earlier ones."""
         info = sample.source_info
         if info is None:
             self._hand_on(sample)
@@ -91,7 +91,7 @@ class History:
             self._end(sender)
 
     def _end(self, sender: Sender) -> None:
-        """Hand on what has waited; what comes after it comes behind it."""
+        """Hand on the waiting samples in order; later ones follow them."""
         with self._lock:
             for _, sample in sorted(self._waiting.pop(sender, {}).items()):
                 self._hand_on(sample)

@@ -1,4 +1,4 @@
-"""Opens the bus of a site, or its router, by what the site file says."""
+"""Opens a site's bus, or its router, as the site file says."""
 
 import logging
 import math
@@ -24,17 +24,16 @@ from .session import open_session
 
 _log = logging.getLogger(__name__)
 _DATAGRAM_PATIENCE_S = 5.0
-"""How long opening tries to have datagrams; a firewall may let none through."""
+"""How long opening tries to get datagrams; a firewall may block them."""
 
 
 def open_bus(
     site: Site, me: tuple[Kind, str] | None = None, *, patience_s: float = math.inf
 ) -> "ZenohBus":
-    """Open the bus by the site's `[bus]`; raise BusError where that is not possible.
+    """Open the bus as the site's `[bus]` says; raise BusError if that fails.
 
-    `me`: whose certificate is shown where the site is secured; None: the operator's or viewer's who
-    sits here. A client whose endpoint cannot be reached tries again for `patience_s`, which the log
-    says.
+    `me`: whose certificate to show on a secured site; None: that of the operator or viewer at this
+    machine. A client that cannot reach its endpoint logs this and retries for `patience_s`.
     """
     means = means_of(site, me)
     settings = session_settings(site.name, site.bus, means.files)
@@ -64,8 +63,8 @@ def open_bus(
 
 
 def open_router(site: Site, *others: Site) -> "ZenohBus":
-    """Open the bus as the site's router: whoever connects to it reaches everyone else. `others`:
-    further sites whose nodes it lets in, each to its own keys."""
+    """Open the bus as the site's router: everyone connected to it reaches everyone else. `others`:
+    further sites whose nodes it admits, each to its own keys."""
     means = means_of(site, None, is_router=True, others=others)
     rate = site.router.picture_rate
     settings = router_settings(site.name, site.bus, means.door(), picture_rate=rate)
@@ -74,7 +73,7 @@ def open_router(site: Site, *others: Site) -> "ZenohBus":
 
 
 def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datagrams | None":
-    """What sends datagrams, by the given session or one beside it; None where nothing does."""
+    """Sends datagrams on the given session or on a second one; None if the site has none."""
     if not has_datagrams(site.bus):
         return None
     beside = datagram_settings(site.bus, settings)

@@ -1,4 +1,4 @@
-"""What sends on one key, as the topic's delivery asks for it."""
+"""A publisher on one key, with the topic's delivery."""
 
 import time
 from collections.abc import Callable
@@ -18,15 +18,15 @@ from .session import FLUSH_S, QUALITY, has_link, plain
 
 _HEARTBEAT_S = 0.5
 _ANNOUNCE_S = 0.05
-"""A subscriber that meets a new publisher's live sample before its token takes that for the first
-one and never asks for those before (one of forty starts, when both begin in the same moment)."""
+"""A subscriber that gets a new publisher's live sample before its token takes that sample for the
+first, and never asks for the earlier ones (one start in forty, if both begin at the same time)."""
 
 Forget = Callable[[Closable], bool]
-"""Tells the bus that a declaration is taken back; false where that was done before."""
+"""Tells the bus that a declaration is withdrawn; false if it already was."""
 
 
 class ZenohPublisher:
-    """Sends on one key with the topic's delivery; what is urgent by `datagrams` as well."""
+    """Sends on one key with the topic's delivery; urgent samples also through `datagrams`."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class ZenohPublisher:
             self._outbox.hold(wait_s)
         stamp = None
         if self._datagrams is not None and self._copies is not None:
-            stamp = self._session.new_timestamp()  # by which the copies are known for one
+            stamp = self._session.new_timestamp()  # the same in all copies, so that one counts
             self._datagrams.put(partial(self._send, self._copies, payload, attachment, stamp))
         self._outbox.put(partial(self._send, self._publisher, payload, attachment, stamp))
 
@@ -102,10 +102,10 @@ class ZenohPublisher:
 
     @property
     def has_listener(self) -> bool:
-        if self._matching is None:  # an advanced publisher does not say; a plain one beside it does
+        if self._matching is None:  # an advanced publisher cannot tell; a plain one can
             self._matching = self._session.declare_publisher(self._key)
         status = self._matching.matching_status
-        return bool(getattr(status, "matching", status))  # an object, though its stub says bool
+        return bool(getattr(status, "matching", status))  # an object, although the stub says bool
 
     def close(self) -> None:
         if not self._closed(self):

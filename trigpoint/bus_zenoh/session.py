@@ -1,8 +1,8 @@
-"""A Zenoh session, and its samples in the words of our bus.
+"""A Zenoh session, and its samples as the bus's own types.
 
-Callbacks run on Zenoh's receiving thread (`called_at_once`) and only append to a queue of ours:
-measured with an interpreter busy elsewhere, the worst wait was 12 ms, where Zenoh's own callback
-threads with their unbounded queues took 44 to 410 ms and kept the program from ending.
+Callbacks run on Zenoh's receiving thread (`called_at_once`) and only append to our queues. Measured
+with a busy interpreter, the worst wait was 12 ms; Zenoh's own callback threads with their unbounded
+queues took 44 to 410 ms and kept the program from ending.
 """
 
 import json
@@ -21,13 +21,13 @@ from trigpoint.topics import Delivery
 
 _SWITCH_INTERVAL_S = 0.001
 _RUNTIME = "(rx: (worker_threads: 8))"
-"""Whoever does not read keeps one of the threads that receive busy for up to 10 s where it is sent
-what it asked of a history: with two, Zenoh's default, two such peers held up everything (measured:
-commands unanswered for 10 s beside a subscriber that was stopped)."""
+"""A peer that does not read blocks one of the receiving threads for up to 10 s while it is being
+sent the history that it asked for. With two threads, Zenoh's default, two such peers held up
+everything (measured: commands unanswered for 10 s beside a stopped subscriber)."""
 FLUSH_S = 0.5
 CLOSE_S = 5.0
-"""How long closing may take where nobody told the process to stop: what is still to be sent, and
-all of it."""
+"""Time limits for sending what is left, and for closing as a whole, if the process was not told to
+stop."""
 
 QUALITY: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
     Delivery.NEWEST: (CongestionControl.DROP, Priority.BACKGROUND, False),
@@ -37,18 +37,18 @@ QUALITY: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
     Delivery.URGENT: (CongestionControl.BLOCK, Priority.REAL_TIME, True),
     Delivery.BEST_EFFORT: (CongestionControl.DROP, Priority.DATA_LOW, False),
 }
-"""Congestion, priority, express. BLOCK is for small control data: DROP would lose the newest."""
+"""Congestion, priority, express. Small control data need BLOCK: DROP would lose the newest."""
 
 Arrival = tuple[int, zenoh.Sample]
-"""When it arrived by this machine's clock, nanoseconds; and what."""
+"""Arrival time by this machine's clock, nanoseconds; and the sample."""
 _Said = TypeVar("_Said")
 
 
 def open_session(settings: Settings) -> zenoh.Session:
     """Open a Zenoh session; raise BusError."""
-    # The receiving threads wait this long for the interpreter when another thread computes.
+    # How long receiving threads wait for the interpreter while another thread computes.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read as the process opens its first session
+    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read when the first session opens
     config = zenoh.Config()
     try:
         for key, value in settings.values().items():
@@ -64,28 +64,28 @@ def open_session(settings: Settings) -> zenoh.Session:
 def called_at_once(
     function: Callable[[_Said], None], *, end: Callable[[], None] | None = None
 ) -> "zenoh.handlers.Callback[_Said]":
-    """On the thread that receives; `end` once nothing more comes."""
+    """A callback that runs on the receiving thread; `end` is called when nothing more will come."""
     return zenoh.handlers.Callback(function, end, indirect=False)
 
 
 def has_link(session: zenoh.Session) -> bool:
-    """Whether it is connected to anybody."""
+    """Whether the session is connected to anybody."""
     info = session.info
     return bool(info.routers_zid() or info.peers_zid())
 
 
 def identity_of(identifier: object) -> str:
-    """A session's identifier as one text, which Zenoh writes with or without leading zeros."""
+    """A session's identifier as text; Zenoh writes it with or without leading zeros."""
     return str(identifier).lstrip("0")
 
 
 def plain(error: zenoh.ZError) -> str:
-    """Zenoh's text without the places in its source."""
+    """Zenoh's error text without its source locations."""
     return str(error).partition(" at /")[0].replace("\n", " ").rstrip("! ")
 
 
 def sample_of(arrival: Arrival) -> Sample:
-    """What arrived, in our words; stamped when it arrived where its sender gave no time."""
+    """An arrival as a Sample; without a sender's timestamp, it is stamped with its arrival."""
     received_ns, raw = arrival
     stamp, source, attachment = raw.timestamp, raw.source_info, raw.attachment
     if source is not None:
@@ -104,11 +104,11 @@ def sample_of(arrival: Arrival) -> Sample:
 
 
 def key_of(arrival: Arrival) -> str:
-    """What it was sent on."""
+    """The key that it was sent on."""
     return str(arrival[1].key_expr)
 
 
 def share_of(arrival: Arrival) -> str:
-    """Who is to have a share of a queue: a sender on a key."""
+    """The owner of a share of a queue: a sender on a key."""
     stamp = arrival[1].timestamp
     return f"{arrival[1].key_expr} {stamp.get_id() if stamp is not None else ''}"

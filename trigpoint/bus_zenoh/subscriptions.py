@@ -1,4 +1,4 @@
-"""What fills a queue with what comes on a key expression, as the topic's delivery asks for it."""
+"""Subscribers that fill a queue from a key expression, with the topic's delivery."""
 
 import time
 from collections.abc import Callable
@@ -18,10 +18,10 @@ from .session import Arrival, called_at_once
 def subscribe(
     session: zenoh.Session, topic: Topic, expression: str, queue: SampleQueue[Arrival]
 ) -> Callable[[], None]:
-    """Declare what fills `queue`; return what takes it back.
+    """Declare a subscriber that fills `queue`; return the function that withdraws it.
 
-    Of topics with a cache, what the senders keep and what was sent during a break comes too, and
-    what of it is lost is counted.
+    On topics with a cache it also gets what the senders keep and what was sent while the link was
+    broken; what is lost of this is counted.
     """
 
     def receive(sample: zenoh.Sample) -> None:
@@ -29,7 +29,7 @@ def subscribe(
 
     if not topic.cache:
         return session.declare_subscriber(expression, called_at_once(receive)).undeclare
-    if topic.delivery is Delivery.RECOVERED:  # of the others the last value is all that is kept
+    if topic.delivery is Delivery.RECOVERED:  # others keep only the last value
         receive = History(session, topic.cache, receive).receive
     subscriber = ext.declare_advanced_subscriber(
         session,
@@ -57,13 +57,13 @@ def subscribe_urgent(
     expression: str,
     queue: SampleQueue[Arrival],
 ) -> Callable[[], None]:
-    """As `subscribe`, for what comes by more than one way: the first copy counts."""
+    """Like `subscribe`, for samples that arrive by more than one path: the first copy counts."""
     newest = Newest()
 
     def receive(sample: zenoh.Sample) -> None:
         arrival = (time.time_ns(), sample)
         stamp = sample.timestamp
-        if stamp is None:  # of a sender that makes no copies
+        if stamp is None:  # its sender makes no copies
             queue.push(arrival)
             return
         sent_ns = stamp.get_time_as_ntp64().as_nanos()

@@ -1,4 +1,4 @@
-"""site.toml as frozen structs, one a table; a bad one is an error that names file, line and key."""
+"""site.toml as frozen structs, one per table; errors name file, line and key."""
 
 from .bus import BusConfig, RouterConfig, TlsConfig
 from .camera import CameraConfig

@@ -1,4 +1,4 @@
-"""`[bus]` and `[router]`: how the programs of a site meet."""
+"""`[bus]` and `[router]`: how the programs of a site connect."""
 
 from msgspec import Struct
 
@@ -13,7 +13,7 @@ class TlsConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """How the nodes find each other; without it, this machine alone."""
+    """How the nodes find each other; by default on this machine only."""
 
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
@@ -63,7 +63,7 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def open_doors(self) -> tuple[str, ...]:
-        """By what a neighbour on the network can get a session without a certificate."""
+        """The settings that give anyone on the network a session without a certificate."""
         if self.tls is not None:
             return ()
         doors = tuple(f"«{endpoint}»" for endpoint in self.listen if not is_loopback(endpoint))
@@ -71,6 +71,6 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RouterConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The router, where the site has one."""
+    """The site's router, if it has one."""
 
     picture_rate: Positive | None = None

@@ -11,10 +11,10 @@ from trigpoint.geometry import CameraModel
 from .number_types import Count, NotNegative, Positive
 
 _PICTURE_SCHEMES = ("sim", "dir", "file", "v4l2", "rtsp")
-# Rows that come more slowly than this make a picture that takes half a second.
+# At more than this from row to row, reading out a picture takes half a second.
 _LONGEST_LINE_DELAY_S = 1e-3
-# A network camera's pictures are stamped as they arrive, or by a clock that nobody has checked:
-# what is left of the way from exposure to arrival (0.05 to 0.5 s) is estimated.
+# A network camera's pictures are stamped on arrival, or by an unchecked clock; what remains of the
+# delay from exposure to arrival (0.05 to 0.5 s) is estimated.
 _RTSP_OFFSET_SIGMA_S = 0.2
 
 
@@ -30,7 +30,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     focal_sigma: Positive = 0.2
     centre_sigma: Positive = 0.05
     distortion_sigma: Positive = 0.5
-    time_offset_sigma: NotNegative = math.nan  # the source's own, see below
+    time_offset_sigma: NotNegative = math.nan  # NaN: by the source, see below
     time_drift_sigma: NotNegative = 20e-6
     line_delay: float = 0.0
     picture_rate: Positive = 2.0
@@ -51,12 +51,12 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def readout_s(self) -> float:
-        """How much later than its first row a picture's last one is exposed, either way."""
+        """Time between the exposures of the first and the last row, in either direction."""
         return abs(self.line_delay) * (self.height - 1)
 
     @property
     def estimates_intrinsics(self) -> bool:
-        """Whether the lens is worked out from the robot's target."""
+        """Whether the intrinsics are estimated from the robot's target."""
         return self.intrinsics == "estimate"
 
     def nominal(self) -> CameraModel:

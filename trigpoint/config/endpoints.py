@@ -10,7 +10,7 @@ _ENDPOINT = re.compile(
 
 
 def is_endpoint(text: str) -> bool:
-    """Whether a text is an endpoint; all others here take only those that are."""
+    """Whether a text is an endpoint; the other functions here take only valid ones."""
     match = _ENDPOINT.match(text)
     return match is not None and int(match["port"]) <= 65535
 
@@ -27,16 +27,16 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def is_secured(endpoint: str) -> bool:
-    """Whether certificates are shown on both ends of it."""
+    """Whether both ends show certificates."""
     return endpoint.startswith(("tls/", "quic/"))
 
 
 def endpoint_port(endpoint: str) -> int:
-    """The port of a checked endpoint; 0 where the system is to pick one."""
+    """The port of a checked endpoint; 0 if the system picks one."""
     return int(_endpoint(endpoint)["port"])
 
 
 def _endpoint(endpoint: str) -> re.Match[str]:
     match = _ENDPOINT.match(endpoint)
-    assert match is not None  # held by BusConfig's own check
+    assert match is not None  # guaranteed by BusConfig's check
     return match

@@ -13,8 +13,8 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     `wrong_sighting`: a sighting shows something other than its robot where it stands;
     `wild_corner`: a corner of a good sighting lies so far off that it is left out; `disturbed`:
     somebody carried a robot or moved a camera at some time in the session; `event`: in such a
-    session, between one visit and the next, a robot is put down elsewhere or a camera is moved
-    (whoever meddles once is likely to do so again); `noise`: the noise is far from what the site
+    session, a robot is put down elsewhere or a camera is moved between one visit and the next
+    (who interferes once is likely to do so again); `noise`: the noise is far from what the site
     file states, in a session too short to tell; `room`: the box, metres, in which cameras hang and
     robots drive.
     """

@@ -8,7 +8,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 def check_name(what: str, name: str) -> None:
-    """Raise ConfigError where a name cannot be a part of a key and of a ROS topic."""
+    """Raise ConfigError if a name cannot be part of a key and of a ROS topic."""
     try:
         validate_name(what, name)
     except ValueError as reason:
@@ -16,7 +16,7 @@ def check_name(what: str, name: str) -> None:
 
 
 def validate_name(what: str, name: str) -> None:
-    """Like `check_name`, but raise ValueError, as a struct's own checks do."""
+    """Like `check_name`, but raise ValueError, as checks inside a struct must."""
     if not _NAME.fullmatch(name) or "__" in name:
         raise ValueError(
             f"the {what}'s name «{name}» must match [a-z][a-z0-9_]* without «__»; rename it"

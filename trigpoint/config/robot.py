@@ -1,4 +1,4 @@
-"""`[robots.NAME]`: a robot's port, its target, its odometry, and what it lets itself be told."""
+"""`[robots.NAME]`: a robot's port, target and odometry, and which corrections it accepts."""
 
 from typing import Annotated, Literal
 
@@ -7,7 +7,7 @@ from msgspec import Meta, Struct
 from .number_types import Count, NotNegative, Positive
 
 ROS2_PROTOCOL = "ros2"
-# To what NTP keeps clocks on a local network (chrony's documentation: well below a millisecond).
+# NTP keeps clocks on a local network this close (chrony's documentation: well below 1 ms).
 _NTP_S = 1e-3
 
 
@@ -26,8 +26,8 @@ class OdometryNoise(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def bearable_clock_offset_s(self) -> float:
-        """How far a clock may be off: it shifts a correction by speed times that, and this is as
-        much as the odometry itself errs in a second at 1 m/s; at least what NTP keeps."""
+        """How far a clock may be off. The offset shifts a correction by speed times offset; this
+        much is the odometry's own error in a second at 1 m/s, and at least what NTP keeps."""
         return max(self.distance, _NTP_S)
 
 
@@ -63,7 +63,7 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """One robot: its port, its target, how its odometry drifts."""
+    """One robot: its port, its target, and the drift of its odometry."""
 
     port: str | None = None
     baud: Count = 115200
@@ -92,6 +92,6 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def protocol_name(self) -> str:
-        """What the robot speaks; one without a port and another protocol speaks on the bus."""
+        """The robot's protocol; without a port, the default one is replaced by ROS 2 on the bus."""
         is_on_bus = self.port is None and self.protocol == "trigpoint"
         return ROS2_PROTOCOL if is_on_bus else self.protocol

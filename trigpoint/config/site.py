@@ -1,4 +1,4 @@
-"""site.toml: one frozen configuration for a whole site; each node reads its own part of it."""
+"""site.toml: one frozen configuration for a whole site; each node reads its own part."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -62,7 +62,7 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Site(Struct, frozen=True):
-    """A whole site. `directory` is the folder that the file's relative paths start from."""
+    """A whole site. `directory`: the folder to which the file's paths are relative."""
 
     name: str
     cameras: dict[str, CameraConfig]
@@ -77,21 +77,21 @@ class Site(Struct, frozen=True):
     map: MapConfig | None = None
 
     def camera(self, name: str) -> CameraConfig:
-        """A camera by name; raise ConfigError that lists the known ones."""
+        """A camera by name; raise a ConfigError that lists the known ones."""
         return _pick(self.cameras, name, "camera")
 
     def robot(self, name: str) -> RobotConfig:
-        """A robot by name; raise ConfigError that lists the known ones."""
+        """A robot by name; raise a ConfigError that lists the known ones."""
         return _pick(self.robots, name, "robot")
 
     def target_name(self, robot: str) -> str:
-        """The path of a robot's target file as the site file writes it."""
+        """The path of a robot's target file, as written in the site file."""
         name = self.robot(robot).target or self.default_target
-        assert name is not None  # held by the file's own check
+        assert name is not None  # guaranteed by the file's check
         return name
 
     def path(self, relative: str) -> Path:
-        """A path in the file, made absolute or relative to the working folder."""
+        """A path from the file, made absolute or relative to the working folder."""
         return self.directory / relative
 
     @property
@@ -101,7 +101,7 @@ class Site(Struct, frozen=True):
 
 
 def load_site(path: Path) -> Site:
-    """Read site.toml; raise ConfigError that names file, line and key."""
+    """Read site.toml; raise a ConfigError that names file, line and key."""
     text = read_text(path, "site file", ConfigError)
     return parse_site(text, directory=path.parent, file=str(path))
 
