@@ -3,4 +3,4 @@
 __version__ = "0.1.0"
 
 CONTRACT = 1
-"""Version of the bus and file contract; nodes announce it and name a peer with another one."""
+"""Version of the bus and file contract; nodes announce it and report peers with another one."""

@@ -1,4 +1,4 @@
-"""`python -m trigpoint` is the program `trigpoint`."""
+"""`python -m trigpoint` runs the program `trigpoint`."""
 
 from .cli import main
 

@@ -225,8 +225,8 @@ def _publishing(keys: tuple[str, ...]) -> list[_Rule]:
     cached = _cache(keys)
     return [
         _Rule("ingress", ("put",), (*keys, *cached)),
-        # Who subscribes asks for more than this node's key (`lab/camera/*/sightings`). Not told of
-        # that, a publisher takes it that nobody listens.
+        # Subscribers ask for more than this node's key (`lab/camera/*/sightings`). A publisher not
+        # told of such a subscription believes that nobody listens.
         _Rule("egress", ("declare_subscriber",), _ANY if keys else ()),
         *_serving(cached),
         _Rule("ingress", ("reply",), keys),

@@ -1,4 +1,4 @@
-"""Keeps a machine's door to the network open, whichever of its processes lives."""
+"""Keeps a machine's network endpoint open as long as any of its processes runs."""
 
 import logging
 import threading
@@ -18,9 +18,9 @@ _TAKEN = "Address already in use"
 class Gate:
     """Holds the session that listens on `[bus] listen`, or stands by while another process does.
 
-    Every process of a machine that reads the same site file has one; the port lets only one in.
-    When that process ends, another takes the port within two seconds, and clients connect again.
-    A door whose rules change is closed, which ends every link, and opened by the new ones.
+    Every process on a machine that reads the same site file has a gate; only one can get the port.
+    When that process ends, another takes the port within two seconds, and clients reconnect. When
+    the rules change, the session is closed, which ends every link, and opened with the new rules.
     """
 
     def __init__(
@@ -30,8 +30,8 @@ class Gate:
         *,
         rules: Callable[[], object] | None = None,
     ) -> None:
-        """`rules`: what says who may come in, so that the door is closed and opened again when it
-        changes; None where that is everyone."""
+        """`rules`: a value that stands for the admission rules; the session is closed and opened
+        again when it changes. None: everyone is admitted."""
         self._names, self._open_session = ", ".join(names), open_session
         self._rules = rules
         self._current = rules() if rules else None
@@ -43,11 +43,11 @@ class Gate:
 
     @property
     def is_open(self) -> bool:
-        """Whether this process is the one that listens."""
+        """Whether this process is the one listening."""
         return self._session is not None
 
     def close(self) -> None:
-        """Close the door and end the thread."""
+        """Close the session and end the thread."""
         self._stopping.set()
         self._thread.join(_JOIN_S)
         if self._thread.is_alive():
@@ -69,7 +69,7 @@ class Gate:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether nothing is left to do: the door is open, and nobody will be locked out."""
+        """Whether nothing is left to do: the port is open, and the rules will not change."""
         return self._session is not None and self._rules is None
 
     def _look_at_rules(self) -> None:
@@ -82,7 +82,7 @@ class Gate:
             session.close()
 
     def _try(self) -> None:
-        """Open the session unless the port is taken; raise BusError for any other reason."""
+        """Open the session unless the port is taken; raise BusError if it fails otherwise."""
         try:
             self._session = self._open_session()
         except BusError as reason:

@@ -1,8 +1,8 @@
-"""Renews a connection that has been broken for long and does not mend itself.
+"""Renews a connection that has long been broken and does not recover by itself.
 
-Zenoh connects again by itself, but it does not notice a transport that lost one of its links, nor
-one to a router that is gone. (In an hour with 5 % of loss and a router killed every three minutes,
-corrections went without datagrams for most of the time after an overload.)
+Zenoh reconnects by itself, but it does not notice a transport that has lost one of its links, or
+one to a router that is gone. (In an hour with 5 % packet loss and a router killed every three
+minutes, corrections went without datagrams for most of the time after an overload.)
 """
 
 import logging
@@ -16,19 +16,19 @@ from .errors import BusError
 _log = logging.getLogger(__name__)
 
 LOST_S = 5.0
-"""What Zenoh can mend by itself is back by then: it tries again each second."""
+"""By then Zenoh has recovered whatever it can: it retries every second."""
 _MOST_S = 60.0
 _GROWTH = 2.0
 _LOOKS = 5
-"""Checks within the time in which it may be lost."""
+"""Number of checks in the time for which it may be lost."""
 _CLOSE_S = 15.0
-"""A client whose router is gone took 10 s to close, all told."""
+"""A client whose router was gone took 10 s in all to close."""
 
 
 class Keeper:
-    """A thread that renews what is not well, and waits twice as long after each attempt in vain.
+    """A thread that renews a broken connection, waiting twice as long after each failed attempt.
 
-    `is_well` and `renew` are called by that thread alone; `renew` raises BusError where it fails.
+    `is_well` and `renew` are called only on that thread; `renew` raises BusError if it fails.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Keeper:
         self._thread.start()
 
     def close(self, timeout_s: float) -> bool:
-        """End the thread; whether it ended in time."""
+        """End the thread; return whether it ended in time."""
         self._closing.set()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -64,7 +64,7 @@ class Keeper:
 
 
 def close_in_time(close: Callable[[], object], what: str) -> None:
-    """Close something that may wait for a peer that is gone; where that takes too long it is left
+    """Close something that may wait for a vanished peer; if that takes too long, leave it
     behind."""
     thread = threading.Thread(target=close, name=f"{what} closes", daemon=True)
     thread.start()

@@ -17,7 +17,7 @@ from .topics import Topic, key_matches
 
 
 class MemoryBroker:
-    """What the sessions share; its lock is held only while samples are appended to queues."""
+    """State shared by the sessions; its lock is held only while samples are appended to queues."""
 
     def __init__(self, clock: Clock | None = None) -> None:
         self.clock = clock or SystemClock()
@@ -34,7 +34,7 @@ class MemoryBroker:
 
 
 class MemoryPublisher:
-    """Sends on one key; keeps as many samples as the topic's cache for those who come late."""
+    """Sends on one key; keeps as many samples as the topic's cache for late subscribers."""
 
     def __init__(self, broker: MemoryBroker, topic: Topic, key: str, identity: str) -> None:
         self._broker, self._topic, self._identity = broker, topic, identity
@@ -213,7 +213,7 @@ class MemoryBus(Closing):
             self._declared.pop().close()
 
     def _history(self, expression: str, count: int) -> list[Sample]:
-        """What the matching publishers keep, each key's latest `count`, in order of time."""
+        """Samples kept by the matching publishers: each key's latest `count`, in time order."""
         samples = [
             sample
             for publisher in self._broker.publishers

@@ -1,4 +1,4 @@
-"""What opening a session takes besides opening it: means, patience, knowing who is there."""
+"""The steps around opening a session: certificates, retries, and discovering who is there."""
 
 import logging
 import time
@@ -23,10 +23,10 @@ Session = TypeVar("Session")
 
 @dataclass(frozen=True, slots=True)
 class Means:
-    """What a process shows to others, and with what it lets them in.
+    """What a process shows to others, and how it admits them.
 
-    `door` and `rules` read the files each time: they change while the process lives. `keeps_gate`:
-    whether it opens the machine's gate where nobody else does.
+    `door` and `rules` read the files each time, as they change while the process runs.
+    `keeps_gate`: whether it opens the machine's gate if nobody else does.
     """
 
     files: TlsFiles | None = None
@@ -43,9 +43,9 @@ def means_of(
     is_router: bool = False,
     others: Sequence[Site] = (),
 ) -> Means:
-    """The means of a process of the site; raise ConfigError where a file of it is wrong.
+    """The means of one of the site's processes; raise ConfigError if one of its files is wrong.
 
-    `me`: whose certificate it shows; None: that of the person who sits here. `others`: further
+    `me`: whose certificate it shows; None: that of the person at this machine. `others`: further
     sites that a router joins.
     """
     for name in site.bus.open_doors:
@@ -57,7 +57,7 @@ def means_of(
         )
     if site.bus.tls is None:
         return Means()
-    from . import security  # needs the extra `secure`, which other sites do without
+    from . import security  # needs the extra `secure`, which only secured sites install
 
     leaves = any(map(is_secured, site.bus.connect))
     listens = any(map(is_secured, site.bus.listen))
@@ -67,7 +67,7 @@ def means_of(
             security.node_credentials(site, *me) if me else security.person_credentials(site)
         )
     files = shown[0].files if shown else None
-    # Who only looks in for a moment may not read the machine's key; services keep the gate.
+    # Short-lived commands may not be able to read the machine's key; services keep the gate.
     keeps_gate = listens and (me is not None or is_router)
     if not keeps_gate:
         return Means(files, warning=lambda: security.first_complaint(shown), keeps_gate=not listens)
@@ -83,9 +83,9 @@ def means_of(
 def open_patiently(
     open_session: Callable[[], Session], settings: Settings, patience_s: float
 ) -> Session:
-    """Open a session; a client that reaches nobody tries again for `patience_s`.
+    """Open a session; a client that reaches nobody retries for `patience_s`.
 
-    Peers need no patience: they open at once and connect when they can.
+    Peers need no retries: they open at once and connect when they can.
     """
     deadline = time.monotonic() + patience_s
     is_said = False
@@ -102,8 +102,8 @@ def open_patiently(
 
 
 def settle(bus: Bus) -> None:
-    """Wait until the peers that are there have told of each other, so that a first look at who is
-    alive is complete: without, four of ten newcomers overlooked their double."""
+    """Wait until the present peers have announced each other, so that a first look at who is alive
+    is complete. Without this wait, four of ten new nodes missed one with the same name."""
     deadline = time.monotonic() + _SETTLE_LIMIT_S
     peers, since = bus.peers, time.monotonic()
     while (now := time.monotonic()) < deadline and now - since < _SETTLE_S:

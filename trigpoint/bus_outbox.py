@@ -1,9 +1,9 @@
-"""What is to be sent and waits for nobody: a bounded queue, and a thread that may wait.
+"""Sends without blocking the caller: a bounded queue, and a thread that may block.
 
-A put that must arrive waits for a subscriber that does not read, up to the time after which that
-one is cut off (a second); whoever sends other things too must not. Where a sender has nothing else
-to do (`is_direct`) it sends by itself, which is half as late: handing over to a thread takes about
-as long as Zenoh takes from process to process. Once that had to wait, the thread does it for a
+A reliable put blocks on a subscriber that does not read, until that one is cut off (after a
+second); a thread that sends other things too must not block. A sender with nothing else to do
+(`is_direct`) sends by itself, which halves the delay: handing over to a thread takes about as long
+as Zenoh takes from process to process. Once such a send has blocked, the thread takes over for a
 while.
 """
 
@@ -19,9 +19,9 @@ from .errors import BusError
 _log = logging.getLogger(__name__)
 
 _CAPACITY = 4096
-# Sending takes 30 µs; longer than this, and it waits for somebody (or the machine is busy).
+# Sending takes 30 µs; beyond this it is blocked by a receiver (or the machine is busy).
 _WAITED_S = 0.05
-# Who did not read for a second is cut off, and comes back.
+# A receiver that does not read for a second is cut off, and reconnects.
 _THREAD_S = 10.0
 
 Send = Callable[[], None]
@@ -29,8 +29,8 @@ Send = Callable[[], None]
 
 class Outbox:
     """Sends in order, one at a time. `put` may be called from any thread, and only appends unless
-    it `is_direct`; where it is full the oldest is dropped and counted as `lost`, like what the bus
-    refuses."""
+    the outbox `is_direct`. When it is full, the oldest is dropped and counted as `lost`, like
+    whatever the bus refuses."""
 
     def __init__(self, name: str, capacity: int = _CAPACITY, *, is_direct: bool = False) -> None:
         self._name, self._is_direct = name, is_direct
@@ -45,7 +45,7 @@ class Outbox:
         self.lost = 0
 
     def put(self, send: Send) -> None:
-        """Have it sent."""
+        """Send it, or queue it for sending."""
         with self._changed:
             if self._is_closed:
                 raise BusError("the bus is closed; nothing can be sent on it")
@@ -59,12 +59,12 @@ class Outbox:
             self._by_thread_until = end_s + _THREAD_S
 
     def hold(self, seconds: float) -> None:
-        """Send nothing before this time is over; what is put meanwhile waits. `flush` ends it."""
+        """Send nothing for this long; whatever is put meanwhile waits. `flush` ends the hold."""
         with self._changed:
             self._held_until = time.monotonic() + seconds
 
     def _sends_itself(self) -> bool:
-        """Whether the caller sends: nothing is before it, and nobody had to be waited for."""
+        """Whether the caller sends: nothing is queued, and no recent send has blocked."""
         is_free = self._is_direct and self._is_empty()
         return is_free and time.monotonic() >= max(self._by_thread_until, self._held_until)
 
@@ -80,11 +80,11 @@ class Outbox:
 
     @property
     def waiting(self) -> int:
-        """How many wait behind the one that is being sent."""
+        """Number waiting behind the one being sent."""
         return len(self._items)
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until all is sent; whether it is in time."""
+        """Wait until everything is sent; return false on timeout."""
         with self._changed:
             self._flushing += 1
             self._held_until = -math.inf
@@ -94,7 +94,7 @@ class Outbox:
             return is_sent
 
     def close(self, timeout_s: float) -> bool:
-        """Send what waits, within a time, and end the thread; whether it ended."""
+        """Send what is queued within the time limit and end the thread; return whether it ended."""
         deadline = time.monotonic() + timeout_s
         is_sent = self.flush(timeout_s)
         with self._changed:
@@ -115,7 +115,7 @@ class Outbox:
             self._send(send)
 
     def _send(self, send: Send) -> None:
-        """Send one, after which it is the next one's turn."""
+        """Send one, then let the next one have its turn."""
         try:
             send()
         except BusError as reason:

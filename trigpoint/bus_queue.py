@@ -14,10 +14,10 @@ Item = TypeVar("Item")
 class SampleQueue(Generic[Item]):
     """A Subscription that gives every key, and every sender on it, a share.
 
-    Full, it drops the oldest sample of the largest share, and counts it: whoever sends much pushes
-    nobody else out.
-    `push` and `miss` may be called from any thread; they only append and count. What is pushed is
-    made a Sample when it is taken: the bus's thread has no time for it.
+    When full, it drops the oldest sample of the largest share and counts it, so that a busy sender
+    pushes nobody else out.
+    `push` and `miss` may be called from any thread; they only append and count. Items become
+    Samples when they are taken: the bus's thread has no time for that.
     """
 
     def __init__(
@@ -32,10 +32,10 @@ class SampleQueue(Generic[Item]):
         in_turns: bool = False,
         bell: Bell | None = None,
     ) -> None:
-        """`key_of`: an item's key; `share_of`: who shares with whom, the key where it is None;
-        `wanted`: whether a key's samples are kept; `in_turns`: the shares take turns, so that
-        whoever sends much waits for itself alone; else samples are taken as they came; `bell`: rung
-        whenever something comes, for who looks at several queues."""
+        """`key_of`: an item's key; `share_of`: the share that an item belongs to, by default its
+        key; `wanted`: whether a key's samples are kept; `in_turns`: the shares take turns, so that
+        a busy sender delays only itself, otherwise samples are taken in order of arrival; `bell`:
+        rung at each arrival, for readers of several queues."""
         self._bell = bell
         self._in_turns = in_turns
         self._shares: dict[str, deque[tuple[int, Item]]] = {}  # none is empty; the first is next
@@ -51,7 +51,7 @@ class SampleQueue(Generic[Item]):
         self._lost: Counter[str] = Counter()
 
     def push(self, item: Item) -> None:
-        """Append what came; called on the bus's thread."""
+        """Append an item; called on the bus's thread."""
         if self._wanted is not None and not self._wanted(self._key_of(item)):
             return
         share = self._share_of(item)
@@ -68,7 +68,7 @@ class SampleQueue(Generic[Item]):
             self._bell.ring()
 
     def _drop(self) -> None:
-        # Where nearly every share has one sample, there is no use in looking for the fullest.
+        # If nearly every share has one sample, searching for the fullest is useless.
         is_spread = 2 * len(self._shares) > self._capacity
         shares = self._shares
         item = self._pop(
@@ -86,13 +86,13 @@ class SampleQueue(Generic[Item]):
         return item
 
     def _next_share(self) -> str:
-        """Whose turn it is; without turns, whose sample came first."""
+        """The share whose turn it is; without turns, the one with the oldest sample."""
         if self._in_turns or len(self._shares) == 1:
             return next(iter(self._shares))
         return min(self._shares, key=lambda share: self._shares[share][0][0])
 
     def miss(self, count: int) -> None:
-        """Count samples that were lost on the way; called on the bus's thread."""
+        """Count samples that were lost in transit; called on the bus's thread."""
         with self._lock:
             self._dropped += count
 
@@ -129,7 +129,7 @@ class SampleQueue(Generic[Item]):
 
     @property
     def losses(self) -> dict[str, int]:
-        """How many samples of each key were dropped from the full queue."""
+        """Number of samples dropped from the full queue, by key."""
         with self._lock:
             return dict(self._lost)
 
@@ -138,7 +138,7 @@ class SampleQueue(Generic[Item]):
         return self._dropped
 
     def close(self) -> None:
-        """Take the declaration back; samples that wait can still be taken."""
+        """Withdraw the declaration; waiting samples can still be taken."""
         with self._lock:
             if self._is_closed:
                 return

@@ -1,19 +1,19 @@
-"""Holds samples back until a session that had lost everybody is known again.
+"""Holds samples back until a session that had lost all its links has been announced again.
 
-A subscriber that met a publisher's next sample before the news of who has the earlier ones asked
-nobody for those, and they were lost (once in eight times that a router died on a network that loses
-packets). So samples that must be recovered wait until that news has got round.
+A subscriber that received a publisher's next sample before the announcement of its cache asked
+nobody for the earlier ones, and they were lost (in one of eight router failures on a lossy
+network). So samples that must be recoverable wait until the announcement has spread.
 """
 
 import time
 from collections.abc import Callable
 
-# All come back within the second after which each tries again at most (`bus_settings`).
+# Everyone reconnects within a second, the longest interval between retries (`bus_settings`).
 ANNOUNCE_S = 1.0
 
 
 class Reunion:
-    """`meets`: whether the session has a link to anybody now. Asked at each put."""
+    """`meets`: whether the session has a link to anybody now; called at each put."""
 
     def __init__(
         self, meets: Callable[[], bool], elapsed_s: Callable[[], float] = time.monotonic
@@ -24,8 +24,8 @@ class Reunion:
 
     @property
     def wait_s(self) -> float:
-        """How long to wait before the next sample is sent; 0 or less where nothing is in the way.
-        To nobody it is sent at once, which keeps it for whoever asks."""
+        """How long to wait before sending the next sample; 0 or less: send now. Without any link
+        it is sent at once, which puts it into the cache."""
         was_met, self._is_met = self._is_met, self._meets()
         if self._is_met and not was_met:
             self._until_s = self._elapsed_s() + ANNOUNCE_S

@@ -15,7 +15,7 @@ _JOIN_S = 1.0
 
 
 class Request(Protocol):
-    """A query that waits for its answer."""
+    """A query waiting for its answer."""
 
     @property
     def payload(self) -> bytes: ...
@@ -28,12 +28,12 @@ class Request(Protocol):
 class Server:
     """One thread that answers the requests for one key, in order.
 
-    `submit` may be called from any thread and only appends; where the queue is full the request is
-    dropped, so that whoever asked runs into its time limit.
+    `submit` may be called from any thread and only appends. When the queue is full, the request is
+    dropped and its sender times out.
     """
 
     undeclare: Callable[[], None]
-    """Takes back the declaration by which requests come; set by the bus."""
+    """Withdraws the declaration that brings the requests; set by the bus."""
 
     def __init__(self, key: str, answer: Callable[[bytes], bytes]) -> None:
         self.key = key
@@ -53,7 +53,7 @@ class Server:
                 self._changed.notify()
 
     def close(self) -> None:
-        """Take the declaration back and end the thread."""
+        """Withdraw the declaration and end the thread."""
         with self._changed:
             if self._is_closed:
                 return

@@ -1,16 +1,16 @@
-"""From `[bus]` of site.toml to a Zenoh session's settings; knows no Zenoh.
+"""Translates `[bus]` of site.toml into a Zenoh session's settings; does not import zenoh.
 
 | `[bus]` | session |
 | --- | --- |
 | omitted | peer on loopback; the site's peers find each other by multicast on loopback |
-| `connect`, all on this machine | peer on loopback; told of the others by whom it connects to |
-| `connect`, another machine | client: whom it connects to relays everything |
+| `connect`, all on this machine | peer on loopback; learns of the others from its endpoint |
+| `connect`, another machine | client: the endpoint relays everything |
 | `listen` with a port | peer on loopback as above; one process of the machine keeps the gate |
 | `listen` with port 0 | peer there; the system picks the port |
 | `scouting` | peer; found by multicast on the link; listens as written, else on loopback |
 
-Peers pass nothing on between peers, only for clients (measured, 1.10); hence the client. With
-`[bus.tls]` whoever connects shows its own certificate, and the gate the machine's (`security`).
+Peers relay nothing between peers, only for clients (measured, 1.10); hence the client. With
+`[bus.tls]`, connecting nodes show their own certificates, and the gate the machine's (`security`).
 """
 
 import base64
@@ -31,10 +31,10 @@ BLOCK_LIMIT_US = 1_000_000
 """How long a put waits for a peer that does not read, before the peer is cut off."""
 
 QUEUE_BATCHES = 16
-"""Batches of 64 kB that may wait for a link, by priority; Zenoh takes no more. A publisher's whole
-cache (1024 odometry messages, 717 kB) is asked for at once after a break. With the two batches that
-are usual, a slow link (5 % of loss, 100 ms) let that wait so long that it was cut off, came back,
-was asked again, and never recovered."""
+"""Batches of 64 kB that may wait for a link, by priority; Zenoh's maximum. After a break, a
+publisher's whole cache (1024 odometry messages, 717 kB) is requested at once. With the usual two
+batches, a slow link (5 % loss, 100 ms) held that up so long that it was cut off, reconnected, was
+asked again, and never recovered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class Multicast:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """What a session of a secured site shows, and whom it believes: paths of PEM files.
+    """What a secured site's session shows, and whom it trusts: paths of PEM files.
 
-    `anchors`: the PEM text of all who are believed, where that is more than `trust` holds.
+    `anchors`: PEM text of all trusted anchors, if there are more than `trust` holds.
     """
 
     trust: str
@@ -75,7 +75,7 @@ class TlsFiles:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """How a session lets others in: its certificate, and Zenoh's `access_control`."""
+    """How a session admits others: its certificate, and Zenoh's `access_control`."""
 
     files: TlsFiles
     access: dict[str, object]
@@ -83,9 +83,11 @@ class Door:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """One session. `gate`: what another session of the machine listens on for all of them.
-    `files`: what it shows where it connects; `access`: what those who connect may do, None: all.
-    `picture_rate`: how many pictures a second of a camera it hands on, None: as many as come.
+    """One session.
+
+    `gate`: the endpoint on which another session listens for the whole machine; `files`: what it
+    shows when it connects; `access`: what connecting nodes may do, None: everything;
+    `picture_rate`: how many pictures per second and camera it relays, None: all.
     """
 
     mode: Literal["peer", "client", "router"]
@@ -104,16 +106,16 @@ class Settings:
             "listen/endpoints": [_as_zenoh(endpoint) for endpoint in self.listen],
             "connect/endpoints": [_as_zenoh(endpoint) for endpoint in self.connect],
             "connect/retry": {"period_init_ms": 500, "period_max_ms": 1000},
-            # A client's first try ends after this; one refused by a dead route took 10 s without.
+            # A client's first try ends after this; without it, one on a dead route took 10 s.
             # A peer opens at once and keeps trying on its own.
             "connect/timeout_ms": {"client": CLIENT_TRY_MS, "peer": -1, "router": -1},
             "scouting/multicast/enabled": self.multicast is not None,
             "scouting/gossip/enabled": self.mode != "client",
-            # Off for peers and clients by default; caches and the recording need them.
+            # Off by default for peers and clients; caches and recordings need them.
             "timestamping/enabled": True,
             # A killed process would leave its segments behind; loopback TCP is fast enough.
             "transport/shared_memory/enabled": False,
-            # Whoever connects and says nothing is not waited for; a stop would wait too.
+            # Do not wait for silent connections; a stop would wait too.
             "transport/unicast/accept_timeout": ACCEPT_TIMEOUT_MS,
             "transport/link/rx/max_message_size": MESSAGE_LIMIT_BYTES,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_LIMIT_US,
@@ -132,7 +134,7 @@ class Settings:
         return values
 
     def document(self) -> dict[str, object]:
-        """The same as one nested document, as `zenohd` reads it."""
+        """The same as one nested document, in the form that `zenohd` reads."""
         root: dict[str, object] = {}
         for path, value in self.values().items():
             *tables, last = path.split("/")
@@ -146,16 +148,16 @@ class Settings:
 
     @property
     def locators(self) -> tuple[str, ...]:
-        """Where others can connect to, as far as it is known."""
+        """Endpoints that others can connect to, as far as they are known."""
         return tuple(e for e in self.gate or self.listen if endpoint_port(e) != 0)
 
     @property
     def meets_others(self) -> bool:
-        """Whether the session learns of its peers one after the other."""
+        """Whether the session discovers its peers gradually."""
         return self.mode == "peer" and (bool(self.connect) or self.multicast is not None)
 
     def gate_settings(self, door: Door | None = None) -> "Settings":
-        """The session that listens on `gate` and relays between there and this machine's peers."""
+        """The session that listens on `gate` and relays between it and this machine's peers."""
         files, access = (door.files, door.access) if door else (None, None)
         listen = (LOOPBACK, *self.gate)
         return Settings("peer", listen, multicast=self.multicast, files=files, access=access)
@@ -164,8 +166,8 @@ class Settings:
 def router_settings(
     site: str, bus: BusConfig, door: Door | None, *, picture_rate: float | None = None
 ) -> Settings:
-    """A router at the place of the gate: it also hands on between those who connect, and to the
-    routers that `connect` names."""
+    """A router in place of the gate: it also relays between the nodes that connect, and to the
+    routers named in `connect`."""
     if not bus.listen:
         raise ConfigError(
             f"site {site}: a router needs to be told where the others connect to it: write "
@@ -183,7 +185,7 @@ def router_settings(
 
 
 def session_settings(site: str, bus: BusConfig, files: TlsFiles | None = None) -> Settings:
-    """The table above; `files`: what is shown where a link leaves this machine."""
+    """As in the table above; `files`: what is shown on links that leave this machine."""
     if bus.scouting:
         listen = bus.listen or (LOOPBACK,)
         return Settings("peer", listen, bus.connect, Multicast("auto", "224.0.0.224:7446"))
@@ -204,16 +206,16 @@ def has_datagrams(bus: BusConfig) -> bool:
 
 
 def datagram_settings(bus: BusConfig, settings: Settings) -> Settings | None:
-    """A client beside the one that `settings` describes, for what goes by datagrams; None where
-    that one does by itself, or is none."""
+    """A second client beside the one that `settings` describes, for datagrams; None if that one
+    carries datagrams itself, or is not a client."""
     beside = tuple(e for e in bus.connect if e not in settings.connect)
     return Settings("client", connect=beside, files=settings.files) if beside else None
 
 
 def _streams(connect: tuple[str, ...]) -> tuple[str, ...]:
-    """Where a client connects to for what must arrive: QUIC where there is nothing else. Over 5 %
-    of loss and 100 ms a stream of QUIC's was slower than TCP's (p50 of odometry 290 against
-    156 ms): its window grows only while it is full."""
+    """Where a client connects to for reliable samples; QUIC only if there is nothing else. With 5 %
+    loss and 100 ms, a QUIC stream was slower than TCP (p50 of odometry 290 against 156 ms): its
+    window grows only while it is full."""
     return tuple(e for e in connect if not _is_quic(e)) or connect
 
 
@@ -222,19 +224,19 @@ def _is_quic(endpoint: str) -> bool:
 
 
 def _fewer_pictures(rate: float) -> dict[str, object]:
-    """Zenoh's downsampling of what leaves a session on pictures' keys, whatever the site."""
+    """Zenoh's downsampling of outgoing pictures, of every site."""
     rules = [{"key_expr": f"*/{topics.IMAGE.path.format(id='*')}", "freq": rate}]
     return {"id": "pictures", "messages": ["put"], "flows": ["egress"], "rules": rules}
 
 
 def _as_zenoh(endpoint: str) -> str:
-    """The endpoint with what Zenoh is to do on it: over QUIC each priority has a stream of its own,
-    so that what is lost of one holds up no other, and what need not arrive goes as datagrams."""
+    """The endpoint with Zenoh's options. Over QUIC each priority has its own stream, so that a loss
+    on one holds up no other, and best-effort samples go as datagrams."""
     return f"{endpoint}?multistream=1;mixed_rel=1" if _is_quic(endpoint) else endpoint
 
 
 def _with_port(endpoint: str) -> str:
-    """The endpoint with a free port in place of 0: Zenoh does not tell which one it took."""
+    """The endpoint with a free port in place of 0: Zenoh does not say which one it took."""
     if endpoint_port(endpoint) != 0:
         return endpoint
     host = endpoint_host(endpoint)
@@ -253,6 +255,6 @@ def _family(host: str) -> socket.AddressFamily:
 
 
 def _loopback_group(*names: str) -> Multicast:
-    """A group of the local scope (RFC 2365) by the names, so that only these peers meet."""
+    """A local-scope group (RFC 2365) derived from the names, so that only these peers meet."""
     number = zlib.crc32("\n".join(names).encode())
     return Multicast("127.0.0.1", f"239.255.{number >> 8 & 255}.{number & 255}:7446")

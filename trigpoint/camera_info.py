@@ -1,4 +1,4 @@
-"""A camera's intrinsics as the YAML file of ROS (`camera_info`, written by its calibrators)."""
+"""A camera's intrinsics as ROS's YAML file (`camera_info`, as its calibrators write it)."""
 
 import io
 from pathlib import Path
@@ -13,7 +13,7 @@ from .geometry.camera import LensModel
 
 
 def read_camera_info(path: Path) -> CameraModel:
-    """The camera in a camera_info YAML file; raise InputError that names file, key and remedy."""
+    """Read a camera_info YAML file; raise an InputError that names file, key and remedy."""
     return parse_camera_info(read_text(path, "camera_info file", InputError), file=str(path))
 
 
@@ -47,7 +47,7 @@ def format_camera_info(camera: CameraModel, name: str) -> str:
         "projection_matrix": _matrix(projection),
     }
     text = io.StringIO()
-    yaml = YAML()  # unlike the safe one it keeps the keys' order
+    yaml = YAML()  # unlike the safe dumper, it keeps the keys' order
     yaml.default_flow_style = None
     yaml.dump(document, text)
     return text.getvalue()

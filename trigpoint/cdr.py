@@ -1,6 +1,6 @@
-"""ROS 2 CDR bytes of the messages.
+"""Messages to and from ROS 2 CDR bytes.
 
-What `decode` returns is checked: finite numbers, unit quaternions, as many pixels as corners.
+`decode` checks its result: finite numbers, unit quaternions, as many pixels as corners.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ _LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
 
 _USUAL_MOST_BYTES = 1 << 20
 _MOST_BYTES = {PICTURE: 16 << 20, ODOMETRY: 4 << 10, CAMERA_INFO: 64 << 10}
-"""What is longer is not looked into."""
+"""Longer payloads are refused unread."""
 
 
 def encode(message: Message) -> bytes:
@@ -53,21 +53,21 @@ def encode(message: Message) -> bytes:
 
 
 def encode_by_definition(message: Message) -> bytes:
-    """`encode` by the type's definition alone."""
+    """Like `encode`, always by way of the type's definition."""
     codec = _BY_CLASS[type(message)]
     ros = codec.to_ros(Builder(), message)
     return bytes(store().serialize_cdr(ros, codec.type_name))
 
 
 def decode(type_name: str, payload: bytes) -> Message:
-    """The message in CDR bytes; raise MessageError where they are no sound message of the type."""
+    """Decode CDR bytes; raise MessageError if they are not a valid message of the type."""
     quickly = _LAYOUTS.get(type_name)
     message = quickly(payload) if quickly else None
     return message if message is not None else decode_by_definition(type_name, payload)
 
 
 def decode_by_definition(type_name: str, payload: bytes) -> Message:
-    """`decode` by the type's definition alone; it says what is wrong where something is."""
+    """Like `decode`, always by way of the type's definition; its errors say what is wrong."""
     codec = _BY_TYPE[type_name]
     cdr_layout.check_count("bytes", len(payload), _MOST_BYTES.get(type_name, _USUAL_MOST_BYTES))
     try:
@@ -86,7 +86,7 @@ def type_name(message: Message) -> str:
 
 
 def definition(type_name: str) -> str:
-    """The full `ros2msg` definition of a type, with the types that it uses."""
+    """The full `ros2msg` definition of a type, including the types that it uses."""
     return full_definition(type_name)
 
 
@@ -96,7 +96,7 @@ def type_hash(type_name: str) -> str:
 
 
 def warm_up() -> None:
-    """Build every type's code now (2 to 15 ms each), so that no first message is late."""
+    """Build every type's code now (2 to 15 ms each), so that no first message is delayed."""
     for codec in CODECS:
         definition(codec.type_name)
     pose = Pose.identity()

@@ -1,4 +1,4 @@
-"""One pair of functions a message type: our message to rosbags' object and back, checked."""
+"""A pair of functions per message type: our message to rosbags' object and back, checked."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -49,8 +49,8 @@ from .messages import (
 
 @dataclass(frozen=True, slots=True)
 class Codec:
-    """How one of our message types goes to rosbags' objects of a ROS type and back; `from_ros`
-    raises MessageError where an object is not sound."""
+    """Converts one of our message types to rosbags' objects of a ROS type and back; `from_ros`
+    raises MessageError if an object is not valid."""
 
     message: type
     type_name: str

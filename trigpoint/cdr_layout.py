@@ -1,9 +1,9 @@
-"""Odometry and sightings read straight from their bytes: a session has tens of thousands of them.
-And odometry written so: it is the most frequent message, and robots' computers are small.
+"""Reads odometry and sightings directly from their bytes: a session has tens of thousands of them.
+Also writes odometry directly: it is the most frequent message, and robots' computers are small.
 
-rosbags takes 32 µs for an odometry message, this 5 µs. They only take what is sound in
-every respect; for all else they return None, and the general way of `cdr` says what is wrong. What
-is beyond all measure is refused at once, since the general way would be long at it.
+rosbags takes 32 µs for an odometry message, this 5 µs. Only messages that are valid in every
+respect are read; for all others these functions return None, and the general path in `cdr` says
+what is wrong. Absurdly large counts are refused at once, as the general path would be slow on them.
 """
 
 import math
@@ -16,21 +16,21 @@ from .geometry import Pose
 from .geometry.rotation import of_quaternion
 from .messages import FaceSighting, Odometry, Sightings
 
-# No corner is placed better or worse than this, nor so far away; outside, arithmetic would suffer.
+# Limits of a corner's sigma and position; beyond them arithmetic would suffer.
 LEAST_SIGMA_PX, MOST_SIGMA_PX = 1e-3, 1e3
 FURTHEST_PX = 1e5
-# How far a quaternion's length may be from 1.
+# How much a quaternion's length may differ from 1.
 UNIT_TOLERANCE = 0.01
 
 _LITTLE_ENDIAN = b"\x00\x01"
-# Positions are aligned as they are counted from the end of the encapsulation header.
+# Alignment counts from the end of the encapsulation header.
 _START = 4
-# Bytes that may follow a message, to fill it up to a multiple of four.
+# Padding that may follow a message, up to a multiple of four.
 _PADDING = 3
 MOST_FACES = 256
 MOST_CORNERS = 4096
 MOST_TEXT_BYTES = 256
-"""Of one picture, of one face, and of a name: several times what any target has."""
+"""Limits per picture, per face, and of a name: several times those of any target."""
 
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
@@ -42,7 +42,7 @@ _ODOMETRY = struct.Struct("<7d288x6d288x")
 
 
 def odometry(payload: bytes) -> Odometry | None:
-    """The message, or None where it is not sound."""
+    """The message, or None if it is not valid."""
     try:
         seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
         frame_id, position = _string(payload, _START + _STAMP.size)
@@ -52,7 +52,7 @@ def odometry(payload: bytes) -> Odometry | None:
     except (struct.error, ValueError):
         return None
     x, y, z, *quaternion = values[:7]
-    # The sum is finite only where all of them are.
+    # The sum is finite only if all of them are.
     is_sound = _is_whole(payload, position + _ODOMETRY.size) and math.isfinite(sum(values))
     if not is_sound or abs(math.hypot(*quaternion) - 1) > UNIT_TOLERANCE:
         return None
@@ -67,7 +67,7 @@ def odometry(payload: bytes) -> Odometry | None:
 
 
 def odometry_bytes(message: Odometry) -> bytes | None:
-    """What `odometry` reads; None where the stamp is not one that it can hold."""
+    """The bytes that `odometry` reads; None if the stamp does not fit."""
     seconds, nanoseconds = divmod(message.stamp_ns, 1_000_000_000)
     if not 0 <= seconds < 1 << 31:
         return None
@@ -90,7 +90,7 @@ def odometry_bytes(message: Odometry) -> bytes | None:
 
 
 def sightings(payload: bytes) -> Sightings | None:
-    """The message, or None where it is not sound; raise MessageError where it holds too much."""
+    """The message, or None if it is not valid; raise MessageError if it holds too much."""
     try:
         seconds, nanoseconds = _STAMP.unpack_from(payload, _START)
         frame_id, position = _string(payload, _START + _STAMP.size)
@@ -112,7 +112,7 @@ def sightings(payload: bytes) -> Sightings | None:
 
 
 def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
-    """A face and the position after it; ValueError where it is not sound."""
+    """A face and the position after it; ValueError if it is not valid."""
     target, position = _string(payload, position)
     position = _aligned(position, 4)
     face, count = _FACE.unpack_from(payload, position)
@@ -125,7 +125,7 @@ def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
     pixels = np.frombuffer(payload, "<f4", length, position + _COUNT.size)
     position += _COUNT.size + 4 * length
     (sigma,) = _SIGMA.unpack_from(payload, position)
-    # The comparisons are false for what is no number.
+    # The comparisons are false for NaN.
     is_sound = LEAST_SIGMA_PX <= sigma <= MOST_SIGMA_PX and np.abs(pixels).max() <= FURTHEST_PX
     if not is_sound:
         raise ValueError
@@ -134,18 +134,18 @@ def _face(payload: bytes, position: int) -> tuple[FaceSighting, int]:
 
 
 def check_count(what: str, count: int, most: int) -> None:
-    """Raise MessageError where there are more than at most there may be."""
+    """Raise MessageError if a count exceeds its limit."""
     if count > most:
         raise MessageError(f"it has {count} {what}, of which {most} are taken at most")
 
 
 def _is_whole(payload: bytes, end: int) -> bool:
-    """Whether the message ends where its bytes do, and these are little-endian CDR."""
+    """Whether the bytes are little-endian CDR and end where the message does."""
     return payload[:2] == _LITTLE_ENDIAN and end <= len(payload) <= end + _PADDING
 
 
 def _string(payload: bytes, position: int) -> tuple[str, int]:
-    """A string and the position after it; ValueError where it is none."""
+    """A string and the position after it; ValueError if it is not one."""
     start = position + _COUNT.size
     length = _COUNT.unpack_from(payload, position)[0]
     check_count("bytes of a name", length, MOST_TEXT_BYTES)

@@ -1,5 +1,5 @@
-"""rosbags' objects of ROS 2 messages: their types, how they are built, and how their common pieces
-are read and checked. The one place that knows rosbags.
+"""ROS 2 messages as rosbags' objects: their types, how to build them, and how to read and check
+their common parts. In the shared package, only this module imports rosbags.
 """
 
 from collections.abc import Mapping
@@ -86,8 +86,8 @@ def stamp_of(header: Any) -> int:
 
 
 def finite(values: Any, what: str) -> Array:
-    """Numbers as an array of float; raise MessageError, which says of what, where one is none."""
-    with np.errstate(invalid="ignore"):  # what is no number is refused below
+    """Numbers as a float array; raise a MessageError that names them if one is not finite."""
+    with np.errstate(invalid="ignore"):  # non-numbers are refused below
         array = np.asarray(values, dtype=float)
     if not np.all(np.isfinite(array)):
         raise MessageError(f"{what} holds a number that is not finite")
@@ -100,7 +100,7 @@ def xyz_of(vector: Any, what: str) -> Array:
 
 
 def pose_of(pose: Any) -> Pose:
-    """A pose; raise MessageError where its orientation is no rotation or a number is none."""
+    """A pose; raise MessageError if its orientation is not a rotation or a number not finite."""
     q = pose.orientation
     quaternion = finite([q.x, q.y, q.z, q.w], "an orientation")
     if abs(np.linalg.norm(quaternion) - 1) > UNIT_TOLERANCE:
@@ -109,7 +109,7 @@ def pose_of(pose: Any) -> Pose:
 
 
 def register(definitions: Mapping[str, str]) -> None:
-    """Make further types known, by their definitions; those that are known already stay."""
+    """Register further types by their definitions; those already known are kept."""
     types = store()
     for name, text in definitions.items():
         if name not in types.types:
@@ -117,7 +117,7 @@ def register(definitions: Mapping[str, str]) -> None:
 
 
 def full_definition(type_name: str) -> str:
-    """A type's `ros2msg` definition with those of the types that it uses; ours with comments."""
+    """A type's `ros2msg` definition including the types that it uses; ours with comments."""
     first, *others = store().generate_msgdef(type_name, ros_version=2)[0].split(_SEPARATOR)
     parts = [_COMMENTED.get(type_name, first)]
     for other in others:

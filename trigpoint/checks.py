@@ -1,4 +1,4 @@
-"""What `doctor` asks each part for: one finding about this machine."""
+"""The result of one of `doctor`'s checks of this machine."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,7 +8,7 @@ Level = Literal["ok", "warning", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One finding. `message` says what is; `remedy` what to do, "" where nothing is to be done."""
+    """One finding. `message`: what was found; `remedy`: what to do, "" if nothing."""
 
     name: str
     level: Level

@@ -1,4 +1,4 @@
-"""The program: a table of commands, of which only the chosen one is imported."""
+"""The program: a table of commands; only the chosen one is imported."""
 
 import importlib
 import itertools
@@ -24,8 +24,8 @@ _COMPLETE = f"_{PROGRAM.upper()}_COMPLETE"
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One row. `place`: «module:function»; `extra`: what must be installed for it; a `service` runs
-    until it is told to stop, so that being told is a success."""
+    """One row. `place`: «module:function»; `extra`: the extra that it needs; a `service` runs until
+    it is told to stop, so that a stop counts as success."""
 
     place: str
     help: str
@@ -142,10 +142,10 @@ EXTRAS: dict[str, str] = {
     "pyarrow": "recorder",
     "reportlab": "tools",
 }
-"""Package -> the extra that brings it, where the command's own row names none."""
+"""Package -> the extra that installs it, if the command's own row names none."""
 
 SITE_EXTRAS: dict[str, str] = {"cryptography": "secure"}
-"""The same of what the site's file asks of every command."""
+"""The same for packages that a site file may require of any command."""
 
 
 def main() -> NoReturn:
@@ -163,8 +163,8 @@ def main() -> NoReturn:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; return its exit status."""
-    # Our matrices are small: BLAS threads only get in each other's and other processes' way. It has
-    # to be said before numpy is loaded, so before a command is.
+    # Our matrices are small: BLAS threads only hinder each other and other processes. This must
+    # be set before numpy is loaded, so before any command is.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = log_level_in_front(arguments)
     chosen = chosen_command(_completed(os.environ) or arguments)
@@ -191,7 +191,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def chosen_command(arguments: Sequence[str]) -> str:
-    """The row that a command line names, "" where it names none: its first words."""
+    """The command that a line's first words name, "" if none."""
     words = list(itertools.dropwhile(lambda word: word.startswith("-"), arguments))
     for length in (2, 1):
         name = " ".join(words[:length])
@@ -201,8 +201,8 @@ def chosen_command(arguments: Sequence[str]) -> str:
 
 
 def log_level_in_front(arguments: Sequence[str]) -> list[str]:
-    """The line with `--log-level`, which may stand anywhere, joined to its value before the
-    command."""
+    """The line with `--log-level`, which may be given anywhere, moved before the command and joined
+    to its value."""
     front, rest, words = [], [], iter(arguments)
     for word in words:
         if word == "--":
@@ -218,7 +218,7 @@ def log_level_in_front(arguments: Sequence[str]) -> list[str]:
 
 
 def _app(chosen: str) -> typer.Typer:
-    """The program with the chosen command as it is and the others as names with a line of help."""
+    """The program with the chosen command loaded; the others are only names with a help line."""
     settings = {
         "rich_markup_mode": None,
         "pretty_exceptions_enable": False,
@@ -240,7 +240,7 @@ def _app(chosen: str) -> typer.Typer:
 
 
 def _completed(environment: Mapping[str, str]) -> list[str]:
-    """The words of a line that a shell wants completed, without the program's name; else none."""
+    """The words of a line that a shell wants completed, without the program's name; else empty."""
     if _COMPLETE not in environment:
         return []
     line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS", "")
@@ -264,7 +264,7 @@ def _options(
         log.Level, typer.Option(help="Least level of the log lines on standard error.")
     ] = log.Level.INFO,
 ) -> None:
-    del version  # its callback has done the work
+    del version  # the callback has done the work
     log.set_up(log_level)
 
 
@@ -273,9 +273,9 @@ def _placeholder() -> None:
 
 
 def _exit_on_termination(chosen: str) -> None:
-    """SIGTERM unwinds like an error, so that everything is closed, until a node handles it.
+    """Make SIGTERM unwind like an error, so that everything is closed, until a node handles it.
 
-    To end is what a service is told by it, and by SIGINT; any other command was cut short.
+    For a service, SIGTERM and SIGINT are the normal end; any other command was cut short.
     """
     is_service = bool(chosen) and COMMANDS[chosen].service
 
@@ -290,7 +290,7 @@ def _exit_on_termination(chosen: str) -> None:
 
 
 def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:
-    """What to tell of a third-party package that is not there; None for any other import error."""
+    """The message for a missing third-party package; None for any other import error."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS and package not in SITE_EXTRAS:
         return None

@@ -1,4 +1,4 @@
-"""Clocks: what time it is, and waiting; handed in, so that tests decide."""
+"""Clocks: reading the time, and waiting; passed in, so that tests can control them."""
 
 import threading
 import time
@@ -7,17 +7,17 @@ from typing import Protocol
 
 NANOSECONDS = 1_000_000_000
 STEP_NS = 10_000_000
-"""A clock that differs from what it was by this much was set: the kernel slews what is smaller, and
-that moves the monotonic clock as well."""
+"""A clock that is off from its course by this much was set: the kernel slews smaller offsets, which
+moves the monotonic clock as well."""
 SETTLED_NS = 10 * NANOSECONDS
-"""A clock that was set and stays so for this long is believed."""
+"""A clock that was set is trusted once it has stayed so for this long."""
 
 
 class Clock(Protocol):
     """A source of time."""
 
     def now_ns(self) -> int:
-        """Unix time, nanoseconds; comparable between machines as far as they are synchronised."""
+        """Unix time, nanoseconds; comparable between machines if they are synchronised."""
         ...
 
     def elapsed_ns(self) -> int:
@@ -25,7 +25,7 @@ class Clock(Protocol):
         ...
 
     def wait(self, event: threading.Event, timeout_s: float) -> bool:
-        """Wait until `event` is set or the time is over; return whether it is set."""
+        """Wait until `event` is set, or time out; return whether it is set."""
         ...
 
 
@@ -45,9 +45,10 @@ class SystemClock:
 class SteadyClock:
     """The machine's clock for stamps that must not jump when somebody, or NTP, sets it.
 
-    It carries on by monotonic time. What the machine's clock was set by is told (`set_by_ns`);
-    where it stays there for ten seconds it is believed and followed, which `followed` counts: the
-    first time of a small computer without a clock of its own is what it last knew. Any thread.
+    It carries on by monotonic time and reports by how much the machine's clock was set
+    (`set_by_ns`). If that stays so for ten seconds, the new time is trusted and followed;
+    `followed` counts this. (A small computer without a battery-backed clock starts with the last
+    time that it knew.) Any thread.
     """
 
     def __init__(
@@ -72,14 +73,14 @@ class SteadyClock:
         return event.wait(timeout_s)
 
     def look(self) -> int:
-        """Look whether the machine's clock was set; call it about once a second. What it was set by
-        since, ns, 0 where it goes on or is followed by now."""
+        """Check whether the machine's clock was set; call it about once a second. Returns by how
+        much it was set, ns; 0 if it was not, or is followed by now."""
         with self._lock:
             moved_ns = self._measured_ns() - self._offset_ns
             now_ns = self._elapsed_ns()
             if abs(moved_ns) < STEP_NS:
                 self._set_by_ns = 0
-            elif abs(moved_ns - self._set_by_ns) >= STEP_NS:  # set, perhaps once more
+            elif abs(moved_ns - self._set_by_ns) >= STEP_NS:  # set, perhaps again
                 self._set_by_ns, self._since_ns = moved_ns, now_ns
             elif now_ns - self._since_ns >= SETTLED_NS:
                 self._offset_ns += moved_ns
@@ -89,11 +90,11 @@ class SteadyClock:
 
     @property
     def set_by_ns(self) -> int:
-        """What `look` last said."""
+        """The last result of `look`."""
         return self._set_by_ns
 
     def _measured_ns(self) -> int:
-        """Unix time minus the monotonic clock, from the tightest of a few pairs of readings."""
+        """Unix time minus the monotonic clock, from the closest of a few pairs of readings."""
         best_ns, offset_ns = None, 0
         for _ in range(5):
             before_ns, now_ns, after_ns = self._elapsed_ns(), self._unix_ns(), self._elapsed_ns()
@@ -104,7 +105,7 @@ class SteadyClock:
 
 
 class ManualClock:
-    """A clock that stands until a test moves it; waiting moves it at once."""
+    """A clock that stands still until a test moves it; waiting moves it at once."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -131,5 +132,5 @@ def to_ns(seconds: float) -> int:
 
 
 def to_seconds(nanoseconds: int) -> float:
-    """Nanoseconds as seconds; only for differences, since a Unix time in float keeps 200 ns."""
+    """Nanoseconds as seconds; only for differences: a float resolves Unix time to 200 ns."""
     return nanoseconds / NANOSECONDS

@@ -1,4 +1,4 @@
-"""What is closed when its `with` block ends."""
+"""Objects that are closed when their `with` block ends."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -6,7 +6,7 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Makes a class that has `close` a context manager."""
+    """Makes a class with a `close` method a context manager."""
 
     @abstractmethod
     def close(self) -> None: ...

@@ -1,5 +1,5 @@
-"""The attachment of a correction: which map it is in, and its place in the order of sending. In a
-secured site an authenticator follows (`authenticator`)."""
+"""The attachment of a correction: its map, and its sequence number. On a secured site an
+authenticator follows (`authenticator`)."""
 
 import struct
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ def encode_mark(mark: CorrectionMark) -> bytes:
 
 
 def decode_mark(attachment: bytes) -> CorrectionMark:
-    """The mark in an attachment; raise MessageError where it is none."""
+    """The mark in an attachment; raise MessageError if it is not one."""
     if len(attachment) != MARK_LENGTH:
         raise MessageError(
             f"a correction's attachment has {len(attachment)} bytes; it needs {MARK_LENGTH}: "
@@ -35,15 +35,15 @@ def decode_mark(attachment: bytes) -> CorrectionMark:
 
 
 class MissedCorrections:
-    """Counts what one robot was sent and never got, by the numbers of what it got. They are not
-    asked for again: a correction is of its moment."""
+    """Counts the corrections sent to one robot that never arrived, by the gaps in their numbers.
+    They are not requested again: a correction is only valid for its moment."""
 
     def __init__(self) -> None:
         self._last: tuple[CorrectionMark, str] | None = None
 
     def before(self, mark: CorrectionMark, sender: str) -> int:
-        """How many are missing between the last one and this one; 0 where another map begins or
-        another session sends, since a fusion that was started again leaves numbers out."""
+        """How many are missing between the last one and this one; 0 if the map or the sending
+        session changed, since a restarted fusion skips numbers."""
         last, self._last = self._last, (mark, sender)
         if last is None or (last[0].map_id, last[1]) != (mark.map_id, sender):
             return 0

@@ -1,9 +1,8 @@
 """Ends a program that was told to stop: within two seconds, whatever hangs.
 
-There is one `Ending` a process, as with signals. What waits during the end asks `left_s` how long
-it may. What writes something that cannot be made again does so inside `writing`, and gets more time
-where the machine is busy. What does not close in time is left behind, and the process leaves
-without it.
+There is one `Ending` per process, as with signals. Code that waits during the end asks `left_s` how
+long it may. Code that writes something irreplaceable does so inside `writing`, and gets more time
+on a busy machine. Whatever does not close in time is left behind, and the process exits without it.
 """
 
 import _thread
@@ -22,13 +21,12 @@ _log = logging.getLogger(__name__)
 STOP_S = 2.0
 """From the signal to the end of the process."""
 _WRITING_S = 8.0
-"""How much longer a file that is being written may take: a lost network is worse than a late
-stop."""
+"""How much longer writing a file may take: a lost network is worse than a late stop."""
 _LOOK_S = 0.02
 
 
 class Ending:
-    """When this process was told to stop, and what is still at it. Any thread."""
+    """When this process was told to stop, and what is still being written. Any thread."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -39,13 +37,13 @@ class Ending:
         self._lock = threading.Lock()
 
     def guard(self) -> None:
-        """From now on a stop ends the process by force where it takes longer than it may. Only for
-        programs: a test's process would end too."""
+        """From now on, end the process by force if a stop takes too long. Only for programs: it
+        would end a test's process too."""
         self._is_guarded = True
 
     def ask(self) -> bool:
-        """Note that a stop was asked for; whether it is the first time. Takes no lock, so it may be
-        called by a signal's handler."""
+        """Note that a stop was requested; return whether it is the first request. Takes no lock, so
+        a signal handler may call it."""
         if self._is_asked:
             return False
         self._is_asked, self._since_s = True, time.monotonic()
@@ -55,24 +53,24 @@ class Ending:
         return True
 
     def forget(self) -> None:
-        """As if no stop was asked for."""
+        """Return to the state before any request to stop."""
         self._is_asked, self._since_s = False, None
 
     @property
     def is_asked(self) -> bool:
-        """Whether a stop was asked for."""
+        """Whether a stop was requested."""
         return self._is_asked
 
     def left_s(self, reserve_s: float = 0.0) -> float:
-        """How long something may take while `reserve_s` is kept for what follows; infinite where no
-        stop was asked for, and never negative."""
+        """How long something may take, with `reserve_s` kept for what follows; infinite if no stop
+        was requested, and never negative."""
         if self._since_s is None:
             return math.inf
         return max(0.0, self._since_s + STOP_S - reserve_s - time.monotonic())
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Around what must not be cut short."""
+        """Protects work that must not be cut short."""
         with self._lock:
             self._writers += 1
         try:
@@ -82,13 +80,13 @@ class Ending:
                 self._writers -= 1
 
     def leave_behind(self, what: str) -> None:
-        """Something cannot be closed: the process has to leave without it."""
+        """Note something that cannot be closed: the process will exit without it."""
         self._left_behind.append(what)
         _log.warning("%s did not close in time; it is left behind", what)
 
     def leave(self, status: int) -> NoReturn:
-        """End the process; at once where a stop was asked for or something was left behind, since
-        what would be waited for then is what does not end."""
+        """End the process; at once if a stop was requested or something was left behind, since a
+        normal exit would wait for exactly that."""
         if not self._is_asked and not self._left_behind:
             sys.exit(status)
         _flush()
@@ -112,4 +110,4 @@ def _flush() -> None:
 
 
 ENDING = Ending()
-"""This process's."""
+"""The ending of this process."""

@@ -4,9 +4,9 @@
     ├── InputError      what the user gave is wrong: exit status 2
     │   ├── ConfigError     site.toml
     │   ├── TargetError     target.toml
-    │   ├── MessageError    a payload or a serial frame that does not decode
+    │   ├── MessageError    a payload or serial frame that does not decode
     │   └── RecordingError  an MCAP file that cannot be read
-    └── OperationError  the world did not play along: exit status 1
+    └── OperationError  something failed while running: exit status 1
         ├── BusError        Zenoh
         ├── PortError       serial port
         ├── FrameError      picture source
@@ -27,7 +27,7 @@ class TrigpointError(Exception):
 
 
 class InputError(TrigpointError):
-    """Something that the user gave is wrong."""
+    """The user's input is wrong."""
 
     exit_status = 2
 
@@ -41,11 +41,11 @@ class TargetError(InputError):
 
 
 class MessageError(InputError):
-    """Bytes from outside that do not decode to what they should be."""
+    """Bytes from outside do not decode."""
 
 
 class RecordingError(InputError):
-    """A session that cannot be read."""
+    """A session cannot be read."""
 
 
 class OperationError(TrigpointError):
@@ -70,8 +70,8 @@ class MissingExtraError(OperationError):
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Around what writes a file, or files in a folder: raises OperationError in one clear line
-    where the disk does not take it."""
+    """Wraps code that writes a file, or files in a folder: a failing disk becomes a one-line
+    OperationError."""
     try:
         yield
     except OSError as reason:
@@ -81,7 +81,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def read_text(path: Path, kind: str, error: type[InputError]) -> str:
-    """Return the file's text; raise `error` with one clear line where that cannot be done."""
+    """Return the file's text; raise `error` with a one-line message if that fails."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""A floor plan as ROS's map_server writes it: a picture, and a YAML file that says where it lies.
+"""A floor plan as ROS's map_server writes it: a picture, and a YAML file that places it.
 
 `origin` (x, y, heading) is the pose of the picture's lower left corner in the building's frame,
 `resolution` the side of a pixel in metres.
@@ -18,7 +18,7 @@ from .geometry import Pose
 from .geometry.rotation import Array
 
 _MOST_PIXELS = 100e6
-"""A hall of 300 m at 3 cm; what is larger takes more memory than a viewer has."""
+"""A hall of 300 m at 3 cm; larger plans take more memory than a viewer has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +50,8 @@ class FloorPlan:
         return (self.frame_from_plan @ own)[:2]
 
     def reduced(self, most: int) -> "FloorPlan":
-        """The plan with at most so many pixels in a row or column: of each block the darkest, so
-        that thin walls stay; the lower left corner stays where it is."""
+        """The plan with at most so many pixels per row or column. Each block keeps its darkest
+        pixel, so that thin walls remain; the lower left corner stays in place."""
         step = math.ceil(max(self.pixels.shape) / most)
         if step == 1:
             return self
@@ -63,7 +63,7 @@ class FloorPlan:
 
 
 def load_floor_plan(path: Path) -> FloorPlan:
-    """Read the YAML file and the picture that it names; raise ConfigError in one line."""
+    """Read the YAML file and its picture; raise ConfigError with a one-line message."""
     text = read_text(path, "floor plan", ConfigError)
     picture = path.parent / picture_of(text, file=str(path))
     try:
@@ -76,12 +76,12 @@ def load_floor_plan(path: Path) -> FloorPlan:
 
 
 def picture_of(text: str, *, file: str) -> str:
-    """The picture's path, from the YAML file's folder on."""
+    """The picture's path, relative to the YAML file's folder."""
     return str(_document(text, file)["image"])
 
 
 def parse_floor_plan(text: str, picture: bytes, *, file: str) -> FloorPlan:
-    """Like `load_floor_plan`, from what is attached to a session."""
+    """Like `load_floor_plan`, from a session's attachments."""
     document = _document(text, file)
     try:
         resolution_m = float(document["resolution"])
@@ -116,7 +116,7 @@ def _document(text: str, file: str) -> dict[str, Any]:
 
 
 def _grey(data: bytes, where: str) -> np.ndarray:
-    from PIL import Image  # comes with what draws; the other parts of a site do not need it
+    from PIL import Image  # installed with the parts that draw; the others do not need it
 
     try:
         with Image.open(io.BytesIO(data)) as picture:
@@ -125,7 +125,7 @@ def _grey(data: bytes, where: str) -> np.ndarray:
                     f"{where} has {picture.width} × {picture.height} pixels; make it smaller"
                 )
             has_alpha = "A" in picture.getbands() or "transparency" in picture.info
-            if has_alpha:  # what is transparent is paper
+            if has_alpha:  # transparent pixels are paper
                 clear = Image.new("RGBA", picture.size, "white")
                 picture = Image.alpha_composite(clear, picture.convert("RGBA"))
             return np.asarray(picture.convert("L"), dtype=np.uint8).copy()

@@ -1,4 +1,4 @@
-"""What a node knows of its own work, and how its diagnostics say it."""
+"""A node's health: counters, gauges and errors, and their form in the diagnostics."""
 
 import threading
 from collections import Counter
@@ -27,8 +27,8 @@ class Level(IntEnum):
 class Report:
     """One reading of a node's health; `values` in the form of the diagnostics.
 
-    Keys: `NAME.total` and `NAME.rate` (a second) of a counter, `NAME.lost` of lost data,
-    `NAME.depth` of a watched queue, and `NAME` alone of a gauge or of a state in words.
+    Keys: `NAME.total` and `NAME.rate` (per second) of a counter, `NAME.lost` of lost data,
+    `NAME.depth` of a watched queue, and `NAME` alone for a gauge or a state in words.
     """
 
     level: Level
@@ -37,12 +37,12 @@ class Report:
 
 
 class Health:
-    """What a node knows of its own work; every method may be called from any thread.
+    """A node's counters, gauges and errors; every method may be called from any thread.
 
-    `count` adds to a counter that diagnostics show as total and rate; `lose` does the same for lost
-    data, which makes the status a warning; `gauge` names a value that is read once a second (a
-    queue's depth), `describe` a state in words; `fail` keeps the last error's text, which makes the
-    status an error for a while; `hold` an error that lasts until it is released.
+    `count` adds to a counter, shown as total and rate; `lose` does the same for lost data, which
+    makes the status a warning; `gauge` names a value that is read once a second (a queue's depth),
+    `describe` a state in words; `fail` keeps the last error's text, which makes the status an error
+    for a while; `hold` keeps an error until it is released.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -72,12 +72,12 @@ class Health:
             self._losses[name] += amount
 
     def gauge(self, name: str, read: Callable[[], float]) -> None:
-        """Show what `read` returns; it is called on the diagnostics thread."""
+        """Show the result of `read`, which is called on the diagnostics thread."""
         with self._lock:
             self._gauges[name] = read
 
     def describe(self, name: str, text: str) -> None:
-        """Show a state in words, in place of what was said of it before."""
+        """Show a state in words, replacing its previous text."""
         with self._lock:
             self._descriptions[name] = text
 
@@ -92,14 +92,14 @@ class Health:
             self._last_error, self._failed_ns = text, self._clock.elapsed_ns()
 
     def hold(self, name: str, text: str) -> None:
-        """What is wrong, by a name of its own, until it is released; the text may change."""
+        """Hold an error under a name until it is released; the text may change."""
         with self._lock:
             if name not in self._held:
                 self._last_error = text
             self._held[name] = text
 
     def release(self, name: str) -> None:
-        """What was held under this name is over; nothing where nothing was."""
+        """Release the error held under this name, if any."""
         with self._lock:
             self._held.pop(name, None)
 
@@ -115,7 +115,7 @@ class Health:
 
     @property
     def held(self) -> dict[str, str]:
-        """What is wrong and lasts: name -> text."""
+        """The errors held now: name -> text."""
         with self._lock:
             return dict(self._held)
 
@@ -126,18 +126,18 @@ class Health:
         self.fail(f"rejected a sample on {sample.key} from {sender}: {reason}")
 
     def total(self, name: str) -> int:
-        """A counter's value, 0 where it was never counted."""
+        """A counter's value, 0 if it was never counted."""
         with self._lock:
             return self._totals[name]
 
     def lost(self, name: str) -> int:
-        """How much was counted as lost, 0 where nothing was."""
+        """How much was counted as lost, 0 if nothing was."""
         with self._lock:
             return self._losses[name]
 
     @property
     def last_error(self) -> str:
-        """The text of the last failure, "" where there was none."""
+        """The text of the last failure, "" if there was none."""
         return self._last_error
 
     def report(self) -> Report:

@@ -1,7 +1,7 @@
 """Log lines on standard error: time, level, where, what.
 
-On a terminal or in a file with date, time and zone; under systemd, whose journal knows the time,
-with the priority by which it sorts (sd-daemon(3)).
+On a terminal or in a file with date, time and zone. Under systemd, whose journal adds the time,
+with the priority instead (sd-daemon(3)).
 """
 
 import logging
@@ -27,7 +27,7 @@ class Level(StrEnum):
 
 
 class _Worded(logging.Formatter):
-    """Level, logger, message; the level as `--log-level` has it."""
+    """Level, logger, message; the level as `--log-level` writes it."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         worded = {**vars(record), "levelname": record.levelname.lower()}
@@ -47,7 +47,7 @@ class _Timed(_Worded):
 
 
 class _Journal(_Worded):
-    """Each line with its priority in front, also those of a traceback."""
+    """Each line begins with its priority, including those of a traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
         priority = _PRIORITIES.get(record.levelno, _WORST if record.levelno > logging.ERROR else 7)
@@ -55,7 +55,7 @@ class _Journal(_Worded):
 
 
 def set_up(level: Level) -> None:
-    """Send the program's log to standard error; other libraries only from warnings on."""
+    """Send the program's log to standard error; of other libraries only warnings and above."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(formatter(sys.stderr, os.environ))
     logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
@@ -63,15 +63,15 @@ def set_up(level: Level) -> None:
 
 
 def formatter(stream: TextIO, environment: Mapping[str, str]) -> logging.Formatter:
-    """How lines look on a stream."""
+    """The line format for a stream."""
     if _is_journal(stream, environment):
         return _Journal(_TEXT)
     return _Timed(f"%(asctime)s {_TEXT}")
 
 
 def _is_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
-    """Whether a stream goes to systemd's journal: it names its device and inode (systemd.exec(5)),
-    since whoever we start inherits the variable with another stream."""
+    """Whether a stream goes to systemd's journal. The variable names its device and inode
+    (systemd.exec(5)), because child processes inherit it with other streams."""
     named = environment.get("JOURNAL_STREAM", "")
     try:
         status = os.fstat(stream.fileno())

@@ -1,4 +1,4 @@
-"""What a node learns of the others from their diagnostics: its double, another contract."""
+"""What a node learns from the others' diagnostics: a double of itself, another contract."""
 
 import logging
 import time
@@ -12,11 +12,11 @@ _MEMORY_S = 5.0
 _MOST_DOUBTED = 1000
 _MOST_COMPLAINTS = 20
 CLOCK_SET_BY = "clock_set_by"
-"""The value in the diagnostics of a node whose machine's clock was set: by how many seconds."""
+"""Diagnostics value of a node whose machine's clock was set: by how many seconds."""
 
 
 class Peers:
-    """The complaints about others; used by one thread."""
+    """Collects complaints about other nodes; used by one thread."""
 
     def __init__(self, label: str, unique: str, born_ns: int) -> None:
         self._label, self._unique, self._born_ns = label, unique, born_ns
@@ -24,9 +24,9 @@ class Peers:
         self._doubted: dict[str, float] = {}
 
     def meet(self, status: DiagnosticStatus) -> bool:
-        """Take note of another node; return whether it has this node's name and is the elder.
+        """Take note of another node; return whether it has this node's name and is older.
 
-        By both clocks' own times, so that the two agree on who the elder is.
+        Ages are compared by the start times that both announce, so that the two agree.
         """
         unique = status.values.get("node", "")
         if not unique or unique == self._unique:
@@ -46,13 +46,13 @@ class Peers:
 
     @property
     def doubted_names(self) -> frozenset[str]:
-        """The names of nodes that say of late that their machine's clock was set. Any thread."""
+        """Names of nodes that recently reported that their machine's clock was set. Any thread."""
         since_s = time.monotonic() - _MEMORY_S
         doubted = dict(self._doubted)
         return frozenset(name.partition("/")[2] for name, s in doubted.items() if s > since_s)
 
     def complaint(self) -> str:
-        """What is wrong with the others now, "" where nothing is."""
+        """What is wrong with the other nodes now, "" if nothing is."""
         now_s = time.monotonic()
         for text, last_s in list(self._complaints.items()):
             if now_s - last_s > _MEMORY_S:

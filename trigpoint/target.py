@@ -1,7 +1,7 @@
-"""target.toml: the rigid set of pattern faces that a robot carries, and where its corners are.
+"""target.toml: the rigid set of pattern faces on a robot, and where their corners are.
 
 A face's frame has x along a row of corners, y from row to row, z into the board, and its origin at
-corner 0; corner numbers and the half turn are those of the contract.
+corner 0; corner numbers and the half turn are defined in the contract.
 """
 
 from enum import StrEnum
@@ -20,7 +20,7 @@ from .toml_file import load_toml, parse_toml
 
 
 class Pattern(StrEnum):
-    """What is printed on a face."""
+    """The kind of pattern printed on a face."""
 
     CHECKERBOARD = "checkerboard"
     CHARUCO = "charuco"
@@ -28,7 +28,7 @@ class Pattern(StrEnum):
 
 
 class Numbering(StrEnum):
-    """From where an AprilGrid's tags are counted, row by row and from left to right."""
+    """Where counting an AprilGrid's tags starts; row by row, from left to right."""
 
     TOP_LEFT = "top-left"
     KALIBR = "kalibr"  # from the bottom left, rows upwards
@@ -37,9 +37,9 @@ class Numbering(StrEnum):
 class Face(Struct, frozen=True, forbid_unknown_fields=True):
     """One planar pattern; `translation` and `quaternion` are base_from_face.
 
-    `corner_squares`: whether black squares lie between an AprilGrid's tags; `tags_turned`: whether
-    its tags stand on their heads by OpenCV's dictionaries. Kalibr's grids have both, so that is
-    what is drawn unless said otherwise; a detector goes by what the picture shows.
+    `corner_squares`: whether there are black squares between an AprilGrid's tags; `tags_turned`:
+    whether its tags are upside down compared with OpenCV's dictionaries. Kalibr's grids have both,
+    so this is the default for drawing; a detector goes by what the picture shows.
     """
 
     id: Annotated[int, Meta(ge=0)]
@@ -88,19 +88,19 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def base_from_face(self) -> Pose:
-        """Where the face is on the robot."""
+        """Pose of the face on the robot."""
         return Pose.from_quaternion(self.translation, self.quaternion)
 
     @property
     def corner_count(self) -> int:
-        """How many corner ids there are: 0 … corner_count - 1."""
+        """Number of corner ids: 0 … corner_count - 1."""
         if self.pattern is Pattern.APRILGRID:
             return 4 * self.columns * self.rows
         return (self.columns - 1) * (self.rows - 1)
 
     @property
     def marker_count(self) -> int:
-        """How many marker ids the face uses, from `first_marker` on."""
+        """Number of marker ids that the face uses, from `first_marker` on."""
         if self.pattern is Pattern.CHECKERBOARD:
             return 0
         squares = self.columns * self.rows
@@ -131,7 +131,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
         return self.numbering is Numbering.KALIBR if said is None else said
 
     def _tag_corners(self) -> Array:
-        """Kalibr's rows go up: the face's frame, with y down, begins at the lowest of them."""
+        """Kalibr's rows go up; the face's frame, with y down, starts at the lowest row."""
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         if self.numbering is Numbering.KALIBR:
             y = -y
@@ -159,12 +159,12 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def reads_from_both_ends(self) -> bool:
-        """Whether a half turn leaves the pattern as it is (the contract's «half turn»)."""
+        """Whether a half turn leaves the pattern unchanged (the contract's «half turn»)."""
         return self.pattern is Pattern.CHECKERBOARD and (self.columns + self.rows) % 2 == 0
 
     @property
     def appearance(self) -> tuple[object, ...]:
-        """What a picture can tell of the face; faces with equal appearance look alike."""
+        """What a picture can reveal about the face; faces with equal appearance look alike."""
         geometry = (self.pattern, self.columns, self.rows)
         if self.pattern is Pattern.CHECKERBOARD:
             return (*geometry, self.inverted)
@@ -181,8 +181,8 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def _grid(columns: int, rows: int, pitch: float) -> Array:
-    """Corners column by column in each row, (n, 3); one array for all who ask, so not to be written
-    to."""
+    """Corners in row-major order, (n, 3); one array shared by all callers, so do not write to
+    it."""
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
     points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * pitch
     points.flags.writeable = False
@@ -205,7 +205,7 @@ class Target(Struct, frozen=True, forbid_unknown_fields=True):
         self._check_markers()
 
     def _check_markers(self) -> None:
-        """Raise ValueError where two faces use the same marker of one dictionary."""
+        """Raise ValueError if two faces use the same marker of one dictionary."""
         ranges = [
             (f.dictionary, f.first_marker, f.first_marker + f.marker_count, f.id)
             for f in self.faces
@@ -221,19 +221,19 @@ class Target(Struct, frozen=True, forbid_unknown_fields=True):
                     )
 
     def face(self, face: int) -> Face:
-        """A face by id; raise TargetError where there is none."""
+        """A face by id; raise TargetError if there is none."""
         for candidate in self.faces:
             if candidate.id == face:
                 return candidate
         raise TargetError(f"target «{self.name}» has no face {face}")
 
     def look_alikes(self, appearance: tuple[object, ...]) -> tuple[Face, ...]:
-        """The faces that look like this; more than one where no picture tells them apart."""
+        """The faces that look like this one; several if no picture can tell them apart."""
         return tuple(face for face in self.faces if face.appearance == appearance)
 
 
 def load_target(path: Path) -> Target:
-    """Read target.toml; raise TargetError that names file, line and key."""
+    """Read target.toml; raise a TargetError that names file, line and key."""
     return load_toml(path, Target, "target file", TargetError)
 
 

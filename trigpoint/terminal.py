@@ -1,7 +1,7 @@
-"""What people see on a terminal: tables, and how far work has come; rich draws both.
+"""Tables and progress on a terminal, both drawn with rich.
 
-Where the output is no terminal, tables are plain text as wide as they are, and nothing is said of
-progress. rich is imported when it is needed: half of the commands never do.
+If the output is not a terminal, tables are plain text of any width and no progress is shown. rich
+is imported only when needed: half of the commands never use it.
 """
 
 import io
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _QUIET_S = 2.0
-"""What takes no longer needs no word about how far it is."""
+"""Shorter work shows no progress."""
 _PERIOD_S = 0.5
 _NO_LIMIT = 1000
 
@@ -26,8 +26,8 @@ def table(
     left: Collection[int] = (0,),
     styles: Sequence[str] = (),
 ) -> str:
-    """Rows below a head, aligned; `left`: numbers of the columns of words; `styles`: each row's
-    colour in rich's words, "" for none, which a file or a pipe does not get."""
+    """Aligned rows below a header. `left`: numbers of the left-aligned columns; `styles`: each
+    row's rich style, "" for none; files and pipes get no styles."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -39,7 +39,7 @@ def table(
     for number, row in enumerate(rows):
         style = styles[number] if styles else ""
         shown.add_row(*(Text(cell) for cell in row), style=style or None)
-    # As wide as it is: a row that is broken into two is harder to read than one that scrolls.
+    # At full width: a row broken in two is harder to read than one that scrolls.
     console = Console(file=io.StringIO(), width=_NO_LIMIT, force_terminal=is_terminal)
     with console.capture() as captured:
         console.print(shown)
@@ -47,18 +47,18 @@ def table(
 
 
 class Progress:
-    """A line on the terminal that says how far work has come, from its third second on; nothing
-    where standard error is no terminal."""
+    """A progress line on the terminal, from the third second on; nothing if standard error is not a
+    terminal."""
 
     def __init__(self, what: str, total: float | None = None) -> None:
-        """`total`: how many steps there are, where that is known."""
+        """`total`: the number of steps, if known."""
         self._what, self._total = what, total
         self._due_s = time.monotonic() + _QUIET_S
         self._done = 0.0
         self._bar: Bar | None = None
 
     def step(self, count: float = 1) -> None:
-        """So many steps more are done."""
+        """Advance by so many steps."""
         self._done += count
         now_s = time.monotonic()
         if now_s < self._due_s or not sys.stderr.isatty():
@@ -80,14 +80,14 @@ class Progress:
             TimeElapsedColumn(),
             console=Console(stderr=True),
             transient=True,
-            auto_refresh=False,  # by `step`: no thread of its own
+            auto_refresh=False,  # refreshed by `step`, without a thread of its own
         )
         bar.add_task(self._what, total=self._total)
         bar.start()
         return bar
 
     def close(self) -> None:
-        """Take the line back."""
+        """Remove the line."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None

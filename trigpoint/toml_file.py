@@ -1,4 +1,4 @@
-"""Reads a TOML file into frozen msgspec structs, with errors that name file, line and key."""
+"""Reads TOML files into frozen msgspec structs; errors name file, line and key."""
 
 import re
 import tomllib
@@ -32,7 +32,7 @@ def parse_toml(text: str, struct: type[Struct], file: str, error: type[InputErro
 
 
 def load_toml(path: Path, struct: type[Struct], kind: str, error: type[InputError]) -> Struct:
-    """The struct in a TOML file; `kind` names the file to people («site file»)."""
+    """The struct in a TOML file; `kind`: what messages call the file («site file»)."""
     return parse_toml(read_text(path, kind, error), struct, str(path), error)
 
 
@@ -43,7 +43,7 @@ class _Problem(Exception):
 
 
 def _convert(value: Any, kind: Any, path: KeyPath) -> Any:
-    """Like msgspec.convert, but each level by itself, so that the path of a problem is known."""
+    """Like msgspec.convert, but level by level, so that the path of a problem is known."""
     kind = _without_none(kind)
     origin = get_origin(kind)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
@@ -64,7 +64,7 @@ def _convert(value: Any, kind: Any, path: KeyPath) -> Any:
 
 
 def _choices(kind: Any) -> list[str]:
-    """The words that a closed choice takes; none where it is another kind."""
+    """The words that a closed choice accepts; none for other types."""
     if get_origin(kind) is Literal:
         return [str(choice) for choice in get_args(kind)]
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -119,7 +119,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _line_of(lines: list[str], path: KeyPath) -> int | None:
-    """The line (from 1) that a path stands in, or that of the nearest table above it."""
+    """The line number (from 1) of a path, or of the nearest table above it."""
     here: KeyPath = ()
     counters: dict[KeyPath, int] = {}
     best, depth = None, 0

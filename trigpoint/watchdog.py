@@ -1,7 +1,7 @@
 """The service manager's watchdog: pinged only while the work itself goes on.
 
-systemd gives a service of `Type=notify` a datagram socket, NOTIFY_SOCKET, on which it says READY=1
-and, where WatchdogSec is set, WATCHDOG=1 at least that often (sd_notify(3)). Without the socket
+systemd gives a service of `Type=notify` a datagram socket, NOTIFY_SOCKET, on which it sends READY=1
+and, if WatchdogSec is set, WATCHDOG=1 at least that often (sd_notify(3)). Without the socket
 nothing is sent, but a hung thread still shows in the diagnostics.
 """
 
@@ -19,7 +19,7 @@ SOCKET = "NOTIFY_SOCKET"
 
 
 class Pulse:
-    """One thread's sign of life. A new one is not overdue before its first beat is due."""
+    """One thread's sign of life. A new one cannot be overdue before its first beat is due."""
 
     def __init__(self, name: str, within_s: float, clock: Clock) -> None:
         self.name = name
@@ -27,18 +27,18 @@ class Pulse:
         self.beat()
 
     def beat(self, within_s: float | None = None) -> None:
-        """The thread is well, and says so again within this time; without one, within the usual."""
+        """The thread is alive and will beat again within this time, by default the usual one."""
         usual_s = self._within_s
         self._due_ns = self._clock.elapsed_ns() + to_ns(usual_s if within_s is None else within_s)
 
     @property
     def is_overdue(self) -> bool:
-        """Whether the thread should have said something by now."""
+        """Whether the thread should have beaten by now."""
         return self._clock.elapsed_ns() > self._due_ns
 
 
 class Watchdog:
-    """One a process; its nodes share it, so that one hung camera is not hidden by another's work.
+    """One per process; shared by its nodes, so that one camera's work cannot hide another's hang.
 
     Every method may be called from any thread.
     """
@@ -54,14 +54,14 @@ class Watchdog:
         self._hung: tuple[str, ...] = ()
 
     def pulse(self, name: str, *, within_s: float) -> Pulse:
-        """Watch one more thread, which beats the first time within this time."""
+        """Watch one more thread, whose first beat is due within this time."""
         pulse = Pulse(name, within_s, self._clock)
         with self._lock:
             self._pulses.append(pulse)
         return pulse
 
     def forget(self, pulse: Pulse) -> None:
-        """The thread has ended in order."""
+        """Stop watching a thread that has ended normally."""
         with self._lock:
             if pulse in self._pulses:
                 self._pulses.remove(pulse)
@@ -73,7 +73,7 @@ class Watchdog:
             return tuple(pulse.name for pulse in self._pulses if pulse.is_overdue)
 
     def tick(self) -> None:
-        """Tell the service manager that all is well, where it is so; call it once a second."""
+        """Tell the service manager that all is well, if it is; call it once a second."""
         hung = self.hung
         if hung != self._hung:
             self._hung = hung

@@ -1,4 +1,4 @@
-"""Words for people: numbers with their nouns, the nearest of some names."""
+"""Wording of messages: numbers with their nouns, suggestions of similar names."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """«; did you mean «charuco»?», "" where there is nothing to choose from."""
+    """«; did you mean «charuco»?», "" if there is nothing to choose from."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)
     return f"; did you mean «{close[0]}»?" if close else ""
 
