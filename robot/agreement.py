@@ -1,4 +1,4 @@
-"""A run of corrections that agree with each other, though nothing else speaks for them yet."""
+"""A run of corrections that agree with each other, but are not yet confirmed otherwise."""
 
 from dataclasses import dataclass
 from uuid import UUID
@@ -14,13 +14,13 @@ from trigpoint.geometry.rotation import Array
 from .history import OdometryHistory
 from .placement import Measured, Placement
 
-# As many in a row, over at least this time: at 10 Hz one camera's glimpse of a passing robot.
+# This many in a row, over at least this time: at 10 Hz one camera's glimpse of a passing robot.
 AGREEING = 10
 AGREEING_NS = to_ns(1.0)
 
 
 class Agreement:
-    """Corrections of one map; `began_ns`: when the first of them came, Unix time."""
+    """Corrections in one map; `began_ns`: arrival of the first, Unix time."""
 
     def __init__(self, first: Measured, map_id: UUID, began_ns: int, config: RobotConfig) -> None:
         self.map_id, self.began_ns = map_id, began_ns
@@ -32,11 +32,11 @@ class Agreement:
         self._moved = 0.0
 
     def goes_on_with(self, measured: Measured, map_id: UUID, history: OdometryHistory) -> bool:
-        """Whether a correction is of this map and agrees with those before it."""
+        """Whether a correction is in this map and agrees with the earlier ones."""
         return map_id == self.map_id and not self.placement.contradiction(measured, history)
 
     def take(self, measured: Measured, history: OdometryHistory) -> tuple[Pose, Array]:
-        """Add a correction that agrees; returns the pose and covariance of all together."""
+        """Add a correction that agrees; return the pose and covariance of all combined."""
         self.count += 1
         here = measured.at.odom_from_base
         away = float(np.linalg.norm(here.translation - self._begin.translation))
@@ -46,7 +46,7 @@ class Agreement:
 
     @property
     def is_complete(self) -> bool:
-        """Whether there are enough of them, over time and from more than one place."""
+        """Whether there are enough, over enough time and from more than one place."""
         return self._is_long and self._moved >= self._motion
 
     @property
@@ -58,7 +58,7 @@ class Agreement:
         return self.placement.newest_ns - self._begin_ns
 
     def progress(self, word: "MapWord") -> str:
-        """What there is and what is still missing, for people."""
+        """What has been seen and what is still missing, in words for people."""
         text = f"{self.count} agree over {to_seconds(self._lasts_ns):.1f} s"
         if not self._is_long:
             return f"{text}, {AGREEING} over {to_seconds(AGREEING_NS):.0f} s are needed"
@@ -71,13 +71,13 @@ class Agreement:
 
 @dataclass(slots=True)
 class MapWord:
-    """What fusion itself says its map is (`fusion/map`), when it was asked last."""
+    """Fusion's last answer to what its map is (`fusion/map`)."""
 
     _maps: frozenset[UUID] = frozenset()
     _heard_ns: int | None = None
 
     def hear(self, maps: list[UUID], now_ns: int) -> None:
-        """The answers of all who serve the command; none where nobody answered."""
+        """Take in the answers of all who serve the command; empty if nobody answered."""
         self._maps, self._heard_ns = frozenset(maps), now_ns
 
     def speaks_for(self, run: Agreement) -> bool:
@@ -86,7 +86,7 @@ class MapWord:
         return is_fresh and self._maps == {run.map_id}
 
     def about(self, run: Agreement) -> str:
-        """How fusion's word stands to a run, for people."""
+        """How fusion's answer relates to a run, in words for people."""
         if self.speaks_for(run):
             return "fusion says that this is its map"
         if not self._maps:

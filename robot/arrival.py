@@ -1,4 +1,4 @@
-"""When a steady sender's readings were taken, by when they arrived.
+"""Estimates when a steady sender's readings were taken, from when they arrived.
 
 A robot that sends every few milliseconds and says no times: its readings are evenly spaced, their
 arrival is late by the line and by whatever held it up. The quickest arrivals of the last seconds
@@ -10,27 +10,27 @@ from collections import deque
 from trigpoint.clock import to_ns
 
 _WINDOW_NS = to_ns(5.0)
-# The period is followed over so many readings, so that no single late one moves it: a clock that is
-# fast by 100 ppm parts from the stated period by half a millisecond in the window.
+# The period is tracked over this many readings, so that no single late one moves it: a clock fast
+# by 100 ppm departs from the stated period by half a millisecond within the window.
 _FOLLOWED = 1000
-# A gap of so many periods is no jitter: the line begins anew.
+# A gap of this many periods is not jitter: the line starts anew.
 _GAP_PERIODS = 20
 
 
 class ArrivalClock:
-    """`period_ns`: as the vendor states it; `line_ns`: how long a reading takes on the line."""
+    """`period_ns`: as the vendor states it; `line_ns`: transmission time of a reading."""
 
     def __init__(self, period_ns: int, line_ns: int) -> None:
         self._period_ns, self._line_ns = float(period_ns), line_ns
         self._nominal_ns = float(period_ns)
-        # (arrival, what it is late against the even line from the first on)
+        # (arrival, its lateness against the even line from the first reading)
         self._late: deque[tuple[int, float]] = deque()
         self._even_ns = 0.0
         self._last_ns: int | None = None
         self._taken_ns = 0
 
     def taken_ns(self, arrived_ns: int) -> int:
-        """When the reading was taken whose first byte came at `arrived_ns`."""
+        """When a reading was taken, given the arrival of its first byte."""
         steps = 1
         if self._last_ns is not None:
             steps = max(1, round((arrived_ns - self._even_ns) / self._period_ns))
@@ -48,5 +48,5 @@ class ArrivalClock:
             self._late.popleft()
         least_ns = min(late for _, late in self._late)
         taken_ns = min(arrived_ns, round(self._even_ns + least_ns)) - self._line_ns
-        self._taken_ns = max(taken_ns, self._taken_ns + 1)  # readings keep their order
+        self._taken_ns = max(taken_ns, self._taken_ns + 1)  # keep readings in order
         return self._taken_ns

@@ -13,21 +13,21 @@ from .odometry import Stamped
 
 
 class Blend:
-    """`span_s`: the time constant over which a step is led in; 0: at once. Not thread-safe."""
+    """`span_s`: the time constant with which a step is phased in; 0: at once. Not thread-safe."""
 
     def __init__(self, span_s: float) -> None:
         self._span_s = span_s
         self._told: tuple[Stamped, Pose] | None = None
 
     def restart(self) -> None:
-        """The next pose is told as it is."""
+        """Send the next pose as it is."""
         self._told = None
 
     def told(
         self, at: Stamped, map_from_base: Pose, covariance: Array, *, establishes: bool = False
     ) -> tuple[Pose, Array]:
-        """The pose to tell the robot, and its covariance (6, 6), which includes what is held back;
-        a pose that establishes is told as it is."""
+        """The pose to send to the robot, and its covariance (6, 6), which includes the part held
+        back; a pose that establishes is sent as it is."""
         if self._told is None or establishes or self._span_s == 0:
             self._told = (at, map_from_base)
             return map_from_base, covariance

@@ -1,6 +1,6 @@
-"""The bridge's work between bus and serial line, without either: events in, messages out.
+"""The bridge's logic between bus and serial line, without either: events in, messages out.
 
-The reader's thread and the corrections' thread both come here; one lock guards it all.
+Called by the reader's thread and by the corrections' thread; one lock guards all state.
 """
 
 import logging
@@ -45,14 +45,14 @@ from .stamps import Offset, Stamps
 _log = logging.getLogger(__name__)
 
 
-# What is wrong with the site rather than with one message.
+# Problems of the site rather than of one message.
 _SERIOUS = {Refusal.SENDERS, Refusal.PULL, Refusal.OTHER_MAP}
 
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """Where a robot is at a reading: `covariance` (6, 6) the contract's; `resets` counts how often
-    it was placed anew."""
+    """A robot's pose at a reading. `covariance`: (6, 6), as in the contract; `resets`: how often
+    the robot was placed anew."""
 
     at: Stamped
     map_from_base: Pose
@@ -62,27 +62,27 @@ class Location:
 
     @property
     def map_from_odom(self) -> Pose:
-        """Where the odometry frame on the bus is."""
+        """Pose in the map of the odometry frame used on the bus."""
         return self.map_from_base @ self.at.odom_from_base.inverse()
 
     @property
     def map_from_counted(self) -> Pose:
-        """Where the robot's own odometry frame is, in which its counts began anew or not."""
+        """Pose in the map of the robot's own odometry frame, which restarts with its counts."""
         return self.map_from_odom @ self.odom_from_counted
 
     @property
     def for_robot(self) -> LocatedPose:
-        """The same by the robot's own clock."""
+        """The same, stamped by the robot's own clock."""
         return LocatedPose(self.at.firmware_ns, self.map_from_base, self.covariance, self.resets)
 
 
-# Odometry comes at least 20 times a second (docs/serial.md); so long without any is a gap.
+# Odometry comes at least 20 times a second (docs/serial.md); this long without any is a gap.
 _GAP_NS = to_ns(0.5)
-# How often a robot that takes no corrections is told, and the bus, where it is: navigation stacks
-# expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.
+# How often the pose of a robot that takes no corrections is sent to it and to the bus: navigation
+# stacks expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.
 LOCATE_EVERY_NS = to_ns(0.05)
-# Correction numbers start at so many a second since 1970, so that a restarted bridge counts on
-# above every number that the one before it can have used. Modulo 2³²: 8.5 years.
+# Correction numbers start at this many per second since 1970, so that a restarted bridge continues
+# above every number that its predecessor can have used. Modulo 2³²: 8.5 years.
 NUMBERS_A_SECOND = 16
 _NUMBERS = 1 << 32
 
@@ -90,12 +90,12 @@ OUR_SERIAL = Traits(Takes.CORRECTIONS, StampClock.FIRMWARE)
 
 
 def first_number(unix_ns: int) -> int:
-    """The number that a bridge started now counts its corrections from."""
+    """The number from which a bridge started now counts its corrections."""
     return unix_ns * NUMBERS_A_SECOND // 10**9 % _NUMBERS
 
 
 class Bridge:
-    """One robot. `health` counts everything that comes, goes, is lost and refused."""
+    """One robot's bridge. `health` counts everything received, sent, lost and refused."""
 
     def __init__(
         self,
@@ -134,7 +134,7 @@ class Bridge:
 
     @property
     def clock(self) -> FirmwareClock:
-        """The firmware's clock as known so far."""
+        """The firmware's clock, as estimated so far."""
         return self._stamps.clock
 
     @property
@@ -144,7 +144,7 @@ class Bridge:
 
     @property
     def connected(self) -> Connected | None:
-        """Who is at the port; None while nobody has said."""
+        """Who is at the port; None until it identifies itself."""
         return self._connected
 
     @property
@@ -154,22 +154,22 @@ class Bridge:
 
     @property
     def vitals(self) -> Vitals:
-        """What the firmware says of itself."""
+        """The firmware's own counters."""
         return self._vitals
 
     @property
     def state(self) -> str:
-        """How it stands with the robot's place, for people."""
+        """Whether the robot's pose is known, in words for people."""
         with self._lock:
             return self._gate.state
 
     def unix_ns(self, elapsed_ns: int) -> int:
-        """Unix time on the scale of the odometry's stamps."""
+        """Unix time on the time scale of the odometry's stamps."""
         return self._stamps.unix_ns(elapsed_ns)
 
     def follow(self, clock: Clock) -> None:
-        """Stamp by `clock`, also where it was set: odometry goes on, and what corrections are held
-        against is of the time before. Call it once a second."""
+        """Stamp by `clock`, even after it was set: odometry continues, and corrections are no
+        longer compared with what was stamped before. Call it once a second."""
         with self._lock:
             moved_ns = self._stamps.follow(clock)
             if moved_ns == 0:
@@ -180,7 +180,7 @@ class Bridge:
             self._blend.restart()
 
     def on_event(self, event: Event) -> Odometry | None:
-        """Take in one event; returns the odometry message that it leads to."""
+        """Process one event; return the odometry message that results, if any."""
         with self._lock:
             match event:
                 case Reading():
@@ -199,20 +199,20 @@ class Bridge:
 
     @property
     def asks_for_map(self) -> bool:
-        """Whether fusion should be asked what its map is: corrections want to place the robot
-        anew, and one sender's word is not enough."""
+        """Whether to ask fusion for its map: corrections want to place the robot anew, and one
+        sender's word is not enough."""
         with self._lock:
             return self._gate.asks
 
     def hear_map(self, maps: list[UUID], elapsed_ns: int) -> None:
-        """What those who serve `fusion/map` answered."""
+        """Take in the answers of the nodes that serve `fusion/map`."""
         with self._lock:
             self._gate.hear(maps, self.unix_ns(elapsed_ns))
 
     def locate(self) -> Location | None:
-        """Where the robot is at its newest reading, where that is known and due to be said.
+        """The robot's pose at its newest reading; None if it is unknown or not yet due for sending.
 
-        The uncertainty grows with the way since the last correction.
+        The uncertainty grows with the distance since the last correction.
         """
         with self._lock:
             believed = self._gate.believed()
@@ -233,7 +233,7 @@ class Bridge:
         elapsed_ns: int,
         sender: str = "",
     ) -> RobotCorrection | None:
-        """What to hand to the robot; None where the correction is refused (and counted)."""
+        """The correction to send to the robot; None if it is refused (and counted)."""
         with self._lock:
             self._health.count("corrections")
             if self._connected is None:
@@ -257,14 +257,14 @@ class Bridge:
         if last is not None and stamp_ns - last.stamp_ns > _GAP_NS:
             self._health.lose("odometry_gaps")
         odometry = self._stream.add(reading, stamp_ns)
-        assert odometry is not None  # its time was looked at
+        assert odometry is not None  # its stamp was checked above
         assert self._stream.last is not None
         self._gate.add_odometry(self._stream.last)
         self._health.count("odometry")
         return odometry
 
     def _is_possible(self, stamp_ns: int, reading: Reading) -> bool:
-        """Whether the robot can have moved so; a count that began anew goes on from here."""
+        """Whether the robot can have moved so; if its count restarted, odometry continues here."""
         motion = self._limits.look(stamp_ns, reading.pose)
         if motion is Motion.POSSIBLE:
             return True
@@ -284,7 +284,7 @@ class Bridge:
         return True
 
     def _restart(self) -> None:
-        """How the robot moved is not known: its odometry goes on, its place is worked out anew."""
+        """The robot's motion is unknown: its odometry continues, its pose is determined anew."""
         self._stream.restart()
         self._gate.restart()
         self._blend.restart()
@@ -327,7 +327,7 @@ class Bridge:
 
     def _refuse_by(self, refused: Refused) -> None:
         if refused.reason is Refusal.WAITING:
-            # Before the robot is placed this is how it begins, and nothing is lost.
+            # This is the normal state before the robot is placed; nothing is lost.
             self._health.count("corrections_waiting")
             return
         if refused.reason in _SERIOUS:
@@ -336,7 +336,7 @@ class Bridge:
 
     def _refuse(self, reason: str, text: str) -> None:
         self._health.lose(f"corrections_refused_{reason}")
-        if reason != self._refused_for:  # the first of a run is told, all are counted
+        if reason != self._refused_for:  # the first of a run is logged, all are counted
             self._refused_for = reason
             _log.warning("a correction for robot %s was refused: %s", self._robot, text)
 
@@ -354,7 +354,7 @@ class Bridge:
                 approved.covariance,
                 establishes=approved.establishes,
             )
-        else:  # the bridge itself holds it; the blend is at the readings, where the pose is told
+        else:  # the bridge keeps it; blending happens at the readings, when the pose is sent
             self._health.count("corrections_accepted")
             pose, covariance = approved.map_from_base, approved.covariance
             if approved.establishes:

@@ -1,8 +1,9 @@
 """Whether this machine's clock agrees with fusion's well enough for corrections.
 
-A correction is of a moment. Where the clock of the robot's machine is off by δ, it is taken for
-where the robot was δ earlier or later: wrong by speed times δ. So corrections are held while the
-clock is off by more than the robot's odometry bears; what a round trip leaves open is allowed.
+A correction is valid for one moment. If the clock of the robot's machine is off by δ, it is taken
+for the pose δ earlier or later, and so is wrong by speed times δ. Corrections are therefore held
+while the clock is certainly off by more than the robot's odometry can bear, beyond the uncertainty
+left by the round trip.
 """
 
 import json
@@ -20,24 +21,24 @@ from trigpoint.watchdog import Pulse
 _ASK_EVERY_S = 2.0
 _ANSWER_S = 1.0
 _KEPT = 8
-"""The best of so many questions tells: the one whose answer came soonest."""
+"""Of this many queries, the one answered soonest counts."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """Fusion's clock minus ours, seconds; the truth is within `uncertainty_s` of it."""
+    """Fusion's clock minus ours, seconds; the true value is within `uncertainty_s` of it."""
 
     offset_s: float
     uncertainty_s: float
 
     def exceeds(self, limit_s: float) -> bool:
-        """Whether the clock is off by more for certain."""
+        """Whether the clock is certainly off by more than this."""
         return abs(self.offset_s) - self.uncertainty_s > limit_s
 
 
 class ClockWatch:
-    """A node's thread that asks fusion for its time. `now_ns`: Unix time as the odometry is
-    stamped; `limit_s`: what the odometry bears."""
+    """A node's thread that asks fusion for its time. `now_ns`: Unix time by the odometry's stamps;
+    `limit_s`: the offset that the odometry can bear."""
 
     def __init__(
         self, bus: Bus, node: Node, site: Site, now_ns: Callable[[], int], limit_s: float
@@ -54,7 +55,7 @@ class ClockWatch:
         return min(known, key=lambda one: one.uncertainty_s, default=ClockOffset(0.0, 0.0))
 
     def run(self, pulse: Pulse) -> None:
-        """Until the node stops."""
+        """Ask until the node stops."""
         while True:
             pulse.beat()
             self.ask()
@@ -62,7 +63,7 @@ class ClockWatch:
                 return
 
     def ask(self) -> None:
-        """Ask once; where nobody answers, what was known holds."""
+        """Ask once; if nobody answers, the last offset stays."""
         before_ns = self._now_ns()
         replies = self._bus.query(self._key, timeout_s=_ANSWER_S)
         after_ns = self._now_ns()
@@ -85,7 +86,7 @@ class ClockWatch:
 
 
 def _now_ns(reply: Reply) -> int | None:
-    """The time in a reply; None where it is an error or says none."""
+    """The time in a reply; None if it is an error or holds none."""
     if reply.error:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Takes one robot's corrections off the bus, for every kind of robot."""
+"""Receives one robot's corrections from the bus, for every kind of robot."""
 
 from collections.abc import Callable
 
@@ -22,9 +22,9 @@ _TAKE_S = 0.2
 
 
 class Corrections:
-    """`hand_on` gets what the bridge approved of. `is_held`: whether none may be handed on now
-    (a ROS 2 robot's stamps are not of this machine's clock, so nothing holds its corrections).
-    `subscribe` before anything else is started."""
+    """`hand_on` gets the corrections that the bridge approved. `is_held`: whether none may be
+    passed on now (a ROS 2 robot's stamps are not by this machine's clock, so its corrections are
+    never held). Call `subscribed` before starting anything else."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class Corrections:
         self._hand_on, self._is_held = hand_on, is_held
 
     def run(self, corrections: Subscription, node: Node, pulse: Pulse) -> None:
-        """Until the node stops."""
+        """Judge corrections until the node stops."""
         while not node.stopping.is_set():
             pulse.beat()
             sample = corrections.take(_TAKE_S)
@@ -62,7 +62,7 @@ class Corrections:
         if self._is_held():
             self._health.lose("corrections_held_by_the_clock")
             return
-        assert isinstance(correction, PoseEstimate)  # held by the topic's type
+        assert isinstance(correction, PoseEstimate)  # guaranteed by the topic's type
         now_ns = self._clock.elapsed_ns()
         handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)
         if handed_on is not None:
@@ -70,5 +70,5 @@ class Corrections:
 
 
 def subscribed(bus: Bus, site: Site, robot: str) -> Subscription:
-    """To one robot's corrections."""
+    """A subscription to one robot's corrections."""
     return bus.subscribe(CORRECTION, CORRECTION.key(site.name, robot))

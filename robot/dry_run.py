@@ -1,7 +1,7 @@
-"""What `--dry-run` does: read the robot for a few seconds, say what came and what would be sent.
+"""`--dry-run`: reads the robot for a few seconds, reports what came and what would be sent.
 
-Corrections on the bus are judged as always; what would go to the robot is said instead. To the
-robot goes only the question who it is and what its clock reads.
+Corrections on the bus are judged as usual, but only reported. The robot itself is only asked who
+it is and what its clock reads.
 """
 
 import threading
@@ -56,7 +56,7 @@ class Glance:
 
 
 class _Session:
-    """The robot's end: the threads on its line, or its topic on the bus, and what they saw."""
+    """The robot's side: the threads on its line, or its topic on the bus, and what they saw."""
 
     def __init__(self, site: Site, robot: str, clock: Clock) -> None:
         self.site, self.robot, self.clock = site, robot, clock
@@ -76,7 +76,7 @@ class _Session:
     def _open_line(self) -> Traits:
         url = port_url(self.site, self.robot)
         opener = PortOpener(url, self.config.baud)
-        opener.open().close()  # raises at once where it cannot be opened
+        opener.open().close()  # raises at once if it cannot be opened
         protocol = make_protocol(protocol_setup(self.site, self.robot, self.clock))
         self._line = Line(
             opener.open, protocol, clock=self.clock, handle=self.handle, failed=self._fail
@@ -110,7 +110,7 @@ class _Session:
 
 
 class _Listener:
-    """What the bus has for the robot, and a ROS 2 robot's odometry on it."""
+    """Receives the robot's corrections from the bus, and a ROS 2 robot's odometry."""
 
     def __init__(self, session: _Session, bus: Bus, say: Say) -> None:
         self._session, self._bus, self._say = session, bus, say
@@ -124,7 +124,7 @@ class _Listener:
             self._odometry = [bus.subscribe(FOREIGN, key) for key in foreign_keys(topic)]
 
     def listen(self) -> None:
-        """Take in everything that came since."""
+        """Take in everything that arrived since the last call."""
         for samples in self._odometry:
             while (sample := samples.take(0.0)) is not None:
                 try:
@@ -162,8 +162,8 @@ def look(
     seconds: float = SECONDS,
     clock: Clock | None = None,
 ) -> None:
-    """Say each second what the robot sends, and what it would be sent; raise OperationError where
-    it does not work."""
+    """Report each second what the robot sends and what it would be sent; raise OperationError if it
+    does not work."""
     clock = clock or SystemClock()
     session = _Session(site, robot, clock)
     _say_begin(session, say)
@@ -202,7 +202,7 @@ def _say_begin(session: _Session, say: Say) -> None:
 def _listener(
     session: _Session, say: Say, stack: ExitStack, open_bus: Callable[[Site], Bus]
 ) -> _Listener | None:
-    """None where the bus cannot be opened: a serial robot can be looked at all the same."""
+    """None if the bus cannot be opened: a serial robot can be examined without it."""
     try:
         return _Listener(session, stack.enter_context(open_bus(session.site)), say)
     except BusError as reason:

@@ -1,4 +1,4 @@
-"""What the firmware's clock reads in this machine's time.
+"""Maps the firmware's clock to this machine's time.
 
 The firmware stamps its readings with a clock of its own, which starts anywhere and runs some
 parts per million fast or slow. Each exchange (`ClockExchange`) bounds it: the firmware read its
@@ -29,7 +29,7 @@ NEEDED_SLOW = 10
 DRIFT_SIGMA = 100e-6
 # Scheduling noise of a quick exchange; keeps weights finite.
 FLOOR_NS = 20_000.0
-# A firmware whose clock jumps without a restart is believed after as many exchanges in a row.
+# A firmware clock that jumps without a restart is accepted after this many exchanges in a row.
 CONTRADICTIONS = 3
 CONTRADICTION_NS = to_ns(0.001)
 
@@ -49,7 +49,7 @@ class _Line:
 
 
 class FirmwareClock:
-    """The mapping from the firmware's clock to this machine's monotonic one, as known so far."""
+    """The estimated mapping from the firmware's clock to this machine's monotonic one."""
 
     def __init__(self) -> None:
         self._exchanges: deque[ClockExchange] = deque()
@@ -57,10 +57,10 @@ class FirmwareClock:
         self._contradictions = 0
         self.jumps = 0
         self.round_trip_us = 0.0
-        """The shortest round trip of the window; 0 where there was none. Any thread may read it."""
+        """The shortest round trip in the window; 0 if there was none. Any thread may read it."""
 
     def restart(self) -> None:
-        """The firmware was restarted: its clock is another one."""
+        """The firmware restarted: its clock starts anew."""
         self._exchanges.clear()
         self._line = None
         self._contradictions = 0
@@ -85,7 +85,7 @@ class FirmwareClock:
 
     @property
     def is_known(self) -> bool:
-        """Whether there were enough exchanges."""
+        """Whether there have been enough exchanges."""
         return self._line is not None
 
     def machine_ns(self, firmware_ns: int) -> int | None:
@@ -98,7 +98,7 @@ class FirmwareClock:
         return 0.0 if self._line is None else self._line.drift * 1e6
 
     def _is_contradicted_by(self, exchange: ClockExchange) -> bool:
-        """Whether what we believe lies outside of what the exchange allows."""
+        """Whether the current estimate lies outside the exchange's bounds."""
         if self._line is None:
             return False
         expected_ns = self._line.machine_ns(exchange.firmware_ns)

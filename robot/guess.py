@@ -1,4 +1,4 @@
-"""Which protocol a robot at a port speaks, found out by asking.
+"""Finds out by asking which protocol a robot at a port speaks.
 
 Each protocol's own first words are harmless: who is there, what does the clock read, what do the
 encoders count. Whoever answers in a protocol's own frames speaks it. A robot that is moving goes on
@@ -15,7 +15,7 @@ from trigpoint.errors import PortError, TrigpointError
 from .port import Port
 from .protocol import Connected, Mismatched, Setup, make_protocol
 
-# Protocol and the speed that it is most often met at. What chatters by itself comes first.
+# Protocols with their most common speed. Those that send unasked come first.
 CANDIDATES = (
     ("trigpoint", 115200),
     ("mavlink", 57600),
@@ -38,8 +38,8 @@ class Guess:
 
 
 def guessed(url: str, *, listen_s: float = LISTEN_S) -> Guess | None:
-    """The first protocol that is answered in; None where none is. Raises PortError where the port
-    does not open."""
+    """The first protocol in which the robot answers; None if there is none. Raises PortError if the
+    port does not open."""
     for protocol, baud in CANDIDATES:
         with Port(url, baud) as port:
             who = _answer(port, protocol, baud, listen_s)
@@ -49,14 +49,14 @@ def guessed(url: str, *, listen_s: float = LISTEN_S) -> Guess | None:
 
 
 def _answer(port: Port, name: str, baud: int, listen_s: float) -> str | None:
-    wheels = WheelConfig(diameter=1.0, track=1.0, ticks=1.0)  # no matter: nothing is driven by it
+    wheels = WheelConfig(diameter=1.0, track=1.0, ticks=1.0)  # any values: nothing is driven
     config = RobotConfig(
         port=port.url, baud=baud, protocol=name, wheels=wheels, mavlink=MavlinkConfig()
     )
     try:
         protocol = make_protocol(Setup("guess", config, 0, time.time_ns()))
     except TrigpointError:
-        return None  # its extra is not installed
+        return None  # its extra is not installed here
     end_ns = time.monotonic_ns() + to_ns(listen_s)
     while (now_ns := time.monotonic_ns()) < end_ns:
         try:
@@ -70,5 +70,5 @@ def _answer(port: Port, name: str, baud: int, listen_s: float) -> str | None:
                 case Connected():
                     return event.firmware
                 case Mismatched():
-                    return event.text  # it speaks the protocol, and says another robot's name
+                    return event.text  # it speaks the protocol, but gives another robot's name
     return None

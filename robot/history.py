@@ -1,4 +1,4 @@
-"""The last few seconds of the published odometry: where the robot was, and how errors grew."""
+"""The last few seconds of published odometry: where the robot was, and how errors grew."""
 
 from collections import deque
 
@@ -12,7 +12,7 @@ from .reckoning import Step, steps_along
 
 
 class OdometryHistory:
-    """Looked up by moment; not thread-safe."""
+    """Looked up by time stamp; not thread-safe."""
 
     def __init__(self, span_s: float, noise: OdometryNoise) -> None:
         self._span_ns, self._noise = to_ns(span_s), noise
@@ -24,17 +24,17 @@ class OdometryHistory:
         return self._entries[-1] if self._entries else None
 
     def add(self, at: Stamped) -> None:
-        """Append the newest."""
+        """Append the newest reading."""
         self._entries.append(at)
         while self._entries[0].stamp_ns < at.stamp_ns - self._span_ns:
             self._entries.popleft()
 
     def clear(self) -> None:
-        """Forget everything: the firmware's clock and frame are others now."""
+        """Forget everything: the firmware's clock and frame have changed."""
         self._entries.clear()
 
     def at(self, stamp_ns: int) -> Stamped | None:
-        """The robot at a moment, between the two readings about it; None outside of the history."""
+        """The robot at a moment, interpolated between readings; None outside the history."""
         later: Stamped | None = None
         for entry in reversed(self._entries):
             if entry.stamp_ns <= stamp_ns:
@@ -43,7 +43,7 @@ class OdometryHistory:
         return None
 
     def steps(self, begin: Stamped, end: Stamped) -> list[Step]:
-        """The way from one moment to a later one, neither of which need be a reading's."""
+        """The motion from one moment to a later one; neither needs to be that of a reading."""
         way = [begin, *self._inner(begin.stamp_ns, end.stamp_ns), end]
         return steps_along(Pose.stack([entry.odom_from_base for entry in way]), self._noise)
 

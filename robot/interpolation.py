@@ -8,14 +8,14 @@ from trigpoint.geometry.rotation import exp, log
 
 
 def between(first: Pose, second: Pose, fraction: float) -> Pose:
-    """The pose at `fraction` (0 … 1) of the way: straight in place, evenly in rotation."""
+    """The pose at `fraction` (0 … 1) of the way: linear in position, even in rotation."""
     turn = log(first.rotation.T @ second.rotation)
     way = second.translation - first.translation
     return Pose(first.rotation @ exp(fraction * turn), first.translation + fraction * way)
 
 
 def interpolated(readings: Sequence[tuple[int, Pose]], stamp_ns: int) -> Pose | None:
-    """The pose at a stamp; `readings` by stamp; None where the stamp lies outside of them."""
+    """The pose at a stamp, from `readings` in stamp order; None if outside their range."""
     index = bisect_left(readings, stamp_ns, key=lambda reading: reading[0])
     if index == len(readings):
         return None

@@ -1,8 +1,8 @@
 """Motion that a robot cannot have made, by its stated limits.
 
-A wrapped or reset counter, a controller that restarted without saying so, a broken number: each
-shows as a step that no motor makes. Such a reading is refused. Where those after it agree with one
-another, the counting began anew somewhere: a new epoch, which goes on from the last sound pose.
+A wrapped or reset counter, a controller that restarted silently, a corrupt number: each shows as a
+step that no motor makes. Such a reading is refused. If the following readings agree with one
+another, the count restarted elsewhere: a new epoch, which continues from the last good pose.
 """
 
 import math
@@ -14,16 +14,16 @@ from trigpoint.clock import to_seconds
 from trigpoint.config import RobotConfig
 from trigpoint.geometry import Pose
 
-# A site is a building; beyond, a double of a broken counter.
+# A site is a building; anything beyond is a corrupt number.
 FURTHEST_M = 100e3
-# How wrong the time between two stamps may be: a reading that waited for the one before it.
+# Possible error of the time between two stamps: a reading that waited for the previous one.
 JITTER_S = 0.02
-# As many readings in a row that agree with each other; at 50 Hz a tenth of a second is lost.
+# This many readings in a row must agree; at 50 Hz a tenth of a second is lost.
 AGREEING = 5
 
 
 class Motion(Enum):
-    """What a reading is beside the one before it."""
+    """How a reading relates to the previous one."""
 
     POSSIBLE = "possible"
     IMPOSSIBLE = "impossible"
@@ -31,7 +31,7 @@ class Motion(Enum):
 
 
 class MotionLimits:
-    """Looks at one robot's readings in order. Not thread-safe."""
+    """Checks one robot's readings in order. Not thread-safe."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._speed, self._turn = config.max_speed, config.max_turn
@@ -44,7 +44,7 @@ class MotionLimits:
         self._last = self._doubted = None
 
     def look(self, stamp_ns: int, pose: Pose) -> Motion:
-        """Whether the robot can have moved so since the last sound reading."""
+        """Whether the robot can have moved so since the last good reading."""
         reading = (stamp_ns, pose)
         if not np.max(np.abs(pose.translation)) < FURTHEST_M:
             return Motion.IMPOSSIBLE

@@ -1,8 +1,8 @@
-"""A port with a protocol on it: reads, writes, opens the port again after it was lost.
+"""A port with its protocol: reads, writes, and reopens the port after it was lost.
 
-Two threads: the reader owns the port's life and hands out events; the writer asks the protocol what
-is due. Nothing queues up: a protocol holds at most one correction, the newest, which is written by
-whoever brings it.
+Two threads: the reader opens and closes the port and delivers events; the writer asks the protocol
+what is due. Nothing queues up: a protocol holds at most one correction, the newest, which is
+written by the thread that brings it.
 """
 
 import logging
@@ -20,21 +20,21 @@ _log = logging.getLogger(__name__)
 FIRST_PAUSE_S = 0.1
 # A port that is plugged in again is open within three seconds; udev takes up to one of them.
 LONGEST_PAUSE_S = 1.0
-# A port that never opens is most likely misspelt; one that did will come back.
+# A port that never opens is probably misspelt; one that once opened will come back.
 PATIENCE_S = 5.0
 _LONGEST_WAIT_S = 0.25
 
 
 Beat = Callable[[], object]
-"""What a thread calls from within its work, so that one that hangs is noticed."""
+"""Called by a thread from within its work, so that a hang is noticed."""
 
 
 def _unwatched() -> None:
-    """For a line that nobody watches."""
+    """For a line without a watchdog."""
 
 
 class OpenPort(Interface):
-    """What the line needs of a port; `Port` is one."""
+    """The port interface that the line needs; `Port` implements it."""
 
     def read(self) -> tuple[bytes, int]: ...
 
@@ -44,8 +44,8 @@ class OpenPort(Interface):
 
 
 class Line:
-    """`handle` is called with each event, on the reader's thread and on the writer's; `failed` with
-    the text of each trouble with the port. `patience_s`: how long the first opening may fail."""
+    """`handle` is called with each event, on the reader's and the writer's thread; `failed` with
+    the text of each port error. `patience_s`: how long the first opening may fail."""
 
     def __init__(
         self,
@@ -63,9 +63,9 @@ class Line:
         self._port: OpenPort | None = None
         # Guards the protocol; never held while reading, writing or handling events.
         self._changed = threading.Condition()
-        # A port is not closed under the writer's hands: its descriptor might be another's by then.
+        # A port is not closed while the writer uses it: its descriptor might be reused by then.
         self._writing = threading.Lock()
-        # When the writer looks next by itself: what is due before that must wake it.
+        # When the writer next looks by itself: anything due earlier must wake it.
         self._wakes_ns = 0
         self.opened = 0
 
@@ -76,16 +76,16 @@ class Line:
 
     def correct(self, correction: RobotCorrection) -> None:
         """Send a correction now: handing it to the writer would take longer than writing it. Any
-        thread but the reader's, since it waits where the port takes no bytes (`WRITE_TIMEOUT_S`).
+        thread but the reader's, since it blocks if the port takes no bytes (`WRITE_TIMEOUT_S`).
         """
         with self._changed:
             self._protocol.correct(correction)
         self._write_due()
         with self._changed:
-            self._wake_writer()  # it sends again what is not answered
+            self._wake_writer()  # the writer repeats it if it is not answered
 
     def locate(self, pose: LocatedPose) -> None:
-        """Tell the robot where it is now. Any thread."""
+        """Send the robot its current pose. Any thread."""
         with self._changed:
             self._protocol.locate(pose)
             self._changed.notify()
@@ -93,7 +93,7 @@ class Line:
     def read_until(self, stopping: threading.Event, beat: Beat = _unwatched) -> None:
         """The reader's thread: read, and reopen with growing pauses, until `stopping` is set.
 
-        `beat` is called at every turn. Raises PortError where the port does not open at all within
+        `beat` is called at every turn. Raises PortError if the port does not open at all within
         `patience_s`.
         """
         pause_s, last_trouble = FIRST_PAUSE_S, ""
@@ -117,7 +117,7 @@ class Line:
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
     def write_until(self, stopping: threading.Event, beat: Beat = _unwatched) -> None:
-        """The writer's thread: write what is due, until `stopping` is set; `beat` as above."""
+        """The writer's thread: write what is due until `stopping` is set; `beat` as above."""
         while not stopping.is_set():
             beat()
             with self._changed:
@@ -127,7 +127,7 @@ class Line:
             self._write_due()
 
     def _wake_writer(self) -> None:
-        """Where something is due before it looks by itself."""
+        """Wake the writer if something is due before it looks by itself."""
         if self._protocol.due_ns(self._clock.elapsed_ns()) < self._wakes_ns:
             self._changed.notify()
 
@@ -173,7 +173,7 @@ class Line:
                 if data:
                     port.write(data)
         except PortError as trouble:
-            # The reader notices a lost port by itself and opens it anew.
+            # The reader notices a lost port by itself and reopens it.
             self._failed(str(trouble))
 
     def _give_out(self, events: list[Event]) -> None:

@@ -69,7 +69,7 @@ class RobotNode:
         self._places: Places | None = None
 
     def start(self) -> None:
-        """Declare what the bridge sends and takes, and start its threads."""
+        """Declare the bridge's publishers and subscribers, and start its threads."""
         warm_up()
         self._publisher = self._bus.publisher(ODOMETRY, self._odometry_key)
         if self._traits.takes is not Takes.CORRECTIONS:
@@ -103,8 +103,8 @@ class RobotNode:
         health.gauge("port_opened", lambda: self._line.opened)
 
     def _firmware_clock_s(self) -> float:
-        """What the firmware's clock reads, 0 where that is not known. Called once a second, so it
-        also looks whether the node's clock follows this machine's, which was set."""
+        """The firmware clock's reading, 0 if unknown. It is called once a second, so it also lets
+        the bridge follow this machine's clock if that was set."""
         self._bridge.follow(self._clock)
         zero_ns = self._bridge.clock.machine_ns(0)
         return 0.0 if zero_ns is None else to_seconds(self._clock.elapsed_ns() - zero_ns)
@@ -117,7 +117,7 @@ class RobotNode:
             self._locate()
 
     def _locate(self) -> None:
-        """Tell a robot that takes no corrections, and the bus, where it is."""
+        """Send its pose to a robot that takes no corrections, and to the bus."""
         if self._places is None or (location := self._bridge.locate()) is None:
             return
         if self._traits.takes is Takes.POSES:
@@ -130,8 +130,8 @@ class RobotNode:
 
 
 def protocol_setup(site: Site, robot: str, clock: Clock) -> Setup:
-    """What a robot's protocol is built from, with a boot number that no earlier start of a bridge
-    had, but for one chance in four thousand million; raise ConfigError where a key is none."""
+    """The setup of a robot's protocol; its boot number repeats an earlier bridge's only with a
+    chance of one in four thousand million. Raise ConfigError if a signing key is invalid."""
     config = site.robot(robot)
     key = b"" if config.mavlink.key is None else _signing_key(site.path(config.mavlink.key))
     return Setup(robot, config, int.from_bytes(os.urandom(4)), clock.now_ns(), key)
@@ -147,5 +147,5 @@ def _signing_key(path: Path) -> bytes:
 def port_url(site: Site, robot: str) -> str:
     """The port to open; a relative path is relative to the site file, like every path in it."""
     port = site.robot(robot).port
-    assert port is not None  # held by the site file's own check, but for robots on the bus
+    assert port is not None  # guaranteed by the site file's check, except for robots on the bus
     return str(site.path(port)) if is_device(port) and "/" in port else port

@@ -1,4 +1,4 @@
-"""Readings of the firmware become messages of the bus: time, frame names, restarts."""
+"""Turns the firmware's readings into bus messages: time, frame names, restarts."""
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +10,7 @@ from .protocol import Reading
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """A published pose: `stamp_ns` Unix time, `firmware_ns` the firmware's clock then."""
+    """A published pose. `stamp_ns`: Unix time; `firmware_ns`: the firmware's clock then."""
 
     stamp_ns: int
     firmware_ns: int
@@ -21,8 +21,8 @@ class OdometryStream:
     """The robot's odometry frame on the bus, which never jumps.
 
     A restarted firmware counts from zero again, in an odometry frame of its own. The frame on the
-    bus goes on: the first pose after the restart is put where the last one before it was. What the
-    robot did in between is not known to anyone here; see decisions/0301-restarted-firmware.md.
+    bus continues: the first pose after the restart is put where the last one before it was. How the
+    robot moved in between is unknown here; see decisions/0301-restarted-firmware.md.
     """
 
     def __init__(self, robot: str) -> None:
@@ -33,25 +33,25 @@ class OdometryStream:
 
     @property
     def last(self) -> Stamped | None:
-        """What was published last."""
+        """The pose published last."""
         return self._last
 
     @property
     def odom_from_counted(self) -> Pose:
-        """Where the robot's own odometry frame lies in the one on the bus."""
+        """Pose of the robot's own odometry frame in the one on the bus."""
         return self._odom_from_counted
 
     def restart(self) -> None:
-        """The firmware was restarted: what it counts now begins where the robot was last."""
+        """The firmware restarted: its new count continues from the robot's last pose."""
         self._is_restarted = self._last is not None
 
     def shift(self, by_ns: int) -> None:
-        """Stamps go on by a clock that is this much later than the one before."""
+        """Continue with stamps of a clock that is this much ahead of the previous one."""
         if self._last is not None:
             self._last = replace(self._last, stamp_ns=self._last.stamp_ns + by_ns)
 
     def add(self, reading: Reading, stamp_ns: int) -> Odometry | None:
-        """The message of a reading; None where its time is not after the last one's."""
+        """The message for a reading; None if it is not later than the last one."""
         if self._last is not None and stamp_ns <= self._last.stamp_ns:
             return None
         if self._is_restarted and self._last is not None:

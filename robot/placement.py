@@ -1,15 +1,15 @@
-"""Where a map puts the robot: what is believed now, and the corrections that led there.
+"""Where a map puts the robot: the current estimate, and the corrections behind it.
 
-Two questions are asked of a new correction. Does it fit what is believed, which is every earlier
-correction carried on by odometry? And does it fit each of some earlier corrections carried on by
-odometry alone? The second sees what the first cannot: steps that are small each and sum up to more
-than odometry can have drifted (a pull). Those earlier corrections are kept at ages that double, so
-that a fast pull is seen in the short ones and a slow one in the long ones.
+A new correction must pass two tests. Does it fit the current estimate, which is every earlier
+correction carried forward by odometry? And does it fit each of some earlier corrections, carried
+forward by odometry alone? The second test finds what the first cannot: steps that are each small
+but sum up to more than odometry can have drifted (a pull). Those earlier corrections are kept at
+ages that double, so that the young ones reveal a fast pull and the old ones a slow one.
 
-A correction is fused by covariance intersection (Julier and Uhlmann 1997; the weights are Niehsen's
-of 2002, made free of units): fusion's corrections share its map, its odometry and its
-earlier sightings, by an amount that nobody here knows, and this is the fusion that stays honest
-whatever the amount is. See decisions/0304-corrections-are-fused-and-watched.md.
+A correction is fused by covariance intersection (Julier and Uhlmann 1997; with Niehsen's weights of
+2002, made free of units): fusion's corrections are correlated through its map, its odometry and its
+earlier sightings, by an unknown amount, and this rule stays consistent whatever the amount is. See
+decisions/0304-corrections-are-fused-and-watched.md.
 """
 
 import math
@@ -29,10 +29,10 @@ from .sent_covariance import as_sent
 
 # χ² that a true correction exceeds once in 100 000, by degrees of freedom (planar, in space).
 JUMP_CHI2 = {3: 25.90, 6: 33.11}
-# Up to eight earlier corrections are asked each time: once in ten million each.
+# Up to eight earlier corrections are tested each time: once in ten million each.
 PULL_CHI2 = {3: 35.41, 6: 43.34}
-# The oldest correction that is remembered. Within it a pull of 1 cm/s moves a robot 1.3 m, the
-# default odometry noise a robot at 0.4 m/s by some 0.7 m: what is slower drowns in that.
+# The age of the oldest correction kept. In that time a pull of 1 cm/s moves a robot 1.3 m, and the
+# default odometry noise moves one at 0.4 m/s by some 0.7 m: a slower pull is lost in the noise.
 MEMORY_S = 128.0
 _FOLLOW_NS = to_ns(0.25)
 _PLANAR_ROWS = [0, 1, 5]
@@ -40,7 +40,7 @@ _PLANAR_ROWS = [0, 1, 5]
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A correction at its moment; `covariance` (6, 6) as it is sent."""
+    """A correction at its moment; `covariance`: (6, 6), as sent."""
 
     at: Stamped
     map_from_base: Pose
@@ -49,7 +49,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Why a correction does not fit; `is_pull`: by the sum of the steps before, not by its own."""
+    """Why a correction does not fit; `is_pull`: by the sum of earlier steps, not by its own."""
 
     text: str
     is_pull: bool
@@ -57,9 +57,9 @@ class Contradiction:
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A correction beside the n rows, all carried on to its moment: where they put the robot,
-    `covariances` (n, 8, 8); over what is checked (3 or 6 rows) `shown` (n, k, k) of the same,
-    `theirs` (k, k) the correction's, and `differences` (n, k) to it."""
+    """A correction compared with the n rows, all carried forward to its moment: their poses and
+    `covariances` (n, 8, 8); for the k (3 or 6) checked coordinates, `shown` (n, k, k) of these,
+    `theirs` (k, k) of the correction, and the `differences` (n, k) to it."""
 
     at: Stamped
     expected: Pose
@@ -76,8 +76,8 @@ class _Look:
 
 
 class Placement:
-    """Row 0 is the belief, the others are the remembered corrections, oldest first. All are placed
-    in the odometry frame and carried on together."""
+    """Row 0 is the current estimate, the others are the kept corrections, oldest first. All are
+    expressed in the odometry frame and carried forward together."""
 
     def __init__(self, first: Measured, config: RobotConfig) -> None:
         self._config = config
@@ -91,16 +91,16 @@ class Placement:
 
     @property
     def newest_ns(self) -> int:
-        """The stamp of the newest correction in it."""
+        """Stamp of the newest correction included."""
         return self._stamps[0]
 
     @property
     def map_from_odom(self) -> Pose:
-        """Where it puts the odometry frame."""
+        """Estimated pose of the odometry frame in the map."""
         return self._frames[0]
 
     def follow(self, history: OdometryHistory, horizon_ns: int) -> None:
-        """Carry everything on to a moment that no correction will come before."""
+        """Carry everything forward to a moment before which no correction can still arrive."""
         if horizon_ns - self._at.stamp_ns < _FOLLOW_NS:
             return
         at = history.at(horizon_ns)
@@ -115,13 +115,13 @@ class Placement:
         return pose, pose_covariances(pose, covariance)
 
     def contradiction(self, measured: Measured, history: OdometryHistory) -> Contradiction | None:
-        """What is wrong with a correction beside what is known, or None."""
+        """How a correction contradicts what is known, or None."""
         look = self._look(measured, history)
         chi2 = look.chi2
         return self._jump(look.differences[0], chi2[0]) or self._pull(look, chi2)
 
     def take(self, measured: Measured, history: OdometryHistory) -> tuple[Pose, Array]:
-        """Fuse a correction; returns the pose and covariance (6, 6) that are believed now."""
+        """Fuse a correction; return the new estimate's pose and covariance (6, 6)."""
         look = self._look(measured, history)
         self._at, self._covariances = look.at, look.covariances
         pose, covariance = self._fused(look)
@@ -130,7 +130,7 @@ class Placement:
         return pose, covariance
 
     def _look(self, measured: Measured, history: OdometryHistory) -> _Look:
-        """Done once for a correction that is judged and then taken."""
+        """Computed once for a correction that is judged and then taken."""
         if self._looked is not None and self._looked[0] is measured:
             return self._looked[1]
         at = measured.at
@@ -147,7 +147,7 @@ class Placement:
         self._looked = (measured, look)
         return look
 
-    # ---- what does not fit
+    # ---- contradictions
 
     def _jump(self, difference: Array, chi2: float) -> Contradiction | None:
         limits = self._config.safety
@@ -162,7 +162,7 @@ class Placement:
         return Contradiction(text, is_pull=False) if text else None
 
     def _pull(self, look: _Look, chi2: Array) -> Contradiction | None:
-        is_pulled = ~(chi2 <= PULL_CHI2[len(self._rows)])  # also where it is no number
+        is_pulled = ~(chi2 <= PULL_CHI2[len(self._rows)])  # also true for NaN
         is_pulled[0] = False
         if not np.any(is_pulled):
             return None
@@ -181,12 +181,12 @@ class Placement:
         far = float(np.linalg.norm(difference[:places]))
         return far, float(np.linalg.norm(difference[places:]))
 
-    # ---- what does
+    # ---- fusing
 
     def _fused(self, look: _Look) -> tuple[Pose, Array]:
-        """Covariance intersection of the belief and a correction."""
+        """Covariance intersection of the current estimate and a correction."""
         ours, theirs = look.shown[0], look.theirs
-        # How much of the sum's uncertainty is the correction's: so much of the belief stays.
+        # The correction's share of the total uncertainty is the weight of the current estimate.
         weight = float(np.trace(np.linalg.solve(ours + theirs, theirs))) / len(self._rows)
         gain = (1 - weight) * np.linalg.inv(theirs)
         shown = np.linalg.inv(weight * np.linalg.inv(ours) + gain)
@@ -201,7 +201,7 @@ class Placement:
         self._covariances[row] = self._start(measured)
 
     def _remember(self, measured: Measured) -> None:
-        """Append a correction; of each span of ages (0 to 1 s, to 2, to 4, …) the oldest stays."""
+        """Append a correction; of each age span (0 to 1 s, to 2, to 4, …) keep the oldest."""
         self._frames.append(_map_from_odom(measured.map_from_base, measured.at))
         self._stamps.append(measured.at.stamp_ns)
         kept, spans = [0], set[int]()

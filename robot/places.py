@@ -1,4 +1,4 @@
-"""Publishes where a robot is that takes no corrections itself: its pose and its transforms."""
+"""Publishes the pose and transforms of a robot that takes no corrections itself."""
 
 from trigpoint.bus import Bus
 from trigpoint.cdr import encode
@@ -10,7 +10,7 @@ from .bridge import Location
 
 
 class Places:
-    """One robot's; `health` counts what is sent."""
+    """Publishes for one robot; `health` counts what is sent."""
 
     def __init__(self, bus: Bus, site: str, robot: str, health: Health) -> None:
         self._health, self._keys = health, (CORRECTED.key(site, robot), ROBOT_TF.key(site, robot))
@@ -19,8 +19,8 @@ class Places:
         self._odom, self._base = f"{robot}/odom", f"{robot}/base"
 
     def publish(self, location: Location, *, own_odom: str = "") -> None:
-        """Send both. `own_odom`: the name that the robot itself gives its odometry frame, where it
-        publishes the transform from there to its base too. Any thread, one at a time."""
+        """Send both. `own_odom`: the robot's own name for its odometry frame, if the robot itself
+        publishes the transform from there to its base. Any thread, one at a time."""
         at, pose = location.at, location.map_from_base
         self._pose.put(encode(PoseEstimate(at.stamp_ns, "map", pose, location.covariance)))
         if own_odom:

@@ -1,7 +1,7 @@
 """A serial port: the one place that knows pyserial. Opens any URL that pyserial opens.
 
-A port is locked while it is open. `PortOpener` finds a device again that came back under another
-name, by what its USB descriptor says of it.
+A port is locked while it is open. If a device comes back under another name, `PortOpener` finds it
+by its USB descriptor.
 """
 
 import errno
@@ -25,13 +25,13 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 class PortTimeoutError(PortError):
-    """The other side takes no bytes; what was to be written is lost."""
+    """The other side takes no bytes; the data to be written is lost."""
 
 
 class Port(Closing):
-    """An open port. One thread may read while another writes; `close` ends both.
+    """An open port. One thread may read while another writes; `close` stops both.
 
-    Raises PortError in one line where the port cannot be opened or is lost.
+    Raises PortError with a one-line message if the port cannot be opened or is lost.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -50,17 +50,17 @@ class Port(Closing):
         self._hurry()
 
     def _hurry(self) -> None:
-        """Have the driver hand bytes on at once: FTDI's collects them for 16 ms. Few others know
-        the setting."""
+        """Have the driver deliver bytes at once: FTDI's collects them for 16 ms. Few other drivers
+        have this setting."""
         hurry = getattr(self._serial, "set_low_latency_mode", None)
         if hurry is not None:
             with suppress(ValueError, OSError):
                 hurry(True)
 
     def read(self) -> tuple[bytes, int]:
-        """What has come, and the monotonic clock (ns) when all of it was there; returns nothing
-        after `READ_TIMEOUT_S`. On a busy machine the time is much later than that of the first
-        byte; told that, what came meanwhile would seem to be of after its arrival."""
+        """The bytes received, and the monotonic clock (ns) when all of them were here; no bytes
+        after `READ_TIMEOUT_S`. On a busy machine this is much later than the first byte; with the
+        first byte's time, the later bytes would seem to have been sent after they arrived."""
         if self._trouble is not None:
             raise self._trouble
         first = b""
@@ -79,11 +79,11 @@ class Port(Closing):
             trouble.__cause__ = reason
             if not first:
                 raise trouble from reason
-            self._trouble = trouble  # what came before the loss is not lost with it
+            self._trouble = trouble  # bytes that came before the loss are kept
             return first, time.monotonic_ns()
 
     def _read_device(self) -> tuple[bytes, int]:
-        """The same where there is a descriptor to wait for: a third of the calls of pyserial's."""
+        """The same for a port with a descriptor to wait on: a third of pyserial's system calls."""
         descriptor = self._serial.fileno()
         ready, _, _ = select.select([descriptor], [], [], READ_TIMEOUT_S)
         data = os.read(descriptor, _CHUNK) if ready else b""
@@ -93,7 +93,7 @@ class Port(Closing):
         return data, received_ns
 
     def write(self, data: bytes) -> None:
-        """Hand all bytes to the system; raise PortTimeoutError where it does not take them."""
+        """Pass all bytes to the system; raise PortTimeoutError if it does not take them."""
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
@@ -110,19 +110,19 @@ class Port(Closing):
 
 
 def is_device(url: str) -> bool:
-    """Whether this is a port of this machine, not one of pyserial's URLs."""
+    """Whether this is a device of this machine, not one of pyserial's URLs."""
     return "://" not in url
 
 
 class PortOpener:
-    """Opens one robot's port, again and again, also where the system named it anew."""
+    """Opens one robot's port, repeatedly, even if the system has renamed it."""
 
     def __init__(self, url: str, baud: int) -> None:
         self._url, self._baud = url, baud
         self._identity: tuple[object, ...] | None = None
 
     def open(self) -> Port:
-        """Raise PortError in one line where it cannot be opened."""
+        """Open it; raise PortError with a one-line message if that fails."""
         url = self._url
         if is_device(url):
             if self._identity is not None and not Path(url).exists():
@@ -136,20 +136,20 @@ class PortOpener:
 
 
 def _descriptor(port: Any) -> tuple[object, ...] | None:
-    """What tells one USB device from every other; None where nothing does."""
+    """What distinguishes a USB device from every other; None if nothing does."""
     found = (port.vid, port.pid, port.serial_number)
     return found if all(found) else None
 
 
 def identity(url: str) -> tuple[object, ...] | None:
-    """Of the device behind a path, also through a link; None where it has none."""
+    """Identity of the device behind a path, also through a link; None if it has none."""
     real = os.path.realpath(url)
     ports = list_ports.comports()
     return next((_descriptor(port) for port in ports if port.device == real), None)
 
 
 def lasting_name(url: str) -> str:
-    """The name under /dev/serial/by-id that a device has whatever else is plugged in, or ""."""
+    """The device's name under /dev/serial/by-id, which other devices do not change; or ""."""
     real = os.path.realpath(url)
     if not is_device(url) or not BY_ID.is_dir():
         return ""
@@ -158,7 +158,7 @@ def lasting_name(url: str) -> str:
 
 
 def present_ports() -> list[str]:
-    """The serial ports of this machine that are some device's, by their lasting names."""
+    """This machine's serial ports with a device behind them, by their lasting names."""
     devices = sorted(port.device for port in list_ports.comports())
     return [lasting_name(device) or device for device in devices]
 

@@ -1,8 +1,8 @@
-"""What the bridge sees of a robot's protocol: bytes in, events out; commands in, bytes out.
+"""The bridge's interface to a robot's protocol: bytes in, events out; commands in, bytes out.
 
-A protocol does no input or output and reads no clock: whoever owns the port hands it bytes with
-the time at which they came, and asks it what to send. Times named `now_ns` are this machine's
-monotonic clock, `firmware_ns` the firmware's own clock.
+A protocol does no input or output and reads no clock: the owner of the port passes it bytes with
+their time of arrival, and asks it what to send. Times named `now_ns` are this machine's monotonic
+clock, `firmware_ns` the firmware's own clock.
 
 To add a protocol, add a row to `PROTOCOLS`, or let another package offer an entry point in the
 group `trigpoint.protocols`; both name a class that is built from a `Setup`.
@@ -32,10 +32,10 @@ ENTRY_POINTS = "trigpoint.protocols"
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a protocol is built from.
+    """The arguments from which a protocol is built.
 
-    `boot`: a number that no earlier bridge of this robot had; `unix_ns`: when this one began;
-    `key`: 32 bytes that sign what is sent, b"" where the site file names none.
+    `boot`: a number that no earlier bridge of this robot had; `unix_ns`: when this one started;
+    `key`: 32 bytes for signing what is sent, b"" if the site file names none.
     """
 
     robot: str
@@ -46,7 +46,7 @@ class Setup:
 
 
 class Takes(StrEnum):
-    """What a protocol can tell its robot."""
+    """What a protocol can send to its robot."""
 
     CORRECTIONS = "corrections"
     POSES = "poses"
@@ -54,8 +54,8 @@ class Takes(StrEnum):
 
 
 class StampClock(StrEnum):
-    """Which clock `Reading.firmware_ns` is of: the firmware's own, which clock exchanges map to
-    ours; this machine's monotonic one, where the protocol has no times; or Unix time."""
+    """The clock of `Reading.firmware_ns`: the firmware's own, which clock exchanges map to ours;
+    this machine's monotonic one, if the protocol carries no times; or Unix time."""
 
     FIRMWARE = "firmware"
     MACHINE = "machine"
@@ -64,7 +64,7 @@ class StampClock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What a protocol can carry. `lacks`: what it cannot, in words, said at the start."""
+    """What a protocol can carry. `lacks`: what it cannot, in words, logged at the start."""
 
     takes: Takes
     clock: StampClock
@@ -73,7 +73,7 @@ class Traits:
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """The robot said who it is. `boot` differs each time its firmware starts."""
+    """The robot identified itself. `boot` differs each time its firmware starts."""
 
     robot: str
     firmware: str
@@ -82,7 +82,7 @@ class Connected:
 
 @dataclass(frozen=True, slots=True)
 class Mismatched:
-    """Whoever answers cannot be worked with; `text` says why and what to do."""
+    """The device that answered cannot be used; `text` says why and what to do."""
 
     text: str
 
@@ -90,8 +90,8 @@ class Mismatched:
 @dataclass(frozen=True, slots=True)
 class Reading:
     """One reading of the odometry: base in the firmware's own odometry frame. `firmware_ns`: by the
-    clock that the protocol's traits name; `received_ns`: this machine's monotonic clock when it
-    had come."""
+    clock that the protocol's traits name; `received_ns`: this machine's monotonic clock on
+    arrival."""
 
     firmware_ns: int
     received_ns: int
@@ -102,8 +102,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class ClockExchange:
-    """The firmware's clock read `firmware_ns` at some time between `sent_ns` and `received_ns`,
-    as near to the middle as both ways take the same time."""
+    """The firmware's clock read `firmware_ns` at some time between `sent_ns` and `received_ns`: in
+    the middle, if both directions take equally long."""
 
     sent_ns: int
     firmware_ns: int
@@ -112,7 +112,7 @@ class ClockExchange:
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """The firmware answered a correction; `reason` is "" where it was accepted."""
+    """The firmware answered a correction; `reason` is "" if it was accepted."""
 
     number: int
     is_accepted: bool
@@ -122,21 +122,21 @@ class Acknowledged:
 
 @dataclass(frozen=True, slots=True)
 class Unanswered:
-    """A correction that no answer came to, though it was repeated."""
+    """A correction that was not answered, although it was repeated."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Vitals:
-    """What the firmware counted on its side since it started."""
+    """The firmware's own counts since it started."""
 
     received: int
     rejected: int
 
 
 class DamageKind(StrEnum):
-    """What was wrong with bytes that came."""
+    """What was wrong with received bytes."""
 
     FRAMING = "framing"
     CHECKSUM = "checksum"
@@ -145,21 +145,21 @@ class DamageKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """Bytes that were thrown away."""
+    """Received bytes that were discarded."""
 
     kind: DamageKind
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Frames that were sent and did not arrive, by their sequence numbers."""
+    """Frames that were sent but did not arrive, by their sequence numbers."""
 
     frames: int
 
 
 @dataclass(frozen=True, slots=True)
 class Silent:
-    """Nothing came for a while; the protocol asks again who is there."""
+    """Nothing arrived for a while; the protocol asks again who is there."""
 
 
 Event = (
@@ -178,10 +178,10 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class RobotCorrection:
-    """What a robot is told: where its base was when its own clock read `firmware_ns`.
+    """A correction as sent to a robot: the pose of its base when its own clock read `firmware_ns`.
 
-    `covariance`: (6, 6), the contract's; `establishes`: the pose may be anywhere, since it is the
-    first of a map, or since a run of corrections contradicted those before it.
+    `covariance`: (6, 6), as in the contract; `establishes`: the pose may be anywhere, because it is
+    the first in a map or because a run of corrections contradicted the earlier ones.
     """
 
     number: int
@@ -195,8 +195,8 @@ class RobotCorrection:
 
 @dataclass(frozen=True, slots=True)
 class LocatedPose:
-    """Where a robot is now, for protocols that take poses: `firmware_ns` by their clock,
-    `covariance` (6, 6) the contract's; `resets` counts how often the pose was placed anew."""
+    """A robot's current pose, for protocols that take poses. `firmware_ns`: by their clock;
+    `covariance`: (6, 6), as in the contract; `resets`: how often the robot was placed anew."""
 
     firmware_ns: int
     map_from_base: Pose
@@ -205,44 +205,44 @@ class LocatedPose:
 
 
 class Protocol(typing.Protocol):
-    """One robot's conversation. Not thread-safe: the owner holds a lock around each call."""
+    """The conversation with one robot. Not thread-safe: the owner locks around each call."""
 
     @property
     def traits(self) -> Traits:
-        """What it can carry."""
+        """What the protocol can carry."""
         ...
 
     def reset(self) -> None:
-        """The port was (re)opened: forget half-received bytes, ask again who is there."""
+        """The port was (re)opened: discard partial frames, ask again who is there."""
         ...
 
     def receive(self, data: bytes, now_ns: int) -> list[Event]:
-        """What the bytes say, in order. Never raises on what the bytes are."""
+        """The events in the bytes, in order. Never raises, whatever the bytes are."""
         ...
 
     def correct(self, correction: RobotCorrection) -> None:
-        """Send this correction next; one that still waits is replaced, since the newest wins."""
+        """Send this correction next; one still waiting is replaced, as the newest wins."""
         ...
 
     def locate(self, pose: LocatedPose) -> None:
-        """Tell the robot where it is now; only where the traits say that it takes poses."""
+        """Send the robot its current pose; only if the traits say that it takes poses."""
         ...
 
     def data_to_send(self, now_ns: int) -> bytes:
-        """Everything that is due now; to be written at once, since it may hold time stamps."""
+        """Everything due now; write it at once, as it may contain time stamps."""
         ...
 
     def due_ns(self, now_ns: int) -> int:
-        """When `data_to_send` has something next; `now_ns` or earlier where it has now."""
+        """When `data_to_send` will next have something; `now_ns` or earlier if it has now."""
         ...
 
     def elapse(self, now_ns: int) -> list[Event]:
-        """What follows from the mere passing of time: silence, corrections without an answer."""
+        """Events caused by the passing of time: silence, unanswered corrections."""
         ...
 
 
 def known_protocols() -> list[str]:
-    """The names that `protocol` in site.toml may have here."""
+    """The protocol names that site.toml may use on this machine."""
     others = (point.name for point in entry_points(group=ENTRY_POINTS))
     return sorted({*PROTOCOLS, ROS2_PROTOCOL, *others})
 
@@ -253,13 +253,13 @@ def make_protocol(setup: Setup) -> Protocol:
 
 
 def check_protocol(config: RobotConfig) -> None:
-    """Raise ConfigError where the site file names a protocol that there is not."""
+    """Raise ConfigError if the site file names an unknown protocol."""
     if config.protocol_name != ROS2_PROTOCOL:
         protocol_class(config.protocol_name)
 
 
 def protocol_class(name: str) -> Callable[[Setup], Protocol]:
-    """The protocol's class; raise ConfigError that lists what there is."""
+    """The protocol's class; raise a ConfigError that lists the known ones."""
     if name in PROTOCOLS:
         module, _, attribute = PROTOCOLS[name].partition(":")
         return getattr(importlib.import_module(module), attribute)

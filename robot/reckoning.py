@@ -1,10 +1,10 @@
-"""Dead reckoning: how odometry's errors grow along the way, in the frame of the moving base.
+"""Dead reckoning: how odometry errors grow with motion, in the frame of the moving base.
 
-The noise is the contract's (`odometry_noise`). The scale errors ride along as two more
-unknowns, so that they add up over the whole way as they do in the robot. A covariance here is
-(8, 8): a disturbance of map_from_base in the base's own axes (map_from_base @ disturbance: shift,
-then rotation vector), then the scale errors of distance and heading. In those axes one step is the
-same for every place that the robot may be at, so many are carried on together.
+The noise is the contract's (`odometry_noise`). The scale errors are two more unknowns, so that they
+add up over the whole path as they do in the robot. A covariance here is (8, 8): a disturbance of
+map_from_base in the base's own axes (map_from_base @ disturbance: shift, then rotation vector),
+then the scale errors of distance and heading. In those axes a step is the same wherever the robot
+is, so many covariances are carried forward together.
 """
 
 from collections.abc import Iterable
@@ -23,15 +23,15 @@ POSE = slice(0, 6)
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one step of the way does to covariances: `carry` @ c @ `carry`ᵀ + `added`, (8, 8)."""
+    """The effect of one step on covariances: `carry` @ c @ `carry`ᵀ + `added`, (8, 8)."""
 
     carry: Array
     added: Array
 
 
 def steps_along(poses: Pose, noise: OdometryNoise) -> list[Step]:
-    """The steps from each reported pose (n) to the next; all at once, which for the five between
-    two corrections takes no longer than one by itself."""
+    """The steps from each reported pose (n) to the next. Vectorised: the five between two
+    corrections take no longer than a single one."""
     back = np.swapaxes(poses.rotation[:-1], -1, -2)
     way = (back @ np.diff(poses.translation, axis=0)[..., None])[..., 0]
     rotation = back @ poses.rotation[1:]
@@ -47,12 +47,12 @@ def _carry(way: Array, rotation: Array, turn: Array) -> Array:
     carry[:, :3, :3] = carry[:, 3:6, 3:6] = end_from_begin
     carry[:, :3, 3:6] = -end_from_begin @ hat(way)
     carry[:, :3, 6] = (end_from_begin @ way[..., None])[..., 0]
-    carry[:, 3:6, 7] = turn  # about its own axis, which the turn leaves as it is
+    carry[:, 3:6, 7] = turn  # about its own axis, which the turn leaves unchanged
     return carry
 
 
 def _added(way: Array, rotation: Array, turn: Array, noise: OdometryNoise) -> Array:
-    """The noise (n, 8, 8) that steps add, in the axes at their ends; that of the shift is along and
+    """The noise (n, 8, 8) added by steps, in the axes at their ends; that of the shift is along and
     across the direction at mid-heading."""
     length, turned = np.sqrt(np.sum(way * way, axis=-1)), np.sqrt(np.sum(turn * turn, axis=-1))
     end_from_begin = np.swapaxes(rotation, -1, -2)
@@ -70,7 +70,7 @@ def _spread(rotation: Array, variances: Array) -> Array:
 
 
 def started(map_from_base: Pose, covariance: Array, noise: OdometryNoise) -> Array:
-    """(8, 8) at a moment where the pose is known with the contract's `covariance` (6, 6)."""
+    """(8, 8) at a moment when the pose is known with the contract's `covariance` (6, 6)."""
     base_from_map = turned_axes(map_from_base.rotation.T)
     found = np.zeros((8, 8))
     found[POSE, POSE] = base_from_map @ covariance @ base_from_map.T
@@ -86,7 +86,7 @@ def carried(covariances: Array, steps: Iterable[Step]) -> Array:
 
 
 def pose_covariances(map_from_base: Pose, covariances: Array) -> Array:
-    """The contract's (…, 6, 6) of poses (…) whose covariances here are (…, 8, 8)."""
+    """The contract's (…, 6, 6) covariances of poses (…), from the (…, 8, 8) used here."""
     map_from_base_axes = turned_axes(map_from_base.rotation)
     return (
         map_from_base_axes @ covariances[..., POSE, POSE] @ np.swapaxes(map_from_base_axes, -1, -2)

@@ -1,9 +1,9 @@
 """A robot that speaks ROS 2: no port; its odometry comes on the bus (docs/ros2.md).
 
 Through zenoh-bridge-ros2dds a topic's key is its name without the first slash; through rmw_zenoh it
-is `<domain>/<topic>/<type>/<hash>`. Either way the payload is the message's CDR, and no encoding
-says so: the key fixes the type, decoding checks it. Corrections are judged as for every robot; its
-place goes out as a pose and as the transform from the map to the robot's own odometry frame.
+is `<domain>/<topic>/<type>/<hash>`. Either way the payload is the message's CDR without an
+encoding: the key fixes the type, decoding checks it. Corrections are judged as for every robot; the
+result is published as a pose and as the transform from the map to the robot's own odometry frame.
 """
 
 import logging
@@ -35,19 +35,19 @@ TRAITS = Traits(
     ("a ROS 2 robot is told where it is by tf (map to its odometry frame) and a pose: remap both",),
 )
 _TAKE_S = 0.2
-# As many as half a minute of a fast robot; a plain subscription, for ROS publishers keep no past.
+# Half a minute of a fast robot; a plain subscription, as ROS publishers keep no history.
 FOREIGN = Topic("ros_odom", "{id}", ODOMETRY.type_name, Delivery.RELIABLE, queue=4096)
 _RMW_TYPE = "nav_msgs::msg::dds_::Odometry_"
 
 
 def foreign_keys(topic: str) -> tuple[str, str]:
-    """The key expressions of a ROS topic: by zenoh-bridge-ros2dds, by rmw_zenoh."""
+    """The key expressions of a ROS topic: for zenoh-bridge-ros2dds, for rmw_zenoh."""
     key = topic.strip("/")
     return key, f"*/{key}/{_RMW_TYPE}/*"
 
 
 class RosRobotNode:
-    """Runs inside `node`'s life, as `RobotNode` does for robots at a port."""
+    """Runs inside `node`'s life, like `RobotNode` for robots at a port."""
 
     def __init__(
         self, bus: Bus, node: Node, site: Site, robot: str, *, clock: Clock | None = None
@@ -64,7 +64,7 @@ class RosRobotNode:
         self._places: Places | None = None
 
     def start(self) -> None:
-        """Declare what the bridge sends and takes, and start its threads."""
+        """Declare the bridge's publishers and subscribers, and start its threads."""
         warm_up()
         node, name = self._node, self._site.name
         self._publisher = self._bus.publisher(ODOMETRY, self._key)
@@ -81,8 +81,8 @@ class RosRobotNode:
         _log.info("%s waits for odometry on %s", node.label, " and ".join(self._expressions))
 
     def _odometry_ahead_ms(self) -> float:
-        """How far the robot's clock is ahead. Called once a second, so it also looks whether the
-        node's clock follows this machine's, which was set."""
+        """How far the robot's clock is ahead. It is called once a second, so it also lets the
+        bridge follow this machine's clock if that was set."""
         self._bridge.follow(self._clock)
         return 1e3 * self._bridge.odometry_ahead_s
 
@@ -98,7 +98,7 @@ class RosRobotNode:
 
     def _read(self, sample: Sample) -> None:
         if sample.sender == self._bus.identity:
-            return  # what we brought ourselves
+            return  # our own message
         try:
             events = reading_of(sample, self._bridge, self._clock)
         except MessageError as reason:
@@ -109,7 +109,7 @@ class RosRobotNode:
             odometry = self._bridge.on_event(event)
         if odometry is None:
             return
-        # What came on our own key, all others have read there.
+        # Messages on our own key have been read there by everyone.
         if self._publisher is not None and sample.key != self._key:
             self._publisher.put(encode(odometry))
             self._node.health.count(f"sent {self._key}")
@@ -119,19 +119,19 @@ class RosRobotNode:
             self._places.publish(location, own_odom=who.firmware if who else "odom")
 
     def _hand_on(self, _correction: RobotCorrection) -> None:
-        """Nothing to send at once: the next odometry carries the pose on."""
+        """Nothing to send now: the pose goes out with the next odometry."""
 
 
 def ros_topic(site: Site, robot: str) -> str:
-    """Where a robot's odometry is: the site file's topic, or the site's own key."""
+    """The topic of a robot's odometry: the site file's, or the site's own key."""
     return site.robot(robot).topic or ODOMETRY.key(site.name, robot)
 
 
 def reading_of(sample: Sample, bridge: Bridge, clock: Clock) -> list[Event]:
-    """What a sample of odometry says; raise MessageError where it is none. The first one connects
-    the robot, which is known by the name of its odometry frame."""
+    """The reading in an odometry sample; raise MessageError if it is not odometry. The first one
+    connects the robot, which is identified by the name of its odometry frame."""
     message = decode(ODOMETRY.type_name, sample.payload)
-    assert isinstance(message, Odometry)  # held by the type
+    assert isinstance(message, Odometry)  # guaranteed by the type
     pose = _level(message.pose) if bridge.is_planar else message.pose
     received_ns = clock.elapsed_ns()
     reading = Reading(message.stamp_ns, received_ns, pose, message.linear, message.angular)
@@ -141,6 +141,6 @@ def reading_of(sample: Sample, bridge: Bridge, clock: Clock) -> list[Event]:
 
 
 def _level(pose: Pose) -> Pose:
-    """x, y and heading of an odometry that its robot fused with an inertial sensor's tilt."""
+    """x, y and heading of odometry into which the robot has fused an inertial sensor's tilt."""
     x, y, _ = pose.translation
     return Pose.planar(x, y, pose.heading)

@@ -1,7 +1,7 @@
-"""Which corrections reach the robot, and what of them. Pure: no bus, no port, no clock.
+"""Decides which corrections reach the robot, and in what form. Pure: no bus, no port, no clock.
 
 A robot acts on a correction: a wrong one can drive it into a wall, a missing one only lets it drift
-as its odometry does. So whatever is doubtful is refused and counted by its reason. The reasoning
+as its odometry does. So every doubtful correction is refused, and counted by reason. The reasoning
 behind the limits is in decisions/0302-which-corrections-reach-a-robot.md and 0304.
 """
 
@@ -25,19 +25,19 @@ from .placement import Measured, Placement
 from .sent_covariance import as_sent, covariance_fault
 
 MAP_FRAME = "map"
-# How far a stamp may lie ahead of our clock: two machines that NTP keeps are nearer.
+# How far a stamp may be ahead of our clock: two machines kept by NTP differ by less.
 FUTURE_NS = to_ns(0.05)
-# Two that speak within this time speak at once; a killed fusion that is started again takes longer.
+# Two senders within this time are active at once; a killed fusion takes longer to restart.
 SENDERS_NS = to_ns(2.0)
-# A site is a building; what lies further away is a broken number.
+# A site is a building; anything further away is a corrupt number.
 FURTHEST_M = 100e3
 _CHECKED = {True: np.ix_([0, 1, 5], [0, 1, 5]), False: np.ix_(range(6), range(6))}
-# 1 mm, and 1.4 mrad: what a planar estimator's rounding never reaches.
+# 1 mm, and 1.4 mrad: far above a planar estimator's rounding.
 _LIFT, _TILT = 1e-3, 1e-6
 
 
 class Refusal(StrEnum):
-    """Why a correction was not handed on."""
+    """Why a correction was not passed to the robot."""
 
     FRAME = "wrong_frame"
     POSE = "not_planar"
@@ -56,9 +56,9 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """Hand this on. `firmware_ns`: its moment on the firmware's clock; `map_from_base` and
-    `covariance` (6, 6): what is believed with this correction fused; `establishes`: the pose may be
-    anywhere, `why` says the reason, "" otherwise."""
+    """Pass this on. `firmware_ns`: its time by the firmware's clock; `map_from_base`, `covariance`
+    (6, 6): the estimate after fusing this correction; `establishes`: the pose may be anywhere, for
+    the reason `why`, "" otherwise."""
 
     at: Stamped
     map_from_base: Pose
@@ -73,19 +73,19 @@ class Approved:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Do not hand it on; `text` is one line for a person."""
+    """Do not pass it on; `text` is one line for a person."""
 
     reason: Refusal
     text: str
 
 
 class SafetyGate:
-    """Judges one robot's corrections in the order in which they come. Not thread-safe."""
+    """Judges one robot's corrections in order of arrival. Not thread-safe."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._config, self._limits, self._planar = config, config.safety, config.planar
-        # The horizon lies behind every correction that may still come, with room for the
-        # interpolation's neighbours.
+        # The horizon is older than every correction that may still arrive, with room for the
+        # readings that interpolation needs.
         self._horizon_ns = to_ns(config.safety.max_age + 0.5)
         self.history = OdometryHistory(config.safety.max_age + 2.0, config.odometry)
         self._map_id: UUID | None = None
@@ -94,44 +94,44 @@ class SafetyGate:
         self._word = MapWord()
         self._senders: dict[str, int] = {}
 
-    # ---- what comes beside corrections
+    # ---- inputs other than corrections
 
     def add_odometry(self, entry: Stamped) -> None:
-        """Every odometry message, as it is published."""
+        """Take in every odometry message, as published."""
         self.history.add(entry)
         for placement in (self._placement, self._run.placement if self._run else None):
             if placement is not None:
                 placement.follow(self.history, entry.stamp_ns - self._horizon_ns)
 
     def restart(self) -> None:
-        """The firmware was restarted: the robot knows no pose now; nor do we know how it moved."""
+        """The firmware restarted: the robot has no pose now, and its motion is unknown."""
         self.history.clear()
         self._placement = self._run = None
 
     def hear(self, maps: list[UUID], now_ns: int) -> None:
-        """What those who serve `fusion/map` answered when they were asked."""
+        """Take in the answers of the nodes that serve `fusion/map`."""
         self._word.hear(maps, now_ns)
 
     @property
     def asks(self) -> bool:
-        """Whether fusion's own word is needed: corrections want to place the robot anew."""
+        """Whether fusion's confirmation is needed: corrections want to place the robot anew."""
         return self._run is not None and not self._word.speaks_for(self._run)
 
     @property
     def is_placed(self) -> bool:
-        """Whether it is known where the robot is."""
+        """Whether the robot's pose is known."""
         return self._placement is not None
 
     @property
     def state(self) -> str:
-        """How it stands with the robot's place, for people."""
+        """Whether the robot's pose is known, in words for people."""
         if self._run is None:
             return "known" if self._placement else "unknown: no correction came yet"
         sure = "doubted" if self._placement else "unknown"
         return f"{sure}: {self._run.progress(self._word)}"
 
     def believed(self) -> tuple[Stamped, Pose, Array] | None:
-        """Where the robot is at the newest reading, and its (6, 6); None where that is unknown."""
+        """The newest reading, the pose there and its (6, 6) covariance; None if unknown."""
         last = self.history.last
         if self._placement is None or last is None or last.stamp_ns < self._placement.newest_ns:
             return None
@@ -142,7 +142,7 @@ class SafetyGate:
     def judge(
         self, correction: PoseEstimate, mark: CorrectionMark, now_ns: int, sender: str = ""
     ) -> Approved | Refused:
-        """Whether to hand a correction on; `now_ns`: Unix time on the odometry stamps' clock."""
+        """Judge a correction; `now_ns`: Unix time on the odometry stamps' clock."""
         refused = (
             self._content(correction)
             or self._age(correction.stamp_ns, now_ns)
@@ -204,15 +204,15 @@ class SafetyGate:
         return Refused(Refusal.SENDERS, text)
 
     def _order(self, stamp_ns: int, mark: CorrectionMark) -> Refused | None:
-        """A correction of a moment that is not after the last applied one's says nothing new. Its
-        number may be lower: a restarted fusion counts anew, but what it says is of now."""
+        """Refuse a correction stamped no later than the last applied one: it says nothing new. Its
+        number may be lower: a restarted fusion counts anew, but its corrections are current."""
         if self._placement is not None and stamp_ns <= self._placement.newest_ns:
             return Refused(Refusal.ORDER, f"number {mark.sequence} is no newer than one applied")
         if self._run is not None and stamp_ns <= self._run.placement.newest_ns:
             return Refused(Refusal.ORDER, f"number {mark.sequence} is no newer than one before it")
         return None
 
-    # ---- the correction beside what is known
+    # ---- the correction compared with what is known
 
     def _place(self, measured: Measured, mark: CorrectionMark, now_ns: int) -> Approved | Refused:
         if self._placement is None:
@@ -231,7 +231,7 @@ class SafetyGate:
     def _doubt(
         self, measured: Measured, map_id: UUID, now_ns: int, refused: Refused
     ) -> Approved | Refused:
-        """Refuse, unless a run of corrections agrees with this one and all else does too."""
+        """Refuse, unless a complete run of corrections agrees and fusion confirms its map."""
         run = self._run
         if run is None or not run.goes_on_with(measured, map_id, self.history):
             self._run = Agreement(measured, map_id, now_ns, self._config)
@@ -244,7 +244,7 @@ class SafetyGate:
         return Approved(measured.at, pose, covariance, establishes=True, why=why)
 
     def _sent(self, covariance: Array) -> Array:
-        """(6, 6), of which the robot is told the rows that are checked."""
+        """The (6, 6) sent to the robot: zero but for the rows and columns that are checked."""
         sent = np.zeros((6, 6))
         sent[_CHECKED[self._planar]] = as_sent(self._shown(covariance))
         return sent

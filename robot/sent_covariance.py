@@ -1,7 +1,7 @@
-"""A correction's covariance as it goes to the robot: what is judged is what is sent.
+"""A correction's covariance as sent to the robot, so that exactly this is judged.
 
-Every protocol carries the upper triangle in single precision. So a covariance is rounded to that
-first, and then looked at; what comes out of the fusing is rounded the same way.
+Every protocol carries the upper triangle in single precision. So a covariance is first rounded to
+that and then judged; the result of fusing is rounded in the same way.
 """
 
 from functools import cache
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
-# Ten micrometres, and as many microradians: no camera sees that, and the square of much less is
-# an exact zero in single precision.
+# Ten micrometres or microradians: no camera resolves that, and the square of much less is exactly
+# zero in single precision.
 LEAST_SIGMA = 1e-5
 # Of the correlation matrix's smallest eigenvalue: single precision rounds at 6e-8.
 _LEAST_EIGENVALUE = 1e-6
@@ -22,7 +22,7 @@ _ASYMMETRY = 1e-6
 
 
 def as_sent(covariance: Array) -> Array:
-    """The covariance (n, n) that the receiver has, who mirrors the upper triangle."""
+    """The covariance (n, n) at the receiver, which mirrors the upper triangle."""
     with np.errstate(over="ignore", under="ignore"):
         sent = covariance.astype(np.float32).astype(float)
     return np.where(_below(len(sent)), sent.T, sent)
@@ -30,12 +30,12 @@ def as_sent(covariance: Array) -> Array:
 
 @cache
 def _below(size: int) -> NDArray[np.bool_]:
-    """Which elements of a matrix lie below its diagonal."""
+    """Mask of the elements below a matrix's diagonal."""
     return np.tri(size, k=-1, dtype=bool)
 
 
 def covariance_fault(covariance: Array) -> str:
-    """What is wrong with a covariance (n, n) that a robot is to be told, or ""."""
+    """What is wrong with a covariance (n, n) to be sent to a robot, or ""."""
     if not np.all(np.isfinite(covariance)):
         return "its covariance is not finite"
     sent = as_sent(covariance)

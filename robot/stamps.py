@@ -1,4 +1,4 @@
-"""When readings were taken: by the firmware's clock, by their arrival, or by what they say."""
+"""When readings were taken: by the firmware's clock, by arrival, or by their own stamps."""
 
 from dataclasses import dataclass
 
@@ -8,26 +8,26 @@ from trigpoint.health import Health
 from .firmware_clock import FirmwareClock
 from .protocol import Reading, StampClock
 
-# Two machines without NTP are seconds apart; more is a clock that was never set.
+# Two machines without NTP are seconds apart; beyond this a clock was never set.
 _CLOCKS_APART_NS = to_ns(5.0)
 _STEP_NS = to_ns(0.01)
-# On a busy machine exchanges take tens of milliseconds, and half of that is how well the firmware's
-# clock is known: what seems to be of after its arrival was taken just before.
+# On a busy machine exchanges take tens of milliseconds, and the firmware's clock is known only to
+# half of that: a reading stamped after its arrival was taken just before it.
 _DOUBT_NS = to_ns(0.05)
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """What turns this machine's monotonic clock into Unix time: nanoseconds to add.
+    """Nanoseconds to add to this machine's monotonic clock to get Unix time.
 
-    Taken anew only where a clock that was set is believed: stamps must not jump as it is set.
+    Measured again only once a newly set clock is trusted: stamps must not jump when it is set.
     """
 
     unix_minus_elapsed_ns: int
 
 
 def measured_offset(clock: Clock) -> Offset:
-    """Unix time minus the monotonic clock, from the tightest of a few pairs of readings."""
+    """Unix time minus the monotonic clock, from the closest of a few pairs of readings."""
     best_ns, offset_ns = None, 0
     for _ in range(5):
         before_ns, now_ns, after_ns = clock.elapsed_ns(), clock.now_ns(), clock.elapsed_ns()
@@ -38,7 +38,7 @@ def measured_offset(clock: Clock) -> Offset:
 
 
 class Stamps:
-    """One robot's; `source`: the clock that its readings are stamped by. Not thread-safe."""
+    """One robot's stamps; `source`: the clock of its readings. Not thread-safe."""
 
     def __init__(self, robot: str, source: StampClock, offset: Offset, health: Health) -> None:
         self._robot, self._source, self._offset, self._health = robot, source, offset, health
@@ -47,11 +47,11 @@ class Stamps:
         """How far a robot's own Unix time was ahead of ours when its newest reading came."""
 
     def unix_ns(self, elapsed_ns: int) -> int:
-        """Unix time on the scale of the stamps."""
+        """Unix time on the time scale of the stamps."""
         return elapsed_ns + self._offset.unix_minus_elapsed_ns
 
     def follow(self, clock: Clock) -> int:
-        """Stamp by `clock` as it goes now, where it was set; what it was set by, nanoseconds."""
+        """Follow `clock` if it was set; return by how much, nanoseconds."""
         offset = measured_offset(clock)
         moved_ns = offset.unix_minus_elapsed_ns - self._offset.unix_minus_elapsed_ns
         if abs(moved_ns) <= _STEP_NS:
@@ -60,7 +60,7 @@ class Stamps:
         return moved_ns
 
     def of(self, reading: Reading) -> int | None:
-        """When the reading was taken; None where that cannot be told or be true."""
+        """When the reading was taken; None if that is unknown or impossible."""
         match self._source:
             case StampClock.UNIX:
                 return self._own(reading)
@@ -72,13 +72,13 @@ class Stamps:
             self._health.count("odometry_before_clock")
             return None
         if machine_ns > reading.received_ns + _DOUBT_NS:
-            # The firmware's clock was set: such a stamp would make all later readings out of order.
+            # The firmware's clock was set: this stamp would put all later readings out of order.
             self._health.lose("odometry_ahead_of_clock")
             return None
         return self.unix_ns(min(machine_ns, reading.received_ns))
 
     def _own(self, reading: Reading) -> int | None:
-        """A robot's own Unix time: it need not be ours, but far off nothing of it can be used."""
+        """A robot's own Unix time: it may differ from ours, but a stamp far off is unusable."""
         off_ns = reading.firmware_ns - self.unix_ns(reading.received_ns)
         self.ahead_s = to_seconds(off_ns)
         if abs(off_ns) <= _CLOCKS_APART_NS:

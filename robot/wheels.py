@@ -1,7 +1,8 @@
-"""A differential drive: what two wheels' counters say of the way.
+"""Differential drive: motion from the counters of two wheels.
 
-Counters wrap at some number of bits; between two readings a wheel turns less than half of that, so
-the difference nearest to zero is the true one. The step is an arc: both wheels turn evenly.
+Counters wrap at some number of bits; between two readings a wheel turns by less than half of that
+range, so the difference nearest to zero is the true one. A step is an arc: both wheels turn
+evenly.
 """
 
 import math
@@ -16,8 +17,8 @@ from trigpoint.geometry.rotation import Array
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:
-    """`left_m`, `right_m`: metres a count; `track_m` between the wheels' contact points; `bits` at
-    which the counters wrap."""
+    """`left_m`, `right_m`: metres per count; `track_m`: between the wheels' contact points; `bits`:
+    width of the counters, at which they wrap."""
 
     left_m: float
     right_m: float
@@ -33,8 +34,8 @@ def wheel_geometry(
     track_m: float = 0.0,
     ticks: float = 0.0,
 ) -> WheelGeometry | None:
-    """By the site file, or the robot's own numbers where that says nothing; None where neither
-    says all."""
+    """Geometry from the site file, or from the robot's own numbers if that has none; None if
+    neither is complete."""
     diameter, track = config.diameter or diameter_m, config.track or track_m
     counts = config.ticks or ticks
     if not (diameter and track and counts):
@@ -44,7 +45,7 @@ def wheel_geometry(
 
 
 class WheelOdometry:
-    """Adds up one robot's steps, from the origin on. Not thread-safe."""
+    """Adds up one robot's steps, starting at the origin. Not thread-safe."""
 
     def __init__(self) -> None:
         self._counts: tuple[int, int] | None = None
@@ -67,7 +68,7 @@ class WheelOdometry:
     def add_way(
         self, left_m: float, right_m: float, track_m: float, elapsed_s: float
     ) -> tuple[Pose, Array, Array]:
-        """The same from the ways that the wheels went."""
+        """The same from the distances that the wheels travelled."""
         way, turn = 0.5 * (left_m + right_m), (right_m - left_m) / track_m
         middle = self._heading + 0.5 * turn
         # The chord of the arc; np.sinc is sin(πx)/(πx).
@@ -82,6 +83,6 @@ class WheelOdometry:
 
 
 def _nearest(difference: int, bits: int) -> int:
-    """The difference of two counters that wrap, nearest to zero."""
+    """The difference nearest to zero of two counters that wrap."""
     half = 1 << (bits - 1)
     return (difference + half) % (1 << bits) - half
