@@ -1,4 +1,4 @@
-"""From a picture to the faces in it. `DETECTORS` says which FaceFinder finds which pattern."""
+"""Finds the faces in a picture. `DETECTORS`: the FaceFinder of each pattern."""
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -22,29 +22,29 @@ DETECTORS: dict[Pattern, str] = {
 
 
 class TargetDetector(Protocol):
-    """Finds faces. Keeps no state between pictures; one instance a thread."""
+    """Finds faces. Keeps no state between pictures; one instance per thread."""
 
     @property
     def misdescribed(self) -> tuple[str, ...]:
-        """What was seen so far that the target file describes wrongly, each once, with what to
-        write."""
+        """Boards seen so far that the target file describes wrongly, each once, with what to write
+        instead."""
         ...
 
     def detect(self, picture: np.ndarray) -> tuple[FaceSighting, ...]:
         """The faces in a picture, (height, width) grey or (height, width, 3) BGR, uint8.
 
-        Raises InputError where the array is no such picture.
+        Raises InputError if the array is not such a picture.
         """
         ...
 
 
 def detector_for(targets: Sequence[Target]) -> TargetDetector:
-    """One detector for all faces of all robots' targets, one target a robot."""
+    """One detector for all faces of all robots' targets, one target per robot."""
     return _AllDetectors(finders_for(targets))
 
 
 def finders_for(targets: Sequence[Target]) -> dict[Pattern, FaceFinder]:
-    """A finder for every pattern that the robots' targets have."""
+    """A finder for each pattern on the robots' targets."""
     looks = appearances(targets)
     return {
         pattern: _open(path)([look for look in looks if look.face.pattern is pattern])
@@ -54,12 +54,12 @@ def finders_for(targets: Sequence[Target]) -> dict[Pattern, FaceFinder]:
 
 
 def misdescribed(finders: dict[Pattern, FaceFinder]) -> tuple[str, ...]:
-    """What finders saw so far that the target file describes wrongly."""
+    """Boards seen by the finders so far that the target file describes wrongly."""
     return tuple(line for finder in finders.values() for line in finder.misdescribed)
 
 
 class _AllDetectors:
-    """The finders of every pattern that a site has, one after the other."""
+    """Runs the finders of all of a site's patterns, one after the other."""
 
     def __init__(self, finders: dict[Pattern, FaceFinder]) -> None:
         self._finders = finders

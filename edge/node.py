@@ -1,4 +1,4 @@
-"""The agent of one camera as a node: source -> tracker -> bus."""
+"""One camera's agent as a node: source -> tracker -> bus."""
 
 import logging
 import threading
@@ -28,17 +28,17 @@ KIND = "edge"
 _FIRST_PAUSE_S = 1.0
 _LONGEST_PAUSE_S = 30.0
 _SOUND_S = 10.0
-"""A source that lasted so long was sound: the next pause is the first one again."""
+"""After a source has run for this long, retries start with the shortest pause again."""
 _PATIENCE_S = 20.0
-"""How long the camera's thread may take for one picture, or for opening, before it is hung."""
+"""How long the camera's thread may take for a picture, or to open, before it counts as hung."""
 _PATIENT_PERIODS = 5.0
 
 
 class EdgeNode:
     """Runs inside `node`'s life: `start` declares and starts, the node's end stops.
 
-    At the end of a file the node stops; a source that is lost is opened again, after pauses that
-    grow to half a minute.
+    At the end of a file the node stops; a lost source is reopened, with pauses that grow to half a
+    minute.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class EdgeNode:
         *,
         clock: Clock | None = None,
     ) -> None:
-        """`targets`: one a robot. Raises InputError where the intrinsics file is wrong."""
+        """`targets`: one per robot. Raises InputError if the intrinsics file is wrong."""
         self._bus, self._node, self._site, self._camera = bus, node, site, camera
         self._clock = clock or node.clock
         self._config = site.camera(camera)
@@ -70,7 +70,7 @@ class EdgeNode:
         self._detection_ms = self._delay_ms = 0.0
 
     def start(self) -> None:
-        """Declare what the camera sends and serves, and start its thread."""
+        """Declare the camera's publishers and commands, and start its thread."""
         warm_up()
         self._sightings = self._bus.publisher(SIGHTINGS, self._key(SIGHTINGS))
         self._camera_info = self._bus.publisher(CAMERA_INFO, self._key(CAMERA_INFO))
@@ -122,7 +122,7 @@ class EdgeNode:
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
 
     def _run_again(self) -> None:
-        """Note that pictures come again."""
+        """Note that pictures are arriving again."""
         self._say("running")
         self._node.health.release("source")
         if self._lost_ns is not None:
@@ -131,9 +131,9 @@ class EdgeNode:
             self._lost_ns = None
 
     def _play(self, stopping: threading.Event) -> None:
-        """Handle every picture until the source's end; raises FrameError where it is lost."""
+        """Handle every picture until the source ends; raises FrameError if the source is lost."""
         self._say("opening")
-        # A source may take its time to open, and then until the first picture or its loss.
+        # A source may be slow to open, and then to give its first picture or to fail.
         self._pulse.beat(_PATIENCE_S)
         config = self._config
         source = open_source(
@@ -171,17 +171,17 @@ class EdgeNode:
         self._publish(frame)
         if self._pictures.offer(frame):
             health.count(f"sent {self._key(IMAGE)}")
-            if self._lens is not None:  # beside every picture, as viewers of ROS's pictures expect
+            if self._lens is not None:  # with every picture, as ROS viewers expect
                 self._say_lens(frame, self._lens)
 
     def _follow_clock(self) -> None:
-        """Accept earlier stamps once they follow a clock that was set back."""
+        """Accept earlier stamps again once they follow a clock that was set back."""
         if isinstance(self._clock, SteadyClock) and self._clock.followed != self._followed:
             self._followed = self._clock.followed
             self._last_ns = -1
 
     def _announce(self, frame: Frame, source: FrameSource) -> None:
-        """Send the lens with the first picture; raises ConfigError where it does not fit one."""
+        """Send the lens with the first picture; raises ConfigError if it does not fit a picture."""
         if not self._is_announced:
             self._is_announced = True
             self._lens = known_lens(self._site, self._camera, self._calibrated, source.intrinsics)
@@ -195,7 +195,7 @@ class EdgeNode:
         self._node.health.count(f"sent {self._key(CAMERA_INFO)}")
 
     def _publish(self, frame: Frame) -> None:
-        """Find the faces and send them, also where there are none."""
+        """Find the faces and send them, even if there are none."""
         began_ns, given_up = self._clock.elapsed_ns(), self._tracker.given_up
         faces = self._tracker.detect(frame.picture, frame.captured_ns)
         self._detection_ms = to_seconds(self._clock.elapsed_ns() - began_ns) * 1e3
@@ -211,7 +211,7 @@ class EdgeNode:
         self._name_misdescribed()
 
     def _name_misdescribed(self) -> None:
-        """Say what was seen that the target file describes wrongly, for as long as it does."""
+        """Report boards that the target file describes wrongly."""
         if lines := self._tracker.misdescribed:
             self._node.health.hold("target file", "; ".join(lines))
 
@@ -227,5 +227,5 @@ class EdgeNode:
 
 
 def load_targets(site: Site) -> list[Target]:
-    """Every robot's target, one a robot; raises TargetError."""
+    """Every robot's target, one per robot; raises TargetError."""
     return [load_target(site.path(site.target_name(robot))) for robot in site.robots]

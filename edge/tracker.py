@@ -1,8 +1,8 @@
 """Follows faces through one camera's pictures.
 
-A face that was seen is first looked for where its motion puts it, then around there. The whole
-picture is searched where nothing is followed, and now and then for new faces; the surroundings of
-the followed ones more often.
+A known face is first looked for where its motion predicts it, then around that place. The whole
+picture is searched if nothing is followed, and occasionally for new faces; the surroundings of
+followed faces are searched more often.
 """
 
 from collections.abc import Sequence
@@ -26,36 +26,35 @@ from .registration.measurement import LEAST_CORNERS, Located
 from .registration.planar_fit import PlanarFit
 from .registration.plane_fitting import fit_plane
 
-# While faces are followed, the whole picture is searched so often.
+# How often the whole picture is searched while faces are followed.
 SEARCH_EVERY_NS = 500_000_000
-# What is about them is searched, for the robot's next face that turns into view, where nothing was
-# for so long, and a face has moved since by this share of its size.
+# How often the surroundings of followed faces are searched for the robot's next face turning into
+# view, if a face has moved by this share of its size since the last look.
 SEARCH_BESIDE_EVERY_NS = 250_000_000
 MOVED_SHARE = 0.1
-# A face that was not seen for so long, or in so many pictures, is not looked for any more.
+# A face not seen for this long, or in this many pictures, is dropped.
 FORGET_NS = 400_000_000
 MOST_MISSES = 2
-# How far about its prediction a face is looked for: pixels, and of its way since the last picture.
+# Search radius around a prediction: pixels, plus a share of the motion since the last picture.
 LEAST_REACH_PX = 24.0
 REACH_SHARE = 0.5
 MOST_REACH_PX = 80.0
-# The same where its motion is not known yet.
+# The same while its motion is unknown.
 UNKNOWN_REACH_PX = 60.0
-# A face that came so near its prediction is first looked for just there the next time, pixels.
+# A face this close to its prediction is first looked for exactly there next time, pixels.
 NEAR_PX = 0.8
-# After this share of a picture's time no step is begun any more: the last one takes its time too.
+# After this share of a picture's time no further step is begun: the last one takes time too.
 LAST_BEGIN = 0.7
-# An outline that reaches further was not projected in earnest, pixels.
+# An outline that reaches further is a degenerate projection, pixels.
 _FAR_PX = 10_000
 _COARSE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A followed face: what was last seen of it, when, and how its plane's homography changes a
-    second, (3, 3), as `_scaled`; None until it was seen twice. `misses`: pictures since then in
-    which it was looked for; `is_steady`: false where it was found away from where it was
-    expected."""
+    """A followed face: the last detection, its time, and the change per second of its plane's
+    homography, (3, 3), as `_scaled`; None until seen twice. `misses`: later pictures in which it
+    was looked for in vain; `is_steady`: false if it was found away from its predicted place."""
 
     located: Located
     seen_ns: int
@@ -64,7 +63,7 @@ class Track:
     is_steady: bool = True
 
     def reach_px(self, stamp_ns: int) -> float:
-        """How far around its expected place it is looked for."""
+        """Search radius around its predicted place."""
         if self.change is None:
             return UNKNOWN_REACH_PX
         moved = self.pixels_at(stamp_ns) - self.located.found.pixels
@@ -72,14 +71,14 @@ class Track:
         return min(LEAST_REACH_PX + way, MOST_REACH_PX)
 
     def pixels_at(self, stamp_ns: int) -> Array:
-        """Where its corners should be by then, (n, 2)."""
+        """Its corners predicted for that time, (n, 2)."""
         return self.fit_at(stamp_ns).project(_points(self.located))
 
     def fit_at(self, stamp_ns: int) -> PlanarFit:
-        """The plane that its corners should lie on.
+        """The plane predicted for that time.
 
-        Where a plane moves without turning, two columns of its homography stay and the third
-        changes evenly, near or far; where it turns a little, nearly so.
+        If a plane moves without turning, two columns of its homography stay constant and the third
+        changes evenly, whatever its distance; if it turns a little, this is nearly so.
         """
         fit = self.located.found.fit
         if self.change is None:
@@ -89,10 +88,10 @@ class Track:
 
 
 class TargetTracker:
-    """Like a TargetDetector, for the pictures of one camera in order; one instance a thread.
+    """Like a TargetDetector, for one camera's pictures in order; one instance per thread.
 
-    `given_up`: how many pictures took longer than the budget and were answered with what was found
-    until then.
+    `given_up`: how many pictures exceeded the budget and were answered with the faces found by
+    then.
     """
 
     def __init__(
@@ -102,8 +101,8 @@ class TargetTracker:
         budget_s: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`budget_s`: how long a picture may take; what is left to do by then is given up. Without
-        one the work is bounded by counts alone. Raises TargetError."""
+        """`budget_s`: how long a picture may take; work left by then is given up. Without a budget,
+        the work is bounded by counts alone. Raises TargetError."""
         self._finders = finders_for(targets)
         self._budget_ns = None if budget_s is None else round(budget_s * 1e9)
         self._clock = clock or SystemClock()
@@ -116,8 +115,8 @@ class TargetTracker:
 
     @property
     def misdescribed(self) -> tuple[str, ...]:
-        """What was seen so far that the target file describes wrongly, each once, with what to
-        write."""
+        """Boards seen so far that the target file describes wrongly, each once, with what to write
+        instead."""
         return misdescribed(self._finders)
 
     def detect(self, picture: np.ndarray, stamp_ns: int) -> tuple[FaceSighting, ...]:
@@ -139,21 +138,21 @@ class TargetTracker:
         return tuple(located.sighting for located in found)
 
     def _forget(self, shape: tuple[int, ...], stamp_ns: int) -> None:
-        """Drop what says nothing of this picture; all where the pictures go back or change."""
+        """Drop outdated tracks; all of them if time runs backwards or the picture size changes."""
         if shape != self._shape or any(track.seen_ns >= stamp_ns for track in self._tracks):
             self._tracks, self._searched_ns = [], None
         self._shape = shape
         self._tracks = [t for t in self._tracks if stamp_ns - t.seen_ns <= FORGET_NS]
 
     def _is_search_due(self, stamp_ns: int, found: Sequence[Located]) -> bool:
-        """Where nothing is followed, where a face was just lost, and now and then."""
+        """Whether to search all: nothing is followed, a face was just lost, or it is time to."""
         fresh = sum(track.misses == 0 for track in self._tracks)
         if self._searched_ns is None or len(found) < max(fresh, 1):
             return True
         return stamp_ns - self._searched_ns >= SEARCH_EVERY_NS
 
     def _is_look_beside_due(self, stamp_ns: int, found: Sequence[Located]) -> bool:
-        """Now and then while what is followed moves: what stands shows no other face."""
+        """Whether it is time and a face has moved: a standing robot shows no other face."""
         if stamp_ns - self._looked_ns < SEARCH_BESIDE_EVERY_NS:
             return False
         return any(
@@ -162,7 +161,7 @@ class TargetTracker:
         )
 
     def _followed(self, grey: np.ndarray, stamp_ns: int, is_over: IsOver) -> list[Located]:
-        """The faces that are where they can be by now."""
+        """The followed faces, found within reach of their predictions."""
         found: list[Located] = []
         for track in self._tracks:
             located = self._where_expected(grey, track, stamp_ns, is_over)
@@ -187,7 +186,7 @@ class TargetTracker:
     def _searched(
         self, grey: np.ndarray, found: list[Located], within: Region | None, is_over: IsOver
     ) -> list[Located]:
-        """What is found and what a search of the picture, or of a region of it, adds."""
+        """The found faces plus those that a search of the picture, or of a region, adds."""
         found = list(found)
         left = _covered(grey, found)
         for finder in self._finders.values():
@@ -198,7 +197,7 @@ class TargetTracker:
         return found
 
     def _renewed(self, found: list[Located], stamp_ns: int) -> list[Track]:
-        """Tracks of what was found, and of what was missed just now."""
+        """Tracks of the faces just found, and of those just missed."""
         tracks = []
         left = list(self._tracks)
         for located in found:
@@ -213,7 +212,7 @@ class TargetTracker:
 
 
 class _Budget:
-    """The time that one picture may take."""
+    """The time budget of one picture."""
 
     def __init__(self, clock: Clock, budget_ns: int | None) -> None:
         self._clock = clock
@@ -223,17 +222,17 @@ class _Budget:
         self.was_over = False
 
     def is_left(self) -> bool:
-        """Whether there is time to begin work that can wait; leaving that out gives nothing up."""
+        """Whether there is time for deferrable work; skipping that does not count as giving up."""
         return self._end_ns is None or self._clock.elapsed_ns() <= self._end_ns
 
     def is_over(self) -> bool:
-        """Whether it is nearly used up; asked before every step of a search."""
+        """Whether the budget is nearly used up; called before every step of a search."""
         self.was_over = not self.is_left()
         return self.was_over
 
 
 def _is_among(located: Located, found: Sequence[Located]) -> bool:
-    """Whether a face is one of these: the only one of its look, or at the same place."""
+    """Whether a face is one of these: the only one of its look, or in the same place."""
     middle = located.found.pixels.mean(axis=0)
     for other in found:
         if other.look is not located.look:
@@ -245,7 +244,7 @@ def _is_among(located: Located, found: Sequence[Located]) -> bool:
 
 
 def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
-    """Whether a located face is the one of a track."""
+    """Whether a located face belongs to a track."""
     if track.located.look is not located.look:
         return False
     if located.look.is_unique:
@@ -257,7 +256,7 @@ def _is_same(track: Track, located: Located, stamp_ns: int) -> bool:
 
 
 def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track:
-    """The track of a face that was just located; `last`: its track until now."""
+    """The new track of a face just located; `last`: its track until now."""
     if last is None or len(located.found.corners) < LEAST_CORNERS:
         return Track(located, stamp_ns, None)
     now, then = located.found.fit, last.located.found.fit
@@ -273,19 +272,19 @@ def _renewed_track(last: Track | None, located: Located, stamp_ns: int) -> Track
 
 
 def _points(located: Located) -> Array:
-    """The corners that were seen, in the face frame, (n, 2)."""
+    """The seen corners in the face frame, (n, 2)."""
     return located.look.face.corners[located.found.corners, :2]
 
 
 def _scaled(homography: Array) -> Array:
-    """The homography scaled so that its first two columns together have length 1, which a face that
-    moves without turning keeps, and points are in front of the camera."""
+    """The homography scaled so that its first two columns together have length 1, which stays so
+    while a face moves without turning, and points are in front of the camera."""
     length = np.linalg.norm(homography[:, :2])
     return homography * (np.sign(homography[2, 2]) / length)
 
 
 def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
-    """The picture with the faces that were found painted over."""
+    """The picture with the found faces painted over."""
     if not found:
         return grey
     left = grey.copy()
@@ -296,11 +295,11 @@ def _covered(grey: np.ndarray, found: Sequence[Located]) -> np.ndarray:
 
 
 def _has_moved(last: Array, outline: Array) -> bool:
-    """Whether one outline (4, 2) lies elsewhere than the other."""
+    """Whether an outline (4, 2) has moved from the last one."""
     return bool(np.abs(outline - last).max() > MOVED_SHARE * np.ptp(outline, axis=0).max())
 
 
 def _outlines(found: Sequence[Located]) -> list[Array]:
-    """Outlines (n, 2) of faces, pixels, without those that project out of all bounds."""
+    """Outlines (n, 2) of faces, pixels, without degenerate projections."""
     outlines = [face.found.fit.project(face.look.face.outline[:, :2]) for face in found]
     return [outline for outline in outlines if np.abs(outline).max() < _FAR_PX]

@@ -1,4 +1,4 @@
-"""From the bus to whoever records or draws: every sound sample of a site, and no other."""
+"""Passes every valid sample of a site, and no other, from the bus to a recorder or viewer."""
 
 import logging
 import threading
@@ -26,33 +26,33 @@ _log = logging.getLogger(__name__)
 _PATIENCE_S = 0.2
 _CATCH_UP_S = 0.4
 _REST_S = 1.5
-"""How long a stop may wait for what is on its way (an answer takes milliseconds where nobody
-hangs), and what is kept of its time for what follows."""
+"""How long a stop may wait for samples in transit (answers take milliseconds unless a session
+hangs), and the part of its time kept for what follows."""
 _SETTLE_S = 2.0
 _LOOK_S = 0.01
-"""How long a session's end may wait for what waits in the queues, and how often it looks."""
+"""How long a session's end may wait for the queues to empty, and how often it checks."""
 _LEAST_QUEUE = 64
-"""The topics' own queues are for those who want the newest; here every sample is wanted."""
+"""The topics' own queues suit readers of the newest sample; here every sample is wanted."""
 
 
 def recorded_topics(site: Site) -> list[Topic]:
-    """The contract's topics that are recorded; pictures only where they are wanted."""
+    """The contract's recorded topics; pictures only if the site wants them."""
     pictures = site.recorder.pictures
     return [topic for topic in TOPICS if topic.recorded and (pictures or topic is not IMAGE)]
 
 
 def is_wanted(site: Site, key: str) -> bool:
-    """Whether the site's recorder keeps a key, by its filter."""
+    """Whether a key passes the site's recorder filter."""
     rest = key.partition("/")[2]
     wanted = site.recorder.keys
     return not wanted or any(key_matches(one, rest) or key_matches(one, key) for one in wanted)
 
 
 class Intake:
-    """Subscribes topics, each with a thread of its own, and hands their sound samples to `take`.
+    """Subscribes to topics, each on its own thread, and passes their valid samples to `take`.
 
-    A sample that is not sound is rejected, counted, and its sender named in the diagnostics. What
-    was sent when the node stops is still waited for and handed on.
+    An invalid sample is rejected and counted, and its sender named in the diagnostics. Samples
+    already sent when the node stops are still awaited and passed on.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Intake:
         take: Take,
         lose: Lose = lambda _key, _count: None,
     ) -> None:
-        """`lose` is told how many more samples of a key the bus's full queue has dropped."""
+        """`lose` gets the number of further samples of a key dropped by the bus's full queue."""
         self._bus, self._node, self._site, self._take, self._lose = bus, node, site, take, lose
         self._is_caught_up = threading.Event()
         self._subscriptions: list[Subscription] = []
@@ -92,7 +92,7 @@ class Intake:
         self._tell_losses(subscription, told)
 
     def settle(self) -> None:
-        """Wait until what was sent before is handed on, while the topics' threads go on."""
+        """Wait until everything sent before is passed on; the topics' threads keep running."""
         self._wait_for_what_is_sent(_CATCH_UP_S)
         came = sum(subscription.received for subscription in self._subscriptions)
         deadline = time.monotonic() + _SETTLE_S
@@ -101,12 +101,12 @@ class Intake:
 
     @property
     def _taken(self) -> int:
-        """How many samples were handed on, or dropped from a full queue."""
+        """Number of samples passed on, or dropped from a full queue."""
         dropped = sum(sum(one.losses.values()) for one in self._subscriptions)
         return sum(self._handed.values()) + dropped
 
     def _catch_up(self) -> None:
-        """After the node's stop, have the topics' threads go on until all came that was sent."""
+        """After the node's stop, keep the topics' threads running until all samples are here."""
         self._node.stopping.wait()
         try:
             self._wait_for_what_is_sent(min(_CATCH_UP_S, ENDING.left_s(_REST_S)))
@@ -138,7 +138,7 @@ class Intake:
 
 
 def sound_message(topic: Topic, sample: Sample, site: Site) -> Message:
-    """The message in a sample; raise MessageError where it is not what the contract says."""
+    """The message in a sample; raise MessageError if it does not follow the contract."""
     if topic_of(sample.key) is not topic:
         raise MessageError(f"{sample.key} is not a key of the contract")
     if not topic.may_be(sample.encoding):

@@ -7,8 +7,8 @@ from trigpoint.clock import Clock, to_ns
 from .sink_queue import Message
 
 _JUMP_NS = to_ns(0.05)
-"""A clock that is kept by NTP slews half a millisecond a second at most; a look comes ten times a
-second. What is a hundred times more is a step."""
+"""A clock kept by NTP slews at most half a millisecond per second, and it is checked ten times a
+second. A hundred times that is a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +20,8 @@ class ClockJump:
 
 
 class LogTimes:
-    """Turns the machine's times into log times: the same, until the clock is set back; from then
-    on later by as much, so that they go on at the clock's pace."""
+    """Converts the machine's times to log times: the same until the clock is set back; from then on
+    later by that amount, so that they continue at the clock's pace."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -30,7 +30,7 @@ class LogTimes:
         self.jumps: list[ClockJump] = []
 
     def look(self) -> None:
-        """Notice whether the clock was set; call it often."""
+        """Check whether the clock was set; call it often."""
         step_ns = self._clock.now_ns() - self._clock.elapsed_ns()
         jump_ns, self._step_ns = step_ns - self._step_ns, step_ns
         if abs(jump_ns) > _JUMP_NS:
@@ -38,12 +38,12 @@ class LogTimes:
             self.jumps.append(ClockJump(self.now_ns(), jump_ns / 1e9))
 
     def now_ns(self) -> int:
-        """The log time of now."""
+        """The current log time."""
         return self._clock.now_ns() + self._offset_ns
 
     def of_all(self, messages: list[Message], now_ns: int) -> list[Message]:
-        """The messages with log times in place of the times at which they were received; `now_ns`:
-        the log time of now, which none is after."""
+        """The messages with log times in place of their times of arrival; none is later than
+        `now_ns`, the current log time."""
         offset_ns = self._offset_ns
         if not offset_ns:
             return messages

@@ -1,15 +1,15 @@
-"""What a recording's channels say beside their messages: delivery, and samples' attachments."""
+"""What a recording's channels hold besides messages: delivery, and samples' attachments."""
 
 import struct
 
 from trigpoint.topics import Delivery, Topic
 
 CHANNELS = "trigpoint.channels"
-"""Metadata that say a second time what a file's channels are, in case their own record is damaged:
+"""Metadata that repeat a file's channel definitions in case the records themselves are damaged:
 number -> JSON of topic and type."""
 ATTACHED = "std_msgs/msg/UInt8MultiArray"
-"""The type of the channel beside a key's own that holds what is attached to its samples: MCAP has
-no place for it in a message. So that every ROS tool decodes it, it is a message of ROS's own."""
+"""The type of the second channel that holds the attachments of a key's samples: an MCAP message has
+no place for them. It is one of ROS's own types, so that every ROS tool decodes it."""
 _SUFFIX = "/attachment"
 # CDR, little-endian: no dimensions, offset 0; then the number of bytes.
 _HEAD = struct.Struct("<4sIII")
@@ -24,7 +24,7 @@ def attached_topic(key: str) -> str:
 
 
 def attached_to(key: str) -> str:
-    """The key whose attachments these are, "" where it is not a key of attachments."""
+    """The key whose attachments these are, "" if it is not a key of attachments."""
     return key.removesuffix(_SUFFIX) if key.endswith(_SUFFIX) else ""
 
 
@@ -34,7 +34,7 @@ def attached(attachment: bytes) -> bytes:
 
 
 def attachment_in(payload: bytes) -> bytes:
-    """The attachment in a payload, b"" where it is not one."""
+    """The attachment in a payload, b"" if it is not one."""
     if len(payload) < _HEAD.size:
         return b""
     *_, length = _HEAD.unpack_from(payload)

@@ -1,6 +1,6 @@
-"""A chunk of an MCAP file: its messages in the order of log time, with their index.
+"""A chunk of an MCAP file: its messages in log-time order, with their index.
 
-Worked out by columns: a message costs half a microsecond in place of four.
+Computed by columns: a message costs half a microsecond instead of four.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,16 +30,16 @@ _ENTRIES = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 
 
 Pending = tuple[int, int, int, bytes]
-"""A message that waits for its chunk: log time, publish time, channel, payload."""
+"""A message waiting for its chunk: log time, publish time, channel, payload."""
 
 
 _LARGE = 16_384
-"""Messages that are larger on average, in bytes, are pictures, which are compressed already: zstd
-takes nothing more from them, and to leave it out spares two copies."""
+"""Messages of a larger average size, in bytes, are pictures, which are already compressed: zstd
+gains nothing on them, and skipping it saves two copies."""
 
 
 class Compression(Enum):
-    """How chunks are stored, by the names that the format has for it."""
+    """How chunks are stored, by the format's own names."""
 
     ZSTD = "zstd"
     LZ4 = "lz4"
@@ -63,8 +63,8 @@ class Chunk:
 
 
 def compressor(compression: Compression) -> Callable[[bytes], bytes]:
-    """What compresses a chunk's records. zstd's first level: half the time of its third for a
-    tenth more bytes, and pictures pass at memory's speed."""
+    """The compressor of a chunk's records. zstd's level 1: half the time of level 3 for a tenth
+    more bytes, and pictures pass at memory speed."""
     if compression is Compression.ZSTD:
         return zstandard.ZstdCompressor(level=1).compress
     if compression is Compression.LZ4:

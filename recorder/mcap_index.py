@@ -1,8 +1,9 @@
 """Opens an MCAP file, sound or not.
 
-A finished file is opened by the summary at its end, also where a record before it is damaged. A
-file without one (its recorder was killed, it was cut) is walked record by record; where one is
-damaged, the walk goes on at the next chunk. What is damaged costs itself and is named.
+A finished file is opened by the summary at its end, even if an earlier record is damaged. A file
+without one (its recorder was killed, or it was truncated) is walked record by record; after a
+damaged record, the walk continues at the next chunk. Only the damaged parts are lost, and they are
+named.
 """
 
 from pathlib import Path
@@ -17,7 +18,7 @@ from .mcap_summary import read_summary
 
 
 def read_index(path: Path) -> McapIndex:
-    """What a file holds; raise RecordingError where it is no MCAP file at all."""
+    """The index of a file; raise RecordingError if it is not an MCAP file at all."""
     try:
         with path.open("rb") as file:
             _check_magic(path, file)

@@ -1,4 +1,4 @@
-"""A file that is written without a buffer of Python's: what is written is with the system."""
+"""A file written without Python's buffering: written bytes are with the operating system."""
 
 import os
 from pathlib import Path
@@ -7,14 +7,14 @@ from trigpoint.errors import OperationError
 
 _MOST_PIECES = 1024  # IOV_MAX of Linux
 
-_HANDED_ON = 8 * 2**20  # some tens of milliseconds of a disk's time
+_HANDED_ON = 8 * 2**20  # some tens of milliseconds of disk time
 
 
 class Output:
-    """A new file. Methods raise OperationError where the disk does not take the bytes."""
+    """A new file. Methods raise OperationError if the disk does not take the bytes."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file and its folder; what is there already is never written over."""
+        """Create the file and its folder; an existing file is never overwritten."""
         self._path = path
         if path.exists():
             raise OperationError(f"{path}: is there already; give another name")
@@ -28,7 +28,7 @@ class Output:
         self.position = self._handed_on = 0
 
     def write(self, *pieces: bytes) -> None:
-        """Append the pieces, in one call to the system as far as it takes them."""
+        """Append the pieces, in one system call if it takes them all."""
         rest = sum(len(piece) for piece in pieces)
         size = rest
         waiting = [memoryview(piece) for piece in pieces if piece]
@@ -49,15 +49,15 @@ class Output:
         self._hand_on()
 
     def _hand_on(self) -> None:
-        """Have the system begin to write to the disk, without waiting for it: else all that a
-        camera sends in five seconds goes there at once, and `synchronise` waits for all of it."""
+        """Have the system start writing to the disk, without waiting for it. Otherwise everything
+        that a camera sends in five seconds is written at once while `synchronise` waits."""
         if self.position - self._handed_on >= _HANDED_ON and hasattr(os, "posix_fadvise"):
             size = self.position - self._handed_on
             os.posix_fadvise(self._file.fileno(), self._handed_on, size, os.POSIX_FADV_DONTNEED)
             self._handed_on = self.position
 
     def synchronise(self) -> None:
-        """Wait until the disk has it."""
+        """Wait until the disk has everything."""
         try:
             os.fsync(self._file.fileno())
         except OSError as reason:

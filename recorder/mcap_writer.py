@@ -23,8 +23,8 @@ from .mcap_output import Output
 from .sink_queue import Message
 
 CHUNK_BYTES = 4 * 2**20
-"""A chunk of this size is closed: what one damaged byte may cost, and what a reader must hold.
-Pictures of a mebibyte are written a fifth faster by fours than one by one."""
+"""A chunk is closed at this size, which limits the damage of one bad byte and a reader's memory.
+Pictures of a mebibyte are written a fifth faster in fours than one by one."""
 
 __all__ = ["CHUNK_BYTES", "McapWriter", "quality_of_service"]
 
@@ -32,12 +32,12 @@ __all__ = ["CHUNK_BYTES", "McapWriter", "quality_of_service"]
 class McapWriter:
     """An MCAP file being written, by one thread.
 
-    Every method raises OperationError where the disk does not take the bytes; the file then stays
-    readable as far as its last complete chunk.
+    Every method raises OperationError if the disk does not take the bytes; the file then remains
+    readable up to its last complete chunk.
     """
 
     def __init__(self, path: Path, *, compression: Compression = Compression.ZSTD) -> None:
-        """Create the file and its folder; raise OperationError where it is there already."""
+        """Create the file and its folder; raise OperationError if the file exists already."""
         self.path = path
         self._output = Output(path)
         self._compression, self._compress = compression, compressor(compression)
@@ -57,7 +57,7 @@ class McapWriter:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many messages of each key are in the file."""
+        """Number of messages in the file, by key."""
         return {
             self._keys[number - 1]: count
             for number, count in sorted(self._written.items())
@@ -71,11 +71,11 @@ class McapWriter:
 
     @property
     def times_ns(self) -> tuple[int, int]:
-        """The first and the last log time in the file, 0 where there is none."""
+        """The first and the last log time in the file, 0 if there is none."""
         return self._first_ns or 0, self._last_ns
 
     def unwritten(self) -> list[Message]:
-        """The messages of the contract's keys that wait for their chunk."""
+        """Messages of the contract's keys that are waiting for their chunk."""
         messages, attachment = [], b""
         for log_ns, published_ns, channel, payload in self._pending:
             key = self._keys[channel - 1]
@@ -87,7 +87,7 @@ class McapWriter:
         return messages
 
     def channel_of(self, key: str) -> int | None:
-        """The number of a key's channel, None where none is defined."""
+        """The number of a key's channel, None if it is not defined."""
         return self._channels.get(key)
 
     def add(
@@ -104,7 +104,7 @@ class McapWriter:
         self.extend([Message(log_ns, published_ns, topic, key, payload, attachment)])
 
     def extend(self, messages: Sequence[Message]) -> None:
-        """Append many messages, as `add` does each."""
+        """Append many messages, like `add` for each."""
         channels = self._channels
         for message in messages:
             if message[3] not in channels:
@@ -131,7 +131,7 @@ class McapWriter:
         self._remember(Opcode.METADATA_INDEX, index)
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system: a kill does not lose it."""
+        """Close the chunk and pass it to the operating system: a kill no longer loses it."""
         if not self._pending:
             return
         one = chunk(
@@ -162,7 +162,7 @@ class McapWriter:
         self._pending, self._pending_bytes, self._new_definitions = [], 0, []
 
     def synchronise(self) -> None:
-        """Wait until the disk has what was flushed: a power cut does not lose it."""
+        """Wait until the disk has everything flushed: a power cut no longer loses it."""
         self._output.synchronise()
 
     def finish(self) -> None:
@@ -176,11 +176,11 @@ class McapWriter:
             self._output.close()
 
     def abandon(self) -> None:
-        """Close without writing any more, after an error."""
+        """Close without further writing, after an error."""
         self._output.close()
 
     def append(self, rows: list[Pending]) -> None:
-        """Append messages of channels that were defined; each full chunk is written."""
+        """Append messages of defined channels; each full chunk is written."""
         start = 0
         try:
             for end, row in enumerate(rows, 1):
@@ -189,12 +189,12 @@ class McapWriter:
                     self._pending += rows[start:end]
                     start = end
                     self.flush()
-        finally:  # where the disk refuses, `unwritten` has the rest too
+        finally:  # after a disk error, `unwritten` has the rest too
             self._pending += rows[start:]
 
     def _with_attachments(self, messages: Sequence[Message]) -> Iterator[Pending]:
-        """Rows with each attachment just before its message, with the same times, which a reader
-        looks for."""
+        """Rows with each attachment directly before its message, with the same times, as readers
+        expect."""
         for message in messages:
             log_ns, published_ns, topic, key, payload, attachment = message
             if attachment:
@@ -206,7 +206,7 @@ class McapWriter:
             yield log_ns, published_ns, self._channels[key], payload
 
     def _register(self, key: str, topic: Topic, type_name: str = "") -> int:
-        """Define a key's channel; `type_name`: where it is not the topic's."""
+        """Define a key's channel; `type_name`: if it differs from the topic's."""
         type_name = type_name or topic.type_name
         text = cdr.definition(type_name).encode()
         metadata = {
@@ -225,7 +225,7 @@ class McapWriter:
         *,
         encoding: str = "cdr",
     ) -> int:
-        """Define a channel, of whatever type, and its schema; return its number."""
+        """Define a channel of any type, and its schema; return its number."""
         schema = self._schemas.get(type_name)
         if schema is None:
             schema = self._schemas[type_name] = len(self._schemas) + 1

@@ -1,4 +1,4 @@
-"""The recorder: every key of a site into a session, or into a ring; commands from elsewhere."""
+"""The recorder: writes every key of a site to a session or a ring, and serves commands."""
 
 import json
 import threading
@@ -33,10 +33,10 @@ __all__ = ["COMMANDS", "FILE", "KIND", "NAME", "Recorder", "session_path", "site
 KIND = "recorder"
 NAME = "main"
 COMMANDS = ("start", "stop", "split", "save", "status")
-"""Queryables under {site}/recorder/: each replies with the status, JSON."""
+"""Queryables under {site}/recorder/; each replies with the status as JSON."""
 _NETWORK_PERIOD_S = 10.0
 _NETWORK_TIMEOUT_S = 1.0
-# A worn SD card may take half a minute to synchronise; what waits meanwhile is kept in memory.
+# A worn SD card may take half a minute to synchronise; meanwhile messages wait in memory.
 _DISK_S = 60.0
 _INTERRUPTED = "recording"
 
@@ -44,8 +44,8 @@ _INTERRUPTED = "recording"
 class Recorder:
     """A session file with its attachments, and the node's threads that fill it.
 
-    As a context manager it stands outside the node, so that the node's threads have ended when it
-    attaches the network and finishes the file.
+    Its `with` block encloses the node's, so that the node's threads have ended when it attaches the
+    network and finishes the file.
     """
 
     def __init__(
@@ -58,33 +58,33 @@ class Recorder:
         ring_s: float = 0.0,
     ) -> None:
         """Create the file with the site's files attached; with `ring_s`, keep that many seconds
-        in memory instead, until they are to be saved. `out`: where further sessions go.
+        in memory instead, until told to save them. `out`: where further sessions go.
 
-        Raises InputError where one of the site's files is missing or wrong, OperationError where
-        the file cannot be written.
+        Raises InputError if one of the site's files is missing or wrong, OperationError if the file
+        cannot be written.
         """
         self._site, self._path, self._out = site, path, out
-        self._clock = clock or SystemClock()  # as what is received is stamped
+        self._clock = clock or SystemClock()  # the clock that stamps received samples
         now_ns = self._clock.now_ns()
         self._files = [AttachedFile(*file, now_ns) for file in site_files(site)]
         self._network = b""
         self._node: Node | None = None
         self._intake: Intake | None = None
         self._pulse: Pulse | None = None
-        self._lock = threading.Lock()  # of starting and stopping
+        self._lock = threading.Lock()  # guards starting and stopping
         self._moved = MovedCameras()
         self._saved_ns = 0
         self._ring_s = ring_s
         self.ring = Ring(ring_s, capacity=site.recorder.ring_bytes) if ring_s else None
         self.last: McapSink | None = None
-        """The session that is or was recorded last."""
+        """The session being recorded, or else the last one."""
         self._sink: McapSink | None = None
         if self.ring is None:
             self._start(path)
 
     @property
     def sink(self) -> McapSink:
-        """The session that is or was recorded last; there is none with a ring."""
+        """The session being recorded, or else the last one; not available with a ring."""
         assert self.last is not None
         return self.last
 
@@ -118,12 +118,12 @@ class Recorder:
         with ENDING.writing():
             sink.__exit__(kind, error, trace)
         if error is not None and not sink.counts:
-            # Refused before it began: leave nothing behind.
+            # The node never started: leave nothing behind.
             sink.path.unlink(missing_ok=True)
             sink.path.with_name("metadata.yaml").unlink(missing_ok=True)
 
     def command(self, name: str) -> dict[str, object]:
-        """Do what one of `COMMANDS` says; return the status. Raises OperationError where it does
+        """Execute one of `COMMANDS`; return the status. Raises OperationError if the command does
         not fit the state."""
         with self._lock:
             if name == "start":
@@ -215,12 +215,12 @@ class Recorder:
             self._save_where_moved(sample, message)
 
     def _lose(self, key: str, count: int) -> None:
-        """What the bus's queue has dropped is missing in the session, and is counted there too."""
+        """Count samples dropped by the bus's queue in the session too, where they are missing."""
         if self._sink is not None:
             self._sink.lose(key, count)
 
     def _save_where_moved(self, sample: Sample, pose: PoseEstimate) -> None:
-        """A camera was moved: save what led to it, once for what is one event."""
+        """If a camera was moved, save the ring, once per event."""
         is_new = sample.received_ns - self._saved_ns > to_ns(self._ring_s)
         if self._moved.add(sample.key, pose) and is_new:
             self._saved_ns = sample.received_ns
@@ -241,7 +241,7 @@ class Recorder:
                 self._node.health.release(_INTERRUPTED)
 
     def _ask_for_network(self, pulse: Pulse) -> None:
-        """Ask fusion now and then and once at the end, since it may end before the recorder."""
+        """Ask fusion periodically and once at the end, since it may end before the recorder."""
         assert self._node is not None
         key = command_key(self._site.name, "fusion/network")
         while True:
@@ -264,7 +264,7 @@ class Recorder:
 
 
 def settings_of(site: Site) -> SinkSettings:
-    """How a site's sessions are written, by its file."""
+    """How to write a site's sessions, from its site file."""
     wanted = site.recorder
     return SinkSettings(
         compression=Compression[wanted.compression.upper()],

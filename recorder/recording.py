@@ -1,4 +1,4 @@
-"""A recorded session, read: its messages in the order of their log time, and its attachments."""
+"""Reads a recorded session: its messages in log-time order, and its attachments."""
 
 import logging
 from bisect import bisect_left
@@ -25,7 +25,7 @@ class RecordedSample(NamedTuple):
     """One message of a session, its payload as it was on the bus.
 
     `log_ns`: when the recorder received it; `published_ns`: the sender's Zenoh timestamp. A tuple
-    and no dataclass, since it is made a hundred thousand times in a second of reading.
+    rather than a dataclass, since reading creates a hundred thousand per second.
     """
 
     key: str
@@ -37,26 +37,26 @@ class RecordedSample(NamedTuple):
 
 
 class Recording:
-    """An opened session, of one file or of several parts in the order of their recording.
+    """An opened session, of one file or of several parts in recording order.
 
-    It holds their indexes alone; a file is open only while samples are read.
+    It holds only their indexes; files are open only while samples are read.
     """
 
     def __init__(self, indexes: Sequence[McapIndex]) -> None:
         self.parts = tuple(indexes)
-        # Damaged chunks that were told to be.
+        # Damaged chunks that were already reported.
         self._damaged: set[tuple[Path, int]] = set()
         for index in self.parts:
             check_types(index)
 
     @property
     def path(self) -> Path:
-        """The file, of several the first."""
+        """The file, or the first of several."""
         return self.parts[0].path
 
     @property
     def problem(self) -> str:
-        """What is damaged or missing, in words; "" where all is there."""
+        """What is damaged or missing, in words; "" if nothing is."""
         if len(self.parts) == 1:
             return self.parts[0].problem
         return "; ".join(f"{p.path.name}: {p.problem}" for p in self.parts if p.problem)
@@ -68,12 +68,12 @@ class Recording:
 
     @property
     def notes(self) -> dict[str, dict[str, str]]:
-        """Metadata by name, as the last part has them."""
+        """Metadata by name, from the last part."""
         return {name: values for part in self.parts for name, values in part.metadata.items()}
 
     @property
     def site_text(self) -> str:
-        """The attached site.toml; raise RecordingError where there is none."""
+        """The attached site.toml; raise RecordingError if there is none."""
         data = self.attachments.get(SITE_ATTACHMENT)
         if data is None:
             raise RecordingError(f"{self.path}: no site.toml is attached; give it with --site")
@@ -81,8 +81,8 @@ class Recording:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many messages each key has, in the order in which the keys came; what a later part
-        repeats of an earlier one included."""
+        """Number of messages by key, in order of first appearance; includes messages that a later
+        part repeats from an earlier one."""
         counts: dict[str, int] = {}
         for part in self.parts:
             for span in part.chunks:
@@ -94,7 +94,7 @@ class Recording:
 
     @property
     def unknown_keys(self) -> list[str]:
-        """Keys that the contract does not have; `samples` leaves them out."""
+        """Keys that are not in the contract; `samples` leaves them out."""
         return [key for key in self.counts if topic_of(key) is None]
 
     @property
@@ -110,11 +110,11 @@ class Recording:
     def samples(
         self, topics: Collection[Topic] | None = None, *, from_ns: int = 0, to_ns: int = LAST_NS
     ) -> Iterator[RecordedSample]:
-        """The messages of these topics (None: of all that the contract has) in log-time order,
-        from one log time to another, both included.
+        """The messages of these topics (None: all of the contract's) in log-time order, from one
+        log time to another, both included.
 
-        Messages of one log time come in the file's order. What lies in a damaged chunk (half a
-        second of a session) is left out; the log says so as an error.
+        Messages with equal log times come in file order. The contents of a damaged chunk (half a
+        second of a session) are left out, which is logged as an error.
         """
         for number, part in enumerate(self.parts):
             wanted: dict[int, tuple[str, Topic]] = {}
@@ -135,7 +135,7 @@ class Recording:
     def messages(
         self, part: McapIndex, channels: set[int], from_ns: int = 0, to_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
-        """A part's messages of these channels. Chunks, whose times may overlap, are merged: a
+        """A part's messages on these channels. Chunks may overlap in time, so they are merged: a
         message waits for the next chunk's start."""
         waiting: list[RawMessage] = []
         wanted = [
@@ -171,7 +171,7 @@ def _joined(
     attached: dict[int, str],
     repeated: set[str],
 ) -> Iterator[RecordedSample]:
-    """Messages with what was attached to them, which stands just before with the same times."""
+    """Messages with their attachments, which directly precede them with the same times."""
     held: dict[str, RawMessage] = {}
     for message in messages:
         log_ns, published_ns, channel, payload, _ = message
@@ -204,8 +204,8 @@ def key_of(part: McapIndex, channel: int) -> str:
 def open_recording(path: Path) -> Recording:
     """Open an .mcap file, or the one in a folder.
 
-    Raises RecordingError where it is missing, foreign or holds no complete message. A file whose
-    recorder was killed is opened as far as it is complete, and a warning says so.
+    Raises RecordingError if it is missing, foreign or has no complete message. A file whose
+    recorder was killed is opened as far as it is complete, with a warning.
     """
     recording = Recording([read_index(file) for file in session_files(path)])
     file, problem = recording.path, recording.problem
@@ -225,7 +225,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def check_types(index: McapIndex) -> None:
-    """Raise RecordingError where a key of the contract has another type than the contract's."""
+    """Raise RecordingError if a key of the contract has a type other than the contract's."""
     for channel in index.channels.values():
         topic = topic_of(channel.topic.removeprefix("/"))
         if topic is None:

@@ -1,9 +1,9 @@
 """Records into MCAP files on a thread of its own.
 
 A chunk is closed when it is full or half a second old and goes to the operating system at once, so
-a recorder that is killed loses no more than that. Every five seconds the file is synchronised with
-the disk, which bounds what a power cut takes and spares SD cards. A disk that refuses (it is full)
-does not end the recording: it is tried again, ever more seldom, in a new part.
+that a killed recorder loses no more than that. Every five seconds the file is synchronised with the
+disk, which limits the loss in a power cut and spares SD cards. A disk error (such as a full disk)
+does not end the recording: it is retried in a new part, at growing intervals.
 """
 
 import logging
@@ -34,7 +34,7 @@ QUEUE_BYTES = 64 * 2**20
 CLOSE_TIMEOUT_S = 10.0
 _TICK_S = 0.1
 _HOLD_S = 0.05
-"""How long a message waits for those before it that come by another of the bus's threads."""
+"""How long a message waits for earlier ones that arrive on another of the bus's threads."""
 _ROOM_S = 1.0
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 60.0
 
@@ -43,8 +43,8 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SinkSettings:
-    """How a session is written. `split_bytes`, `split_s`: a part's largest size and duration, 0
-    where there is none; `room`: None where the disk is not looked after."""
+    """How a session is written. `split_bytes`, `split_s`: largest size and duration of a part, 0
+    for no limit; `room`: None if disk space is not managed."""
 
     compression: Compression = Compression.ZSTD
     synchronise_s: float = 5.0
@@ -54,7 +54,7 @@ class SinkSettings:
 
 
 class McapSink:
-    """One session; the methods may be called from any thread and do not wait for the disk."""
+    """One session; its methods may be called from any thread and do not wait for the disk."""
 
     def __init__(
         self,
@@ -64,10 +64,10 @@ class McapSink:
         settings: SinkSettings = SinkSettings(),
         complain: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Create the first part; raise OperationError where it cannot be or is there already.
+        """Create the first part; raise OperationError if that fails or the file exists already.
 
-        `complain` is told, on the writing thread, why the recording is interrupted, and "" when it
-        goes on.
+        `complain` is called on the writing thread with the reason when the recording is
+        interrupted, and with "" when it continues.
         """
         self._clock, self._settings, self._complain = clock, settings, complain
         self._first_path = path
@@ -96,7 +96,7 @@ class McapSink:
         self._thread.start()
 
     def watch(self, pulse: Pulse) -> None:
-        """Have the writing thread beat this from now on: a disk that hangs is noticed."""
+        """Have the writing thread beat this pulse from now on, so that a hung disk is noticed."""
         self._pulse = pulse
 
     @property
@@ -106,17 +106,17 @@ class McapSink:
 
     @property
     def part(self) -> int:
-        """The number of the part that is or was written last, counted from 1."""
+        """The number of the current or last part, counted from 1."""
         return self._number
 
     @property
     def depth(self) -> int:
-        """How many messages wait for the disk."""
+        """Number of messages waiting for the disk."""
         return self._queue.depth
 
     @property
     def lost(self) -> int:
-        """How many messages were not recorded since the disk was too slow, or full."""
+        """Number of messages not recorded because the disk was too slow or full."""
         return sum(self._queue.lost.values())
 
     @property
@@ -126,12 +126,12 @@ class McapSink:
 
     @property
     def problem(self) -> str:
-        """Why nothing is written now, "" where all is well."""
+        """Why nothing is being written now, "" if all is well."""
         return self._problem
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many messages of each key were written; complete after `close`."""
+        """Number of messages written, by key; complete after `close`."""
         counts = dict(self._counts)
         part = self._part
         if part is not None:
@@ -141,7 +141,7 @@ class McapSink:
 
     @property
     def size(self) -> int:
-        """The bytes of the part being written, 0 between parts."""
+        """Size of the part being written, bytes; 0 between parts."""
         part = self._part
         return part.writer.size if part is not None else 0
 
@@ -155,18 +155,18 @@ class McapSink:
         published_ns: int,
         attachment: bytes = b"",
     ) -> bool:
-        """Queue one message; False where its queue is full and it is lost."""
+        """Queue one message; False if the queue is full and the message lost."""
         if self._is_closing:
             self._queue.lose(key)
             return False
         return self._queue.put(Message(log_ns, published_ns, topic, key, payload, attachment))
 
     def lose(self, key: str, count: int) -> None:
-        """Count messages of a key that were lost before they came here."""
+        """Count messages of a key that were lost before they arrived here."""
         self._queue.lose(key, count)
 
     def attach(self, name: str, data: bytes, media_type: str) -> None:
-        """Attach a file, to this part and to those that follow."""
+        """Attach a file to this part and to all later ones."""
         with self._lock:
             self._new_files.append(AttachedFile(name, data, media_type, self._clock.now_ns()))
 
@@ -175,7 +175,7 @@ class McapSink:
         self._wants_split = True
 
     def close(self) -> None:
-        """Write what waits and finish the file; raise OperationError where that failed."""
+        """Write what is waiting and finish the file; raise OperationError if that failed."""
         self._is_closing = True
         self._queue.is_urgent.set()
         self._thread.join(CLOSE_TIMEOUT_S)
@@ -248,7 +248,7 @@ class McapSink:
         self._queue.release()
 
     def _keep(self, part: Part) -> None:
-        """Close the chunk by its age; synchronise from time to time; begin a new part."""
+        """Close an old chunk, synchronise when due, begin a new part when due."""
         now_ns = self._clock.elapsed_ns()
         if now_ns - self._flushed_ns >= to_ns(CHUNK_AGE_S):
             part.writer.flush()
@@ -269,7 +269,7 @@ class McapSink:
         return bool(self._wants_split or is_large or is_long)
 
     def _note(self, part: Part) -> None:
-        """Write losses and clock jumps where there are more than were written."""
+        """Write losses and clock jumps if there are new ones."""
         state = self.lost, len(self._times.jumps)
         if state != self._noted:
             self._noted = state
@@ -290,7 +290,7 @@ class McapSink:
                 compression=self._settings.compression,
             )
         except OperationError:
-            if is_ours:  # a file without so much as its beginning, which the next try would find
+            if is_ours:  # an incomplete file that would block the next try
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
             raise
@@ -339,7 +339,7 @@ class McapSink:
             self._retry_ns = now_ns + to_ns(_ROOM_S)  # until the next look
 
     def _interrupt(self, problem: str) -> None:
-        """After an error: try again later, ever more seldom, with what is in no chunk yet."""
+        """After an error: keep what is in no chunk yet and retry later, at growing intervals."""
         part, self._part = self._part, None
         if part is not None:
             part.abandon()
@@ -362,7 +362,7 @@ class McapSink:
 
 
 def _count_until(messages: list[Message], until_ns: int) -> int:
-    """How many of the sorted messages are not after a log time."""
+    """How many of the sorted messages are no later than a log time."""
     count = len(messages)
     while count and messages[count - 1].log_ns > until_ns:
         count -= 1

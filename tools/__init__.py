@@ -1,1 +1,1 @@
-"""What people use around the parts: the demo, calibration, simulation, set-up."""
+"""Tools around the parts: the demo, calibration, simulation, set-up."""

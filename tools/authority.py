@@ -32,11 +32,11 @@ from trigpoint.security import (
 )
 
 _LONG = timedelta(days=20 * 365)
-"""Of the authority and the anchors: their ends are what revoking is for."""
+"""Validity of the authority and the anchors; they end by revocation instead."""
 _SKEW = timedelta(hours=1)
-"""A machine whose clock is that much behind takes a fresh certificate."""
+"""A machine whose clock is this much behind still accepts a fresh certificate."""
 _LONGEST_NAME = 64
-"""Of a common name (RFC 5280, ub-common-name), the word before an anchor's included."""
+"""Length of a common name (RFC 5280, ub-common-name), including an anchor's prefix."""
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
@@ -52,7 +52,7 @@ class Listed:
 
 
 class Authority:
-    """The authority's folder, kept where nobody else comes, and the folder of what it gives out."""
+    """The authority's private folder, and the folder of the files that it gives out."""
 
     def __init__(self, site: str, folder: Path, given: Path) -> None:
         self._site, self._folder, self._given = site, folder, given
@@ -60,11 +60,11 @@ class Authority:
 
     @property
     def trust(self) -> Path:
-        """The file of those who may come in."""
+        """The file that lists who is admitted."""
         return self._given / TRUST
 
     def create(self) -> None:
-        """Make the authority's key and certificate; raise InputError where there is one."""
+        """Make the authority's key and certificate; raise InputError if they exist."""
         if (self._folder / "authority.key").exists():
             raise InputError(f"{self._folder} has an authority already; move it away first")
         key = ec.generate_private_key(ec.SECP256R1())
@@ -106,17 +106,17 @@ class Authority:
         return files
 
     def renew(self, identity: Identity, days: int) -> Path:
-        """A new certificate for a node's key as it is; nobody else needs to know of it."""
+        """A new certificate for a node's existing key; no other machine needs to be updated."""
         self._require(identity)
         file = self._folder / f"{identity.stem}.pem"
         before = load_certificate(file)
         public = before.public_key()
-        assert isinstance(public, ec.EllipticCurvePublicKey)  # we made it
+        assert isinstance(public, ec.EllipticCurvePublicKey)  # made by this authority
         self._certify(identity, public, days, _addresses(before))
         return self._given / f"{identity.stem}.pem"
 
     def revoke(self, identity: Identity) -> None:
-        """Take a node's anchor out of what is trusted; its files here go too."""
+        """Remove a node's anchor from the trust file, and its files from this folder."""
         self._require(identity)
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         with writing(self._revoked):
@@ -129,7 +129,7 @@ class Authority:
         self._write_trust()
 
     def admit(self, anchor: Path) -> Identity:
-        """Trust another site's router: take its anchor in; raise InputError where it is none."""
+        """Trust another site's router by adding its anchor; raise InputError if it is not one."""
         certificate = load_certificate(anchor)
         identity = anchored(certificate)
         if identity is None or identity.kind is not Kind.ROUTER:
@@ -140,11 +140,11 @@ class Authority:
         return identity
 
     def anchor(self, identity: Identity) -> Path:
-        """A node's anchor, as another site may admit it."""
+        """A node's anchor, for admission by another site."""
         return self._anchor_files(identity)[1]
 
     def listed(self) -> list[Listed]:
-        """Every node that has or had a certificate, those that may come in first."""
+        """Every node that has or had a certificate, admitted ones first."""
         self._check()
         found = [_listed(path, is_revoked=False) for path in self._folder.glob("*-*.pem")]
         found += [_listed(path, is_revoked=True) for path in self._revoked.glob("*.*.pem")]
@@ -152,7 +152,7 @@ class Authority:
         return sorted(known, key=lambda one: (one.is_revoked, one.identity.common_name))
 
     def strangers(self) -> list[str]:
-        """Names in the trust file whose anchors neither this authority signed nor it admitted."""
+        """Names in the trust file whose anchors this authority neither signed nor admitted."""
         authority = load_certificate(self._folder / "authority.pem")
         admitted = {_pem(load_certificate(path)) for path in self._anchors.glob("*.*.pem")}
         anchors = load_certificates(self.trust) if self.trust.stat().st_size else []
@@ -219,7 +219,7 @@ def _signed(
     serves: bool = False,
     addresses: Sequence[str] = (),
 ) -> x509.Certificate:
-    """A certificate. `serves`: it may be shown by who is connected to, not only by who connects."""
+    """A certificate. `serves`: the accepting side may show it too, not only the connecting one."""
     now = datetime.now(UTC)
     public = key.public_key() if isinstance(key, ec.EllipticCurvePrivateKey) else key
     builder = (
@@ -290,7 +290,7 @@ def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Replace a file whole; it never exists with more rights than it is to have."""
+    """Replace a file atomically; it never exists with wider permissions than intended."""
     new = path.with_name(f"{path.name}.new")
     with writing(path):
         new.unlink(missing_ok=True)
@@ -305,7 +305,7 @@ def _make_folder(path: Path, mode: int) -> None:
 
 
 def addresses_of(kind: Kind, addresses: Iterable[str]) -> tuple[str, ...]:
-    """What a certificate says where its holder can be reached; only routers can."""
+    """The addresses in a certificate; only routers have any."""
     given = tuple(dict.fromkeys(addresses))
     if kind is not Kind.ROUTER:
         if given:

@@ -1,4 +1,4 @@
-"""Pictures out of a bag, compressed or raw, grey."""
+"""Reads a bag's pictures, compressed or raw, as grey."""
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -45,7 +45,7 @@ def bag_pictures(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str
 
 
 def grey_of(path: Path, one: BagMessage) -> np.ndarray:
-    """A message's picture, (height, width) uint8; raise InputError where it cannot be read."""
+    """A message's picture, (height, width) uint8; raise InputError if it cannot be read."""
     message = one.message
     picture = None
     if isinstance(message, Picture):

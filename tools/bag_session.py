@@ -1,4 +1,4 @@
-"""Anybody's bag as a session for `calibrate`: which topic is which camera or robot."""
+"""Reads any bag as a session for `calibrate`: which topic is which camera or robot."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]
 
 
 def _infos_beside(topic: str) -> Iterator[str]:
-    """Where ROS puts the camera_info of pictures: beside the topic, without its transport."""
+    """The camera_info topic beside a picture topic, as ROS names it, without the transport."""
     parent = topic
     for _ in range(2):
         parent = parent.rpartition("/")[0]

@@ -1,4 +1,4 @@
-"""What `doctor` sees in the pictures of a site's cameras, where they are files on this machine."""
+"""`doctor`'s checks of a site's pictures, if they are files on this machine."""
 
 from itertools import islice
 
@@ -10,12 +10,12 @@ from trigpoint.target import load_target
 
 from .detect import stills
 
-# So many pictures are enough to see how a board is printed, and take a second.
+# This many pictures suffice to see how a board is printed, and take a second.
 _PICTURES = 10
 
 
 def check_boards(site: Site, camera: str) -> list[Check]:
-    """Boards that the target files describe wrongly; what a live camera sees, its agent says."""
+    """Boards that the target files describe wrongly; live cameras are left to their agents."""
     scheme, _, place = site.camera(camera).source.partition("://")
     if scheme not in ("dir", "file"):
         return []

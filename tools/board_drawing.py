@@ -1,6 +1,6 @@
 """A face as the target file describes it, drawn for the terminal or as a picture.
 
-So whoever holds the board beside it sees whether columns, rows and colours are those of the file.
+Held beside the board, it shows whether columns, rows and colours are those of the file.
 """
 
 from pathlib import Path
@@ -33,14 +33,14 @@ def terminal_drawing(face: Face) -> str:
 
 
 def _coloured(cell: str) -> str:
-    """Colours show on a terminal; whatever else gets the text, gets it without them."""
+    """Coloured text on a terminal, plain text elsewhere."""
     is_black = cell.strip("#") == ""
     colours = ("black", "black") if is_black and cell.strip() else ("black", "bright_white")
     return typer.style(cell, fg=colours[0], bg=colours[1])
 
 
 def _squares(face: Face) -> list[list[str]]:
-    """A checkerboard or a ChArUco board, a cell a square."""
+    """A checkerboard or a ChArUco board, one cell per square."""
     row, column = np.indices((face.rows, face.columns))
     numbers = _marker_numbers(face)
     is_black = (row + column) % 2 == int(face.inverted)
@@ -69,7 +69,7 @@ def _marker_numbers(face: Face) -> dict[tuple[int, int], int]:
 
 
 def _grid_of_tags(face: Face) -> list[list[str]]:
-    """Tags with their ids, and what lies between them."""
+    """Tags with their ids, and the squares between them."""
     width = max(2, len(str(face.first_marker + face.marker_count - 1)))
     gap = BLACK if face.has_corner_squares else WHITE
     between = [*([gap, WHITE[0] * (width + 2)] * face.columns), gap]
@@ -83,7 +83,7 @@ def _grid_of_tags(face: Face) -> list[list[str]]:
 
 
 def write_drawings(target: Target, path: Path) -> list[Path]:
-    """A picture a face, numbered where there are several; raises OperationError."""
+    """One picture per face, numbered if there are several; raises OperationError."""
     several = len(target.faces) > 1
     files = [path.with_stem(f"{path.stem}_{face.id}") if several else path for face in target.faces]
     for face, file in zip(target.faces, files, strict=True):
@@ -115,7 +115,7 @@ def face_picture(face: Face) -> np.ndarray:
 
 
 def _draw_corners(picture: np.ndarray, places: Array) -> None:
-    """A dot at every corner; ids where there is room, else that of the first one only."""
+    """A dot at every corner; ids if there is room, otherwise only the first one's."""
     side = float(np.min(np.linalg.norm(places[1:] - places[:-1], axis=1)))
     labelled = len(places) if side > 2 * _LEAST_LABEL_PX else 1
     for number, (x, y) in enumerate(np.rint(places).astype(int).tolist()):

@@ -1,4 +1,4 @@
-"""A calibration's map in its building: worked out, written beside the network, and told."""
+"""Aligns a calibration's map with its building, writes the result and describes it."""
 
 import math
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from trigpoint.terminal import table
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """`building`: None where the site file has no [map], or it cannot be laid; `problem`: why, ""
-    where all is well."""
+    """`building`: None if the site file has no [map], or the map cannot be aligned; `problem`: the
+    reason, "" if all is well."""
 
     building: Building | None = None
     problem: str = ""
 
 
 def align(site: Site, plan: FloorPlan | None, results: Results, folder: Path) -> Alignment:
-    """Lay the map over the building by the site file, and write it beside the network."""
+    """Align the map with the building by the site file, and write it beside the network."""
     network, joint, ways = results.network, results.covariance, results.trajectories
     try:
         building = lay_network(site, plan, network, joint, ways)
@@ -36,7 +36,7 @@ def align(site: Site, plan: FloorPlan | None, results: Results, folder: Path) ->
 
 
 def alignment_text(building: Building) -> str:
-    """Where the map lies, and what each surveyed point is off."""
+    """Text: where the map lies, and the error of each surveyed point."""
     x, y, z = building.frame_from_map.translation
     turn = math.degrees(float(building.frame_from_map.heading))
     lines = [f"the map in {building.frame}: ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {turn:.3f}°"]

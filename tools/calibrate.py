@@ -79,7 +79,7 @@ def main(
         else load_plan(inputs.site)
     )
     folder = out if out is not None else beside / "calibration"
-    with writing(folder):  # now, not after all the work
+    with writing(folder):  # fail now, not after all the work
         folder.mkdir(parents=True, exist_ok=True)
     messages = messages_of(recording) if recording else _bag_messages(session, topic, inputs)
     pipeline = work_out(messages, inputs, source=session)
@@ -101,17 +101,17 @@ def main(
 
 
 def calibrated(recording: Recording, inputs: Inputs) -> Results:
-    """The results of a whole session; raise InputError where nothing in it can be used."""
+    """The results of a whole session; raise InputError if nothing in it can be used."""
     return worked_out(recording, inputs).results()
 
 
 def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
-    """A pipeline after a whole session; raise InputError where nothing in it can be used."""
+    """A pipeline after a whole session; raise InputError if nothing in it can be used."""
     return work_out(messages_of(recording), inputs, source=recording.path)
 
 
 def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Path) -> Pipeline:
-    """A pipeline after the messages, which come in the order of their stamps, lenses first."""
+    """A pipeline after these messages, which are in stamp order, lenses first."""
     pipeline = Pipeline(inputs, is_live=False)
     if not any(isinstance(message, Odometry) for _, message in messages):
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
@@ -130,7 +130,7 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
 
 
 def messages_of(recording: Recording) -> list[tuple[str, Message]]:
-    """(camera or robot, message) of a session in the order of their stamps, lenses first."""
+    """(camera or robot, message) of a session in stamp order, lenses first."""
     found: list[tuple[int, int, int, str, Message]] = []
     broken = 0
     for sample in recording.samples(_TOPICS):
@@ -158,7 +158,7 @@ def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
 
 
 def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> list[tuple[str, Message]]:
-    from .bag_session import bag_messages, parse_roles  # OpenCV and bags, which sessions need not
+    from .bag_session import bag_messages, parse_roles  # OpenCV and bags, not needed by sessions
 
     return bag_messages(bag, parse_roles(topics), inputs)
 

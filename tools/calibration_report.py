@@ -24,7 +24,7 @@ def write_report(
     session: Path,
     folder: Path,
 ) -> None:
-    """Write report.html to the folder of the results; raises OperationError where it cannot be."""
+    """Write report.html to the folder of the results; raises OperationError if that fails."""
     page = calibration_page(
         CalibrationResults(
             network=results.network,

@@ -1,4 +1,4 @@
-"""What `doctor` sees of a camera: it opens it as the agent would, and looks for a moment."""
+"""`doctor`'s check of a camera: opens it as the agent would, and watches for a moment."""
 
 import threading
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ LOOK_S = 3.0
 _OPENING_S = 8.0
 _STILL_SCHEMES = ("dir", "file")
 _SLOW = 0.7
-"""A camera that gives less than this share of its `rate` is told."""
+"""A camera that gives less than this share of its `rate` is reported."""
 _OLD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """What came in a moment: pictures, their size, how many a second, how old, and by whose clock
-    they are stamped."""
+    """What arrived in a moment: pictures, their size, rate and age, and the clock of their
+    stamps."""
 
     pictures: int
     width: int
@@ -34,7 +34,7 @@ class Glance:
 
 
 def check_camera(site: Site, name: str) -> list[Check]:
-    """Whether a camera opens and gives pictures that fit the site file, and its lens them."""
+    """Whether a camera opens, and its pictures fit the site file and its lens."""
     scheme = site.camera(name).source.partition("://")[0]
     if scheme == "sim":
         return []
@@ -51,8 +51,8 @@ def check_camera(site: Site, name: str) -> list[Check]:
 
 
 def look_at(site: Site, name: str) -> Glance | None:
-    """Open a camera's source and look for a moment; None where no picture came in it. Raises what
-    the source raises."""
+    """Open a camera's source and watch for a moment; None if no picture arrived. Raises what the
+    source raises."""
     quieten_opencv()
     config, clock, stopping = site.camera(name), SteadyClock(), threading.Event()
     source = open_source(config.source, config, clock=clock, directory=site.directory)

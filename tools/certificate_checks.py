@@ -1,4 +1,4 @@
-"""What `doctor` finds of a secured site's files on this machine."""
+"""`doctor`'s checks of a secured site's files on this machine."""
 
 from datetime import UTC, datetime
 
@@ -10,7 +10,7 @@ from trigpoint.security import TRUST, directory, node_credentials, trusted
 
 
 def check_certificates(site: Site) -> list[Check]:
-    """One finding for each key here: is it well kept, does its certificate hold, is it trusted."""
+    """One finding per key: is it well protected, is its certificate valid, is it trusted?"""
     folder = directory(site)
     keys = sorted(folder.glob("*-*.key"))
     if not keys:

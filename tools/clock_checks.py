@@ -1,4 +1,4 @@
-"""How far this machine's clock is off, by whoever keeps it: chrony or systemd-timesyncd."""
+"""How far off this machine's clock is, according to chrony or systemd-timesyncd."""
 
 import re
 import shutil
@@ -20,14 +20,14 @@ Ask = Callable[[list[str]], str]
 
 @dataclass(frozen=True, slots=True)
 class TimeService:
-    """Who keeps the clock, and how far off it thinks that it is."""
+    """The service that keeps the clock, and its estimate of the offset."""
 
     name: str
     offset_s: float
 
 
 def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
-    """What the time service says of its offset, beside what the site's robots can bear."""
+    """The time service's offset, compared with what the site's robots can bear."""
     service = time_service(ask or _output)
     if service is None:
         return Check(
@@ -50,7 +50,7 @@ def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
 
 
 def time_service(ask: Ask) -> TimeService | None:
-    """The service that answers; None where none does, or none is synchronised."""
+    """The service that answers; None if none does, or none is synchronised."""
     return _chrony(ask(["chronyc", "-c", "tracking"])) or _timesyncd(
         ask(["timedatectl", "timesync-status", "--no-pager"])
     )
@@ -74,7 +74,7 @@ def _timesyncd(text: str) -> TimeService | None:
 
 
 def _output(words: list[str]) -> str:
-    """What a program says, "" where it is not there or fails."""
+    """A program's output, "" if it is missing or fails."""
     if shutil.which(words[0]) is None:
         return ""
     try:

@@ -22,7 +22,7 @@ from trigpoint.fusion.solver.normal_equations import linearise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-# Farther than any robot comes in a step: the motion before it is taken as unknown.
+# Further than any robot moves in a step: the motion before it is taken as unknown.
 _AWAY = Pose.planar(1e6, 0.0, 0.0)
 
 
@@ -35,7 +35,7 @@ class Bound:
     places: Array
 
     def of(self, names: list[str]) -> "Bound":
-        """The same of some cameras, in this order."""
+        """The bound of some of the cameras, in this order."""
         chosen = [self.cameras.index(name) for name in names]
         rows = np.array([6 * index + axis for index in chosen for axis in range(6)], dtype=int)
         return Bound(names, self.covariance[np.ix_(rows, rows)], self.places[chosen])
@@ -120,7 +120,7 @@ def _read(
 
 
 def _stated(track: OdometryTrack, lifted_ns: list[int]) -> OdometryTrack:
-    """The same odometry with the contract's noise alone, and nothing known of a lift's motion."""
+    """The same odometry with only the contract's noise, and unknown motion during lifts."""
     stated = OdometryTrack(track.noise, planar=track.planar, slip=0.0)
     poses = track.odom_from_base
     for index, stamp_ns in enumerate(track.stamps_ns.tolist()):

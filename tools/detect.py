@@ -26,7 +26,7 @@ from .detect_hints import LEAST_PICTURES, Hints
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """One picture, grey; `name` is what it is called in the output, `stem` in drawings."""
+    """One grey picture; `name`: its name in the output; `stem`: in drawings."""
 
     name: str
     stem: str
@@ -53,7 +53,7 @@ def main(
 ) -> None:
     """The faces of a target in pictures: which, where their corners are, and how well known."""
     quieten_opencv()
-    cv2.setNumThreads(1)  # as the agent does, so that the times are those of the agent
+    cv2.setNumThreads(1)  # like the agent, so that the times are comparable
     wanted = load_target(target)
     detector = detector_for([wanted])
     check_all(pictures)
@@ -82,7 +82,7 @@ def main(
 
 
 class _Sum:
-    """What came of all pictures."""
+    """Totals over all pictures."""
 
     def __init__(self, hints: Hints) -> None:
         self._hints = hints
@@ -96,7 +96,7 @@ class _Sum:
             self._hints.keep(still.picture)
 
     def lines(self) -> Iterator[str]:
-        """The sum, and what to do where nothing was found in many pictures."""
+        """The totals, and what to do if nothing was found in many pictures."""
         yield (
             f"{counted(self._pictures, 'picture')}: {counted(self._faces, 'face')} in "
             f"{self._with_faces} of them"
@@ -138,7 +138,7 @@ def _is_bag(path: Path) -> bool:
 
 
 def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
-    """The pictures of a video, named by their number from 0."""
+    """The pictures of a video, named by number from 0."""
     video = Video(path)
     try:
         number = 0
@@ -154,7 +154,7 @@ def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def check_all(paths: Sequence[Path]) -> None:
-    """Raise InputError for a path that is not there, before any work is done."""
+    """Raise InputError for a missing path before any work is done."""
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: there is no such picture, folder or video; check the path")

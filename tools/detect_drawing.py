@@ -1,4 +1,4 @@
-"""Draws sightings into pictures, for people to look at."""
+"""Draws sightings into pictures for people."""
 
 import cv2
 import numpy as np
@@ -11,8 +11,8 @@ _READABLE_WIDTH = 1200
 
 
 def draw_faces(picture: np.ndarray, faces: tuple[FaceSighting, ...]) -> np.ndarray:
-    """The grey picture as BGR, enlarged where it is small, with corners, their ids and the face's
-    name at corner 0's end."""
+    """The grey picture as BGR, enlarged if small, with corners, their ids and the face's name near
+    corner 0."""
     scale = max(1, round(_READABLE_WIDTH / picture.shape[1]))
     large = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     canvas = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
@@ -24,7 +24,7 @@ def draw_faces(picture: np.ndarray, faces: tuple[FaceSighting, ...]) -> np.ndarr
 def _draw_face(
     canvas: np.ndarray, face: FaceSighting, scale: int, colour: tuple[int, int, int]
 ) -> None:
-    # The middle of pixel (0, 0) is at ((scale - 1) / 2) of the enlarged picture.
+    # The centre of pixel (0, 0) is at ((scale - 1) / 2) in the enlarged picture.
     points = face.pixels * scale + (scale - 1) / 2
     for corner, point in zip(face.corners.tolist(), points, strict=True):
         x, y = (round(float(value)) for value in point)

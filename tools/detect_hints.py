@@ -1,4 +1,4 @@
-"""What may be wrong with a target file that no picture shows: others are tried, near to it."""
+"""What may be wrong with a target file of which nothing is found: tries similar targets."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +12,7 @@ from trigpoint.target import Face, Pattern, Target
 
 LEAST_PICTURES = 10
 _TRIED = 4
-"""So many pictures, spread over all that came, show a board that is in most of them."""
+"""This many pictures, spread over all, show a board that is in most of them."""
 _LONGEST_S = 20.0
 
 
@@ -25,7 +25,7 @@ class Hints:
         self._every, self._count = 1, 0
 
     def keep(self, picture: np.ndarray) -> None:
-        """One more picture in which nothing was found."""
+        """Take one more picture in which nothing was found."""
         if self._count % self._every == 0:
             self._kept.append(picture)
             if len(self._kept) == 2 * _TRIED:
@@ -55,7 +55,7 @@ class Hints:
 
 
 def variants(target: Target) -> Iterator[tuple[str, Target]]:
-    """(what is other, target) of targets that people mean when they write this one."""
+    """(difference, target) for targets that people may mean when they write this one."""
     faces = target.faces
     if any(face.pattern is not Pattern.APRILGRID for face in faces):
         yield "inverted exchanged", _changed(target, lambda f: {"inverted": not f.inverted})
@@ -73,7 +73,7 @@ def variants(target: Target) -> Iterator[tuple[str, Target]]:
 
 
 def _changed(target: Target, change: Callable[[Face], dict[str, object]]) -> Target:
-    """A target of which each face is changed; as it is where that makes none that can be."""
+    """The target with each face changed; unchanged if the result would be invalid."""
     faces = []
     for face in target.faces:
         try:
@@ -89,7 +89,7 @@ def _changed(target: Target, change: Callable[[Face], dict[str, object]]) -> Tar
 
 
 def _fitting(face: Face, changes: dict[str, object]) -> dict[str, object]:
-    """Those changes that a face's pattern knows."""
+    """The changes that apply to a face's pattern."""
     known = {
         Pattern.CHECKERBOARD: {"columns", "rows", "inverted"},
         Pattern.CHARUCO: {"columns", "rows", "inverted", "legacy", "dictionary"},
@@ -99,7 +99,7 @@ def _fitting(face: Face, changes: dict[str, object]) -> dict[str, object]:
 
 
 def _other_dictionaries(faces: Sequence[Face]) -> list[str]:
-    """The largest dictionary of each kind, which holds the smaller ones."""
+    """The largest dictionary of each kind, which includes the smaller ones."""
     used = {face.dictionary for face in faces}
     if used == {None}:
         return []

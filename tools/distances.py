@@ -69,12 +69,12 @@ class Comparison:
 
     @property
     def expected_error_m(self) -> float:
-        """The mean error that the sigmas let one expect: E|x| of a normal x is σ √(2/π)."""
+        """The mean error expected from the sigmas: E|x| of a normal x is σ √(2/π)."""
         return float(np.mean(self.sigmas_m) * math.sqrt(2 / math.pi))
 
     @property
     def chi2_per_distance(self) -> float:
-        """1 on average where both uncertainties are what they are said to be."""
+        """1 on average if both uncertainties are as stated."""
         solved = np.linalg.solve(self.covariance, self.difference_m)
         return float(self.difference_m @ solved) / len(self.difference_m)
 
@@ -138,7 +138,7 @@ def distances(network: Network, covariance: Array, pairs: Iterable[tuple[str, st
 
 
 def compare(network: Network, covariance: Array, measured: Iterable[Measured]) -> Comparison:
-    """Hold the network against measured distances of located cameras."""
+    """Compare the network with measured distances between located cameras."""
     rows = tuple(measured)
     mine = distances(network, covariance, ((row.first, row.second) for row in rows))
     tape = np.diag([row.sigma_m**2 for row in rows])
@@ -147,8 +147,8 @@ def compare(network: Network, covariance: Array, measured: Iterable[Measured]) -
 
 
 def read_measured(path: Path, network: Network, *, sigma_m: float) -> list[Measured]:
-    """A file of rows camera,camera,metres[,sigma]; a first row of these words, empty rows and rows
-    that begin with # are passed over. Raises InputError that names file and line."""
+    """Read rows of camera,camera,metres[,sigma]; a header row of these words, empty rows and rows
+    that begin with # are skipped. Raises an InputError that names file and line."""
     text = read_text(path, "file of distances", InputError).removeprefix("\ufeff")
     found = []
     for number, fields in enumerate(csv.reader(text.splitlines(), skipinitialspace=True), start=1):

@@ -66,7 +66,7 @@ def _mend(site: Site | None) -> list[Check]:
 
 
 def examine(site: Site | None) -> list[Check]:
-    """Every finding: this machine's, each installed part's, and the site's where one is given."""
+    """All findings: this machine's, each installed part's, and the site's if one is given."""
     some_site = site or parse_site(_NO_SITE, directory=Path())
     findings = [check_python(), check_clock(), check_time_service(site)]
     findings.append(check_disk(site.path(site.recorder.directory) if site else Path()))
@@ -86,7 +86,7 @@ def examine(site: Site | None) -> list[Check]:
 
 
 def _check_security(site: Site) -> list[Check]:
-    """The certificates on this machine, and doors that stand open."""
+    """The certificates on this machine, and endpoints open to anyone."""
     open_doors = [
         Check("bus", "warning", f"{door} is open without certificates", "secure the site")
         for door in site.bus.open_doors
@@ -131,7 +131,7 @@ def _check_camera(site: Site, name: str) -> list[Check]:
 
 
 def _check_boards(site: Site, name: str) -> list[Check]:
-    """Boards in a camera's pictures that are not as the target files have them."""
+    """Boards in a camera's pictures that differ from the target files."""
     if missing_packages("edge"):
         return []
     from .board_checks import check_boards

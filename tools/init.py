@@ -35,7 +35,7 @@ def main(
 
 
 def _sessions(site: Path) -> Path:
-    """Where the recorder of a site writes, or will."""
+    """The folder to which a site's recorder writes."""
     if not site.exists():
         return site.parent / RecorderConfig().directory
     loaded = load_site(site)

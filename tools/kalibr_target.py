@@ -42,7 +42,7 @@ def read_kalibr_target(path: Path) -> Target:
 
 
 def target_text(target: Target, source: str) -> str:
-    """target.toml of an imported target; `source`: the file that it came from."""
+    """target.toml of an imported target; `source`: the original file."""
     [face] = target.faces
     lines = [
         f'name = "{target.name}"  # from {source}',
@@ -130,7 +130,7 @@ def _document(path: Path) -> dict[str, Any]:
 
 
 def _check_keys(document: dict[str, Any], kind: str, path: Path) -> None:
-    """A key that is not known may mean a board that would be described wrongly."""
+    """Refuse unknown keys: they may stand for a board that would be described wrongly."""
     needed, possible = _KEYS[kind]
     for key in sorted(needed - set(document)):
         raise TargetError(f"{path}: the key «{key}» is missing; add it")
@@ -160,5 +160,5 @@ def _checked(
 
 
 def _metres(value: float) -> float:
-    """Without the last digits that products of decimal numbers leave."""
+    """Metres, rounded to drop the residue of decimal products."""
     return float(f"{value:.12g}")

@@ -1,4 +1,4 @@
-"""What `doctor` looks at on every machine: Python, clock, disk, extras, bus."""
+"""`doctor`'s checks of every machine: Python, clock, disk, extras, bus."""
 
 import ctypes
 import importlib.util
@@ -24,7 +24,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "fusion": ("cv2", "scipy"),
     "recorder": ("mcap", "rerun"),
 }
-"""Extra -> the packages by which one sees that it is installed."""
+"""Extra -> the packages that show that it is installed."""
 
 OLDEST_PYTHON = (3, 11)
 _GIGABYTE = 1_000_000_000
@@ -32,11 +32,11 @@ _NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
 SITE_EXTRAS: dict[str, tuple[str, ...]] = {"secure": ("cryptography",)}
-"""The same of what a site's file asks of every machine."""
+"""The same for extras that a site file may require of every machine."""
 
 
 def missing_packages(extra: str) -> list[str]:
-    """The packages of an extra that are not installed here."""
+    """Packages of an extra that are not installed here."""
     wanted = EXTRAS.get(extra) or SITE_EXTRAS[extra]
     return [name for name in wanted if importlib.util.find_spec(name) is None]
 
@@ -58,7 +58,7 @@ def check_extra(extra: str) -> Check:
 
 
 def check_clock() -> Check:
-    """Whether the kernel knows its clock to be synchronised."""
+    """Whether the kernel considers its clock synchronised."""
     if not sys.platform.startswith("linux"):
         return Check(
             "clock",
@@ -88,7 +88,7 @@ def _read_clock() -> tuple[int, int]:
 
 
 def check_disk(directory: Path) -> Check:
-    """Whether a recording has room where it goes."""
+    """Whether there is disk space for a recording."""
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
     text = f"{free / _GIGABYTE:.1f} GB free in {existing.absolute()}"
@@ -99,7 +99,7 @@ def check_disk(directory: Path) -> Check:
 
 
 def check_loopback(site: Site) -> Check:
-    """Whether two sessions of this machine find each other as they do without `[bus]`."""
+    """Whether two sessions on this machine find each other, as they must without `[bus]`."""
     alone = replace(site, name=f"doctor_{os.getpid()}", bus=BusConfig())
     try:
         with open_bus(alone) as one, open_bus(alone) as other:
@@ -125,7 +125,7 @@ def _passes(one: Bus, other: Bus, *, timeout_s: float = 5.0) -> bool:
 
 
 def check_ros2(site: Site) -> list[Check]:
-    """Whether a bridge to ROS 2 can reach the site, where one of its robots needs one."""
+    """Whether a bridge to ROS 2 can reach the site, if one of its robots needs it."""
     robots = [name for name, robot in site.robots.items() if robot.protocol_name == ROS2_PROTOCOL]
     if not robots:
         return []

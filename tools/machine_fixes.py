@@ -1,4 +1,4 @@
-"""What `doctor --fix` mends on a machine: groups, udev rules, the keeping of the clock."""
+"""`doctor --fix`: groups, udev rules, time synchronisation."""
 
 import grp
 import os
@@ -29,7 +29,7 @@ _RUN_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """One thing to mend: a file that is to be, and what is run then."""
+    """One repair: a file to write, and the commands to run afterwards."""
 
     name: str
     does: str
@@ -39,19 +39,19 @@ class Fix:
 
 
 def needed(site: Site, *, user: str, rules: Path = UDEV_RULES, clock: Check) -> list[Fix]:
-    """What is to be mended for the site's cameras and ports, for the user who runs them."""
+    """The repairs needed for the site's cameras and ports, for the user who runs them."""
     return [*_groups(site, user), *_rules(site, rules), *_clock(clock)]
 
 
 def fixed_user() -> str:
-    """Whose groups are mended: who called sudo; raise InputError where this is not root."""
+    """The user whose groups are changed: the caller of sudo; raise InputError unless root."""
     if os.geteuid() != 0:
         raise InputError("doctor --fix changes the system; run it with sudo")
     return os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
 
 
 def apply(fix: Fix) -> Check:
-    """Mend it; the finding says whether that went well."""
+    """Apply a repair; the finding says whether it succeeded."""
     if fix.file is not None:
         with writing(fix.file):
             fix.file.parent.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ def apply(fix: Fix) -> Check:
 
 
 def _failure(words: tuple[str, ...]) -> str:
-    """Why a command failed, "" where it did not."""
+    """Why a command failed, "" if it succeeded."""
     if shutil.which(words[0]) is None:
         return "is not installed"
     try:

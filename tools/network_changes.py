@@ -1,8 +1,8 @@
 """Which cameras moved between two networks, and how surely.
 
-Each run has a map of its own: its first robot began elsewhere. So the two are laid over each other
-by the cameras that stayed, which are those that agree with the most others; what is left of a
-camera, against its uncertainty in both and that of the laying, says whether it moved.
+Each run has its own map, as its first robot starts elsewhere. So the two maps are aligned by the
+cameras that stayed, which are those that agree with the most others. A camera's remaining
+difference, against its uncertainty in both and that of the alignment, says whether it moved.
 """
 
 import json
@@ -21,15 +21,15 @@ from trigpoint.terminal import table
 
 _DIMENSIONS = 6
 _CHANCE = 1e-3
-"""That a camera which stayed is said to have moved, in a whole comparison."""
+"""Probability of reporting any unmoved camera as moved in a whole comparison."""
 _FEWEST = 3
 _ROUNDS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One camera: how far it moved and turned, χ² of six degrees of freedom, and the probability
-    that one which stayed shows as much."""
+    """One camera: how far it moved and turned, χ² with six degrees of freedom, and the probability
+    of at least as much for a camera that stayed."""
 
     camera: str
     moved_m: float
@@ -48,8 +48,8 @@ class _Pair:
 
 
 def changes(old: Network, new: Network) -> list[Change]:
-    """Every camera that both have located; raise InputError where there are fewer than three:
-    of two, nobody can say which one moved."""
+    """Every camera located in both; raise InputError if there are fewer than three: with two, it is
+    undecidable which one moved."""
     names = [name for name in old.located if name in new.located]
     if len(names) < _FEWEST:
         raise InputError(
@@ -111,7 +111,7 @@ def changes_json(found: Sequence[Change]) -> str:
 
 
 def check_file(path: Path) -> Path:
-    """The path; raise InputError where a table of distances was given in place of a network."""
+    """The path; raise InputError if it is a table of distances instead of a network."""
     if path.suffix == ".csv":
         raise InputError(f"{path}: a tape measure's distances are given with --measured")
     return path
@@ -120,7 +120,7 @@ def check_file(path: Path) -> Path:
 def _pair(old: CameraRecord, new: CameraRecord) -> _Pair:
     assert old.map_from_camera is not None
     assert new.map_from_camera is not None
-    # Where both take something as known without error, rounding is what is left.
+    # If both take something as known without error, only rounding remains.
     rounding = 1e-12 * np.eye(_DIMENSIONS)
     return _Pair(
         old.map_from_camera.pose,
@@ -131,7 +131,7 @@ def _pair(old: CameraRecord, new: CameraRecord) -> _Pair:
 
 
 def _stayed(pairs: Sequence[_Pair], limit: float) -> list[int]:
-    """The largest set of cameras that agree with one of them, by number; that one first."""
+    """Indices of the largest set of cameras that agree with one of them; that one first."""
     best: tuple[int, float, list[int]] = (0, 0.0, [])
     for seed, pair in enumerate(pairs):
         new_from_old, covariance = _laid([], pair)
@@ -148,8 +148,8 @@ def _stayed(pairs: Sequence[_Pair], limit: float) -> list[int]:
 
 
 def _laid(pairs: Sequence[_Pair], seed: _Pair) -> tuple[Pose, Array]:
-    """new_from_old and its covariance (6, 6) by least squares over the pairs, from where the seed
-    puts it; by the seed alone where there are none."""
+    """new_from_old and its covariance (6, 6) by least squares over the pairs, starting from the
+    seed's; by the seed alone if there are none."""
     chosen = list(pairs) or [seed]
     new_from_old = seed.new @ seed.old.inverse()
     information = np.eye(_DIMENSIONS)
@@ -169,7 +169,7 @@ def _laid(pairs: Sequence[_Pair], seed: _Pair) -> tuple[Pose, Array]:
 
 
 def _left(pair: _Pair, new_from_old: Pose, covariance: Array) -> tuple[Array, Array]:
-    """What a camera is off in the new map (6,), metres and radians, and its covariance."""
+    """A camera's difference in the new map (6,), metres and radians, and its covariance."""
     expected = new_from_old @ pair.old
     turn = log(pair.new.rotation @ expected.rotation.T)
     left = np.concatenate([pair.new.translation - expected.translation, turn])

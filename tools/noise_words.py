@@ -1,13 +1,13 @@
-"""What χ² per degree of freedom says, and what to do where it is far from 1."""
+"""What χ² per degree of freedom means, and what to do if it is far from 1."""
 
 import math
 
 _FAR = 2.0
-"""Sigmas that are off by less than √2 are as good as anybody states them."""
+"""Stated sigmas are rarely better than within a factor of √2."""
 
 
 def noise_text(chi2_per_dof: float) -> str:
-    """A line, or two where the noise is not as it was stated."""
+    """One line, or two if the noise is not as stated."""
     text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is as stated)"
     if chi2_per_dof > _FAR:
         return (

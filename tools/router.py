@@ -54,7 +54,7 @@ class Router:
             node.stop()
 
     def run(self) -> None:
-        """Be the router, and again whenever the rules change."""
+        """Run the router; restart it whenever the rules change."""
         while not self._is_stopped:
             rules = means_of(self._site, None, is_router=True, others=self._others).rules
             before = rules() if rules else None

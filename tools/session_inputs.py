@@ -1,4 +1,4 @@
-"""What a recorded session needs to be worked out: its site, targets and lenses."""
+"""The inputs for processing a recorded session: its site, targets and lenses."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def session_inputs(recording: Recording, *, site: Path | None, network: Path | N
 
 
 def _attached_lenses(recording: Recording, site: Site) -> dict[str, CameraModel]:
-    """Intrinsics files that are attached; the other cameras' lenses are in their camera_info."""
+    """Lenses from attached intrinsics files; those of other cameras are in their camera_info."""
     lenses = {}
     for name, camera in site.cameras.items():
         if camera.intrinsics is None or camera.estimates_intrinsics:
@@ -55,7 +55,7 @@ def _attachment(recording: Recording, name: str) -> str:
 
 
 def _find(recording: Recording, name: str) -> str | None:
-    """An attached file by the path that the site file names, or by its last part."""
+    """An attached file by the path in the site file, or by its file name."""
     for candidate in (name, Path(name).name):
         if candidate in recording.attachments:
             return recording.attachments[candidate].decode("utf-8", errors="replace")

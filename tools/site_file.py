@@ -132,18 +132,18 @@ _EXAMPLES = {
     (PointConfig, "pixel"): (312.0, 870.5),
     (PointConfig, "robot"): "r1",
 }
-"""Values of the keys that have no default; those that may be absent are written as comments."""
+"""Values of keys without a default; optional keys are written as comments."""
 
 _WRITTEN = {
     (CameraConfig, "intrinsics"): "estimate",
     (CameraConfig, "time_offset_sigma"): 0.0,
     (RobotConfig, "port"): "/dev/ttyUSB0",
 }
-"""Values in place of a default that a first site cannot start with: nothing announces a lens that
-nobody has measured, and a robot without a port is another kind of robot."""
+"""Values that replace defaults unsuitable for a first site: nothing announces a lens that nobody
+has measured, and a robot without a port is another kind of robot."""
 
 _TABLES = ("tls",)
-"""Tables that a site may be without; they are written as comments."""
+"""Optional tables; they are written as comments."""
 
 _COMMENT_COLUMN = 32
 
@@ -189,7 +189,7 @@ def full_site_text() -> str:
 
 
 def _commented(table: str) -> str:
-    """A table that a site may be without."""
+    """An optional table, as comments."""
     return "".join(f"# {line.removeprefix('# ')}\n" for line in table.splitlines() if line)
 
 
@@ -254,7 +254,7 @@ def _face(number: int, direction_rad: float) -> str:
 
 
 def _base_from_face(direction_rad: float) -> Pose:
-    """A face on the box's side that looks towards `direction_rad` in the robot's plane."""
+    """Pose of a face on the side of the box facing `direction_rad` in the robot's plane."""
     normal = np.array([math.cos(direction_rad), math.sin(direction_rad), 0.0])
     along = np.array([-normal[1], normal[0], 0.0])  # to the viewer's right
     down = np.array([0.0, 0.0, -1.0])

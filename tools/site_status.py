@@ -1,4 +1,4 @@
-"""What the nodes of a site say of themselves, put together."""
+"""Summarises what a site's nodes report about themselves."""
 
 import textwrap
 from collections.abc import Iterable
@@ -43,7 +43,7 @@ class NodeStatus(Struct, frozen=True):
 
     @property
     def is_well(self) -> bool:
-        """Whether it is there and without an error."""
+        """Whether the node is running without an error."""
         return self.state in ("ok", "warning")
 
 
@@ -60,7 +60,7 @@ class SiteStatus(Struct, frozen=True):
 
     @property
     def is_well(self) -> bool:
-        """Whether nothing is missing or in error."""
+        """Whether no node is missing or in error."""
         return all(node.is_well for node in self.nodes)
 
 
@@ -73,8 +73,8 @@ def summarise(
     wanted: Iterable[str] = (),
     time: str = "",
 ) -> SiteStatus:
-    """Put liveliness tokens and the nodes' latest diagnostics together; `wanted`: the nodes that
-    the site file names."""
+    """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
+    the site file."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
@@ -89,7 +89,7 @@ def summarise(
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
-    """Who of those that are there runs which version; the one that most run first."""
+    """The running nodes by version; the most common version first."""
     found: dict[str, list[str]] = {}
     for node in nodes:
         if node.version and node.state != "gone":
@@ -139,7 +139,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(text: str) -> float:
-    """A number that another node sent; 0 where it is none."""
+    """A number sent by another node; 0 if it is not a number."""
     try:
         value = float(text)
     except ValueError:
@@ -148,7 +148,7 @@ def _number(text: str) -> float:
 
 
 def table(status: SiteStatus, *, width: int = 100) -> str:
-    """The status for people, in lines of at most `width` where their words allow it."""
+    """The status for people, in lines of at most `width` if their words allow it."""
     if not status.nodes:
         return f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
     rows = [("node", "state", "up")]
@@ -179,7 +179,7 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
 
 
 def _notes(node: NodeStatus) -> list[str]:
-    """What there is to say of a node, a line each; nothing for one that rests."""
+    """Remarks on a node, one per line; none for an idle one."""
     rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
@@ -191,9 +191,9 @@ def _notes(node: NodeStatus) -> list[str]:
 
 
 def _by_topic(rates: dict[str, float]) -> dict[str, float]:
-    """The rates of counters like «sent lab/camera/c1/sightings» added up over the cameras or
-    robots; of the others those that say more than these do: «sightings» is the queue that what was
-    received or recorded came through."""
+    """Rates of counters like «sent lab/camera/c1/sightings», summed over the cameras or robots, and
+    those others that add information: «sightings» is merely the queue of what was received or
+    recorded."""
     sums: dict[str, float] = {}
     for name, rate in rates.items():
         verb, _, key = name.partition(" ")

@@ -23,7 +23,7 @@ from trigpoint.topics import DIAGNOSTICS, alive_key
 from .site_status import SiteStatus, summarise, table
 
 LISTEN_S = 2.2
-"""Each node speaks once a second."""
+"""Each node sends diagnostics once a second."""
 
 _PATIENCE_S = 5.0
 _CLEAR = "\x1b[2J\x1b[H"
@@ -55,7 +55,7 @@ def main(
 
 
 class Watcher:
-    """What a signal stops."""
+    """Stopped by a signal."""
 
     def __init__(self) -> None:
         self.stopping = threading.Event()
@@ -65,7 +65,7 @@ class Watcher:
 
 
 def wanted_of(site: Site) -> list[str]:
-    """The nodes that a site file names: an agent a camera, a bridge a robot that has a port."""
+    """The nodes named in a site file: an agent per camera, a bridge per robot with a port."""
     robots = [name for name, robot in site.robots.items() if robot.protocol != "ros2"]
     return [f"edge/{name}" for name in site.cameras] + [f"robot/{name}" for name in robots]
 
@@ -78,7 +78,7 @@ def look(
     wanted: Sequence[str] = (),
     listen_s: float = LISTEN_S,
 ) -> SiteStatus:
-    """Listen for a while and say who is there."""
+    """Listen for a while and report who is there."""
     subscription = bus.subscribe(DIAGNOSTICS, DIAGNOSTICS.expression(site))
     statuses: list[DiagnosticStatus] = []
     deadline = time.monotonic() + listen_s
@@ -98,7 +98,7 @@ def look(
 
 
 def _statuses(payload: bytes) -> tuple[DiagnosticStatus, ...]:
-    """What one message says; nothing where it is garbage, which every node reports."""
+    """The statuses in a message; none if it is invalid, which every node reports."""
     try:
         message = decode(DIAGNOSTICS.type_name, payload)
     except MessageError:

@@ -1,12 +1,12 @@
 """systemd units for a site's nodes: started at boot, started again, watched, and shut in.
 
-`WatchdogSec` ends a process that has not said for so long that its work goes on. A node says so
-once a second, but only while each of its working threads has given a sign of life from within its
-work: one for a camera, for each direction of a robot's port, for each topic that is recorded, for
-the disk, for the estimator and for the process that solves for it.
+`WatchdogSec` ends a process that has not reported progress for that long. A node reports once a
+second, but only while each of its working threads gives signs of life from within its work: one for
+a camera, each direction of a robot's port, each recorded topic, the disk, the estimator, and the
+process that solves for it.
 
-A node sees the file system read-only but for what it writes, the devices that it needs and no
-others, and has no privilege to gain (`systemd-analyze security` says 3.0 at most).
+A node sees the file system read-only except for what it writes, only the devices that it needs, and
+cannot gain privileges (`systemd-analyze security` says 3.0 at most).
 """
 
 import getpass
@@ -19,7 +19,7 @@ WATCHDOG_S = 30
 
 SYSUSERS = "trigpoint.conf"
 SERVICE_USER = "trigpoint"
-"""Who runs the nodes where root writes the units: nothing of ours runs as root."""
+"""The user of the nodes if root writes the units: no node runs as root."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def unit_files(folder: Path, site: Path, sessions: Path) -> dict[Path, str]:
 
 
 def service_user() -> str:
-    """Who is to run the nodes."""
+    """The user that runs the nodes."""
     user = getpass.getuser()
     return SERVICE_USER if user == "root" else user
 
@@ -109,12 +109,12 @@ def sysusers_text(home: Path) -> str:
 
 
 def unit_text(unit: Unit, site: Path, sessions: Path) -> str:
-    """The text of a unit that runs this very installation."""
+    """The text of a unit that runs this installation."""
     command = f"{_quoted(sys.executable)} -m trigpoint {unit.words} --site {_quoted(str(site))}"
     folder = _escaped(str(site.parent))
     group = f"SupplementaryGroups={unit.group}\n" if unit.group else ""
     written = dict.fromkeys([site.parent, sessions] if unit.writes else [])
-    # One that is not there yet (the dash) is no reason not to start.
+    # The dash: a missing folder does not prevent the start.
     writes = "".join(f'ReadWritePaths="-{_escaped(str(path))}"\n' for path in written)
     return f"""\
 [Unit]
@@ -151,7 +151,7 @@ WantedBy=multi-user.target
 
 
 def _devices(unit: Unit) -> str:
-    """Which devices a node sees: its own, or none beyond /dev/null and its like."""
+    """The devices that a node sees: its own, or none but /dev/null and the like."""
     if not unit.devices:
         return "PrivateDevices=yes\nPrivateUsers=yes\n"
     rows = [f"DeviceAllow={device} rw" for device in unit.devices]

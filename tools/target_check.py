@@ -16,14 +16,14 @@ _PARALLEL = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """`problems` must be mended; `notes` are how the target behaves."""
+    """`problems` must be fixed; `notes` describe how the target behaves."""
 
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
 
 def check_target(target: Target) -> Findings:
-    """Look at every face by itself and at every two of them."""
+    """Check every face and every pair of faces."""
     problems = [
         problem
         for face in target.faces
@@ -39,7 +39,7 @@ def check_target(target: Target) -> Findings:
 
 
 def _key_problems(face: Face) -> list[str]:
-    """Keys that this pattern does not have; nobody would look for what they ask."""
+    """Keys that this pattern does not have and that would have no effect."""
     of_grids = ("corner_squares", "tags_turned")
     foreign = {
         Pattern.CHECKERBOARD: ("legacy", "marker", "dictionary", *of_grids),
@@ -98,7 +98,7 @@ def _listed(faces: list[Face] | tuple[Face, ...]) -> str:
 
 
 def intersects(first: Face, second: Face) -> bool:
-    """Whether two faces' printed rectangles meet in space, by more than a touch."""
+    """Whether two faces' printed rectangles intersect in space, beyond touching."""
     a, b = (face.base_from_face @ face.outline for face in (first, second))
     normal_a, normal_b = (face.base_from_face.rotation[:, 2] for face in (first, second))
     across = np.cross(normal_a, normal_b)
@@ -110,7 +110,7 @@ def intersects(first: Face, second: Face) -> bool:
 
 
 def _meet_on_line(a: Array, b: Array, normal_a: Array, normal_b: Array, line: Array) -> bool:
-    """Two rectangles in different planes meet where both cut the planes' common line."""
+    """Rectangles in different planes intersect if they overlap on the planes' common line."""
     spans = [_span(a, b[0], normal_b, line), _span(b, a[0], normal_a, line)]
     if any(span is None for span in spans):
         return False
@@ -119,7 +119,7 @@ def _meet_on_line(a: Array, b: Array, normal_a: Array, normal_b: Array, line: Ar
 
 
 def _span(corners: Array, origin: Array, normal: Array, line: Array) -> tuple[float, float] | None:
-    """Where a rectangle (4, 3) cuts a plane, along `line`; None where it lies on one side."""
+    """Interval along `line` where a rectangle (4, 3) cuts a plane; None if on one side of it."""
     height = (corners - origin) @ normal
     along = []
     for i in range(4):
@@ -133,7 +133,7 @@ def _span(corners: Array, origin: Array, normal: Array, line: Array) -> tuple[fl
 
 
 def _overlap_in_plane(a: Array, b: Array) -> bool:
-    """Two rectangles in one plane overlap where no side of either separates them."""
+    """Two rectangles in one plane overlap if no side of either separates them."""
     for corners in (a, b):
         for axis in (corners[1] - corners[0], corners[3] - corners[0]):
             unit = axis / np.linalg.norm(axis)

@@ -1,4 +1,4 @@
-"""A target as a PDF to print: one page a face at true scale, all lines as vectors."""
+"""A target as a printable PDF: one page per face at true scale, as vectors."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ SHEETS_MM = {
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A page: its name to people, and size in millimetres."""
+    """A page: its name for people, and its size in millimetres."""
 
     name: str
     width_mm: float
@@ -34,7 +34,7 @@ class Sheet:
 
 
 def sheet_for(face: Face) -> Sheet:
-    """The smallest of A4 … A0, upright or lying, that holds the face; else one of its own size."""
+    """The smallest of A4 … A0, portrait or landscape, that fits the face; else a custom size."""
     low, high = face.outline.min(axis=0), face.outline.max(axis=0)
     pattern_mm, height_mm = (float(value) for value in (high - low)[:2] * 1000)
     width_mm = max(pattern_mm, BAR_MM) + 2 * MARGIN_MM
@@ -48,7 +48,7 @@ def sheet_for(face: Face) -> Sheet:
 
 
 def draw_target(target: Target, path: Path) -> list[Sheet]:
-    """Write the PDF; returns the page of each face. The same target gives the same bytes."""
+    """Write the PDF; return the page of each face. The same target gives the same bytes."""
     canvas = Canvas(str(path), invariant=1)
     canvas.setTitle(f"Trigpoint target {target.name}")
     canvas.setAuthor("Trigpoint")
@@ -67,7 +67,7 @@ def draw_target(target: Target, path: Path) -> list[Sheet]:
 
 
 def _draw_pattern(canvas: Canvas, face: Face, sheet: Sheet) -> None:
-    """All rectangles as one path, so that no viewer shows seams between neighbours."""
+    """All rectangles as one path, so that viewers show no seams between neighbours."""
     left, top = _place(face, sheet)
     low = face.outline.min(axis=0) * 1000
     path = canvas.beginPath()
@@ -85,7 +85,7 @@ def _place(face: Face, sheet: Sheet) -> tuple[float, float]:
 
 
 def _draw_head(canvas: Canvas, face: Face, sheet: Sheet) -> None:
-    """An arrow to the pattern's top, above it."""
+    """An arrow above the pattern that points to its top."""
     middle, tip = sheet.width_mm / 2, sheet.height_mm - 3.0
     arrow = canvas.beginPath()
     arrow.moveTo(middle, tip)

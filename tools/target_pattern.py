@@ -1,4 +1,4 @@
-"""What is black on a face, as rectangles in the face frame; for printing and for tests.
+"""The black parts of a face as rectangles in the face frame; for printing and for tests.
 
 Every function returns rectangles as (n, 4): x, y, width, height, metres, y down the page; none
 lies over another.
@@ -31,7 +31,7 @@ def _aprilgrid(face: Face) -> Array:
 
 
 def corner_squares(face: Face) -> tuple[Array, float]:
-    """The lower corners (n, 2) of the squares that touch an AprilGrid's tags, and their side."""
+    """The lower corners (n, 2) of the squares at an AprilGrid's tags, and their side."""
     gap = face.square - (face.marker or 0.0)
     if not face.has_corner_squares:
         return np.zeros((0, 2)), gap
@@ -41,7 +41,7 @@ def corner_squares(face: Face) -> tuple[Array, float]:
 
 
 def _charuco(face: Face) -> Array:
-    """Inverted: light where it is dark otherwise; so the markers' squares are what is dark."""
+    """An inverted board has light and dark exchanged, so its marker squares are dark."""
     markers = charuco_layout(face)
     cells = [_cells(face, number, marker) for number, marker in enumerate(markers)]
     squares, holds = _squares(face), _holding(face, markers.mean(axis=1))
@@ -70,7 +70,7 @@ def _holding(face: Face, centres: Array) -> np.ndarray:
 
 
 def _frame(face: Face, corner: Array) -> Array:
-    """What a square has about its marker: above, below, left and right."""
+    """A square's margins around its marker: above, below, left and right."""
     square, marker = face.square, face.marker or 0.0
     edge = (square - marker) / 2
     return np.array(
@@ -84,7 +84,7 @@ def _frame(face: Face, corner: Array) -> Array:
 
 
 def _cells(face: Face, number: int, quad: Array) -> Array:
-    """The black cells of one marker, those side by side in a row as one rectangle."""
+    """The black cells of a marker; adjacent ones in a row form one rectangle."""
     dictionary = predefined_dictionary(face.dictionary or "")
     side = dictionary.markerSize + 2 * face.border_bits
     marker = face.first_marker + number

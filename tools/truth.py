@@ -1,4 +1,4 @@
-"""The truth that a simulator leaves beside a session, and errors against it."""
+"""The ground truth that a simulator writes beside a session, and errors against it."""
 
 from dataclasses import dataclass
 from pathlib import Path
