@@ -13,10 +13,9 @@ KINDS ?=
 demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
 
-# Three at a time: the longest wait for processes that they started, and for time to pass. One that
-# fails is run once more and listed as such (decisions/0724).
+# Three at a time: the longest wait for processes that they started, and for time to pass.
 test: $(INSTALLED)  ## every test
-	$(BIN)/python -m pytest -n 3 --dist worksteal --reruns 1 -raR
+	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 check: lint types imports test  ## what CI runs
 

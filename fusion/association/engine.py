@@ -21,18 +21,14 @@ from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Variant
-from .linear import Linear
-from .local import LocalProblem, Mode
+from .learning import learnt_noise
+from .local import Mode
 from .modes import Memory, ModeFinder
-from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
+from .noise import PESSIMISTIC, Noise
 from .search import Hypothesis, Search
-from .session_noise import with_corner_scale, with_noise
-from .visits import Visit, visits_of
+from .session_noise import with_noise
+from .visits import visits_of
 
-# Pictures of so few visits tell the noise well enough.
-_MOST_TO_LEARN = 6
-_LEAST_TO_LEARN = 3
-_MOST_SCATTERS = 40
 # Where a place is known less well than this, m, nothing ties it to the map.
 _LOOSE_M = 2.0
 _LIKE = (
@@ -64,76 +60,10 @@ def explain(
     """
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
-    seen, noises = _learnt(data, observations, events, memory)
+    seen, noises = learnt_noise(data, observations, events, memory)
     worlds = [_World(with_noise(data, noise), seen, events, noise, memory) for noise in noises]
     memory.forget_unused()
     return _Outcome(worlds, seen).explanation()
-
-
-# -- noise --------------------------------------------------------------------------------------
-
-
-def _learnt(
-    data: DataSet, observations: list[Observation], events: Events, memory: Memory
-) -> tuple[list[Observation], list[dict[str, Noise]]]:
-    """The observations with their corners' noise, and what each robot's noise may be: one where the
-    session tells, else as stated and as a decision must survive it."""
-    wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
-    known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
-    scales = _corner_scales(data, observations, events, known_lens, memory)
-    common = corner_scale(list(scales.values()))
-    seen = [with_corner_scale(o, scales.get(o.camera, common)) for o in observations]
-    finder = ModeFinder(wide, seen, events, memory)
-    found = [finder.modes_of(visit) for visit in _telling(visits_of(data, observations))]
-    lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
-    relensed = replace(data, lenses=data.lenses | lenses)
-    others = _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
-    seen = [
-        with_corner_scale(came, others[came.camera]) if came.camera in others else scaled
-        for came, scaled in zip(observations, seen, strict=True)
-    ]
-    by_robot: dict[str, list[Linear]] = {}
-    for modes in found:
-        if not modes.modes:
-            continue
-        visit = modes.visit
-        pictures = {index: seen[index] for index in visit.chosen}
-        problem = LocalProblem(data, pictures, finder.odometry(visit), {}, events)
-        residuals = problem.residuals(modes.modes[0])
-        # A robot that moves in space may stand anyhow: nothing tells its jitter from its motion.
-        if residuals is not None and data.tracks[visit.robot].planar:
-            by_robot.setdefault(visit.robot, []).append(residuals)
-    learnt = {robot: learn(residuals) for robot, residuals in by_robot.items()}
-    known = {robot: noise for robot, noise in learnt.items() if noise is not None}
-    if len(known) == len(data.site.robots):
-        return seen, [known]
-    return seen, [dict.fromkeys(data.site.robots, noise) | known for noise in (STATED, PESSIMISTIC)]
-
-
-def _telling(visits: list[Visit]) -> list[Visit]:
-    """The visits with most pictures, of every robot."""
-    found: list[Visit] = []
-    for robot in dict.fromkeys(visit.robot for visit in visits):
-        mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_LEARN]
-        found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TO_LEARN]
-    return found
-
-
-def _corner_scales(
-    data: DataSet,
-    observations: list[Observation],
-    events: Events,
-    cameras: set[str],
-    memory: Memory,
-) -> dict[str, float]:
-    """By how much the corners of these cameras scatter more than stated, of each that tells."""
-    finder = ModeFinder(data, observations, events, memory)
-    scatters: dict[str, list[float]] = {}
-    for index, observation in enumerate(observations):
-        mine = scatters.setdefault(observation.camera, [])
-        if observation.camera in cameras and len(mine) < _MOST_SCATTERS:
-            mine += [a.scatter for a in finder.alone(index) if np.isfinite(a.scatter)]
-    return {name: corner_scale(mine) for name, mine in scatters.items() if mine}
 
 
 # -- one world: a session with one noise ----------------------------------------------------------

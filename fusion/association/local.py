@@ -18,6 +18,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
+from .innovation import Corners, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .sightings import without_wild
@@ -74,19 +75,6 @@ class _Trial:
     readings: dict[int, list[Reading]] = field(default_factory=dict)
     wild: dict[int, list[np.ndarray]] = field(default_factory=dict)
     hidden: set[tuple[int, int]] = field(default_factory=set)
-
-
-@dataclass(frozen=True, slots=True)
-class _Corners:
-    """A view's weighted residual (k, 2), and its derivatives by the robot's pose (k, 2, 6) and by
-    the unknowns (k, 2, q)."""
-
-    residual: Array
-    by_base: Array
-    by_state: Array
-
-    def without(self, wild: np.ndarray) -> "_Corners":
-        return _Corners(self.residual[~wild], self.by_base[~wild], self.by_state[~wild])
 
 
 class LocalProblem:
@@ -232,13 +220,17 @@ class LocalProblem:
             for order, view in enumerate(self.observations[index].views):
                 part = slice(start, start + len(view.corners))
                 start = part.stop
-                corners = _Corners(left[part], by_base[row, part], jacobian[row, part])
+                corners = Corners(left[part], by_base[row, part], jacobian[row, part])
                 trial.wild[index][order] = without_wild(
                     corners.by_base, corners.residual, self.events.wild_score
                 )[1]
                 is_wrong = trial.wrong[index][order]
-                gain = self._innovation_excess(
-                    corners.without(trial.wild[index][order]), covariance, is_used=not is_wrong
+                gain = innovation_excess(
+                    corners.without(trial.wild[index][order]),
+                    covariance,
+                    self.events,
+                    self.data.jitter.get(self.robot),
+                    is_used=not is_wrong,
                 )
                 excess[is_wrong].append((gain, index, order))
         most = max((gain for gain, *_ in excess[False]), default=0.0)
@@ -261,40 +253,6 @@ class LocalProblem:
             each = np.concatenate([np.full(len(v.corners), 1 / v.sigma) for v in observation.views])
             weights[row, : len(each)] = each
         return weights
-
-    def _innovation_excess(self, corners: "_Corners", covariance: Array, *, is_used: bool) -> float:
-        """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
-        else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
-        anywhere, or of one that is off by any amount, small ones too.
-
-        `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
-        P the pose's own covariance and H its derivative by the unknowns, what is left over has
-        R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν = S P⁻¹ times that.
-        """
-        flat = corners.by_base.reshape(-1, 6)
-        try:
-            own = np.linalg.inv(flat.T @ flat + np.diag(1 / self.events.room_variances))
-            step = -own @ (flat.T @ corners.residual.reshape(-1))
-            by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
-            if (jitter := self.data.jitter.get(self.robot)) is not None:
-                own = own + np.diag(jitter.variances)
-            root = np.linalg.cholesky(own)
-        except np.linalg.LinAlgError:
-            # It shows no pose that could contradict.
-            return -self.events.wrong_limit
-        whitened = np.linalg.solve(root, by_state)
-        values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)
-        pulled = vectors.T @ np.linalg.solve(root, step)
-        spread = 2 * float(np.sum(np.log(np.diagonal(root))))
-        if is_used:
-            left = np.clip(1 - values, 1e-6, 1.0)
-            spread -= float(np.sum(np.log(left)))
-        else:
-            left = 1 + np.maximum(values, 0.0)
-            spread += float(np.sum(np.log(left)))
-        chi2 = float(np.sum(pulled**2 / left))
-        score = chi2 + min(spread, self.events.pose_score)
-        return max(score - self.events.wrong_limit, chi2 - self.events.sighting_gate)
 
     # -- to first order ---------------------------------------------------------------------------
 

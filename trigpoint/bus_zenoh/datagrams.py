@@ -14,7 +14,7 @@ from trigpoint.ending import ENDING
 from trigpoint.errors import BusError
 from trigpoint.topics import Topic
 
-from .session import CLOSE_S, FLUSH_S, QUALITY, has_link, plain
+from .session import CLOSE_S, FLUSH_S, has_link, plain, quality_of
 
 _log = logging.getLogger(__name__)
 
@@ -77,17 +77,10 @@ class Datagrams:
             self._keeper = Keeper("bus keeps datagrams", self._is_well, self._renew, lost_s=lost_s)
 
     def publisher(self, topic: Topic, key: str) -> Lasting:
-        _, priority, express = QUALITY[topic.delivery]
-        return self._lasting(
-            lambda session: session.declare_publisher(
-                key,
-                encoding=topic.encoding,
-                congestion_control=CongestionControl.DROP,
-                priority=priority,
-                express=express,
-                reliability=Reliability.BEST_EFFORT,
-            )
-        )
+        quality = quality_of(topic)
+        quality["congestion_control"] = CongestionControl.DROP
+        quality["reliability"] = Reliability.BEST_EFFORT
+        return self._lasting(lambda session: session.declare_publisher(key, **quality))
 
     def subscriber(
         self, expression: str, handler: "zenoh.handlers.Callback[zenoh.Sample]"

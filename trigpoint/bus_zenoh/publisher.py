@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 
 import zenoh
-from zenoh import Reliability, ext
+from zenoh import ext
 
 from trigpoint.bus import Closable
 from trigpoint.bus_outbox import Outbox
@@ -14,7 +14,7 @@ from trigpoint.errors import BusError
 from trigpoint.topics import Delivery, Topic
 
 from .datagrams import Datagrams, Lasting
-from .session import FLUSH_S, QUALITY, has_link, plain
+from .session import FLUSH_S, has_link, plain, quality_of
 
 _HEARTBEAT_S = 0.5
 _ANNOUNCE_S = 0.05
@@ -43,39 +43,28 @@ class ZenohPublisher:
         self._is_closed = False
         self._datagrams = datagrams if topic.delivery is Delivery.URGENT else None
         self._copies = self._datagrams.publisher(topic, key) if self._datagrams else None
-        congestion, priority, express = QUALITY[topic.delivery]
-        reliability = (
-            Reliability.RELIABLE if topic.delivery.is_reliable else Reliability.BEST_EFFORT
-        )
+        quality = quality_of(topic)
         if topic.cache:
             self._publisher = ext.declare_advanced_publisher(
                 session,
                 key,
-                encoding=topic.encoding,
-                congestion_control=congestion,
-                priority=priority,
-                express=express,
-                reliability=reliability,
                 cache=ext.CacheConfig(
-                    topic.cache, replies_config=ext.RepliesConfig(congestion_control=congestion)
+                    topic.cache,
+                    replies_config=ext.RepliesConfig(
+                        congestion_control=quality["congestion_control"]
+                    ),
                 ),
                 sample_miss_detection=ext.MissDetectionConfig(
                     heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
                 ),
                 publisher_detection=True,
+                **quality,
             )
             if topic.delivery is Delivery.RECOVERED:
                 time.sleep(_ANNOUNCE_S)
                 self._reunion = Reunion(lambda: has_link(session))
         else:
-            self._publisher = self._matching = session.declare_publisher(
-                key,
-                encoding=topic.encoding,
-                congestion_control=congestion,
-                priority=priority,
-                express=express,
-                reliability=reliability,
-            )
+            self._publisher = self._matching = session.declare_publisher(key, **quality)
 
     def put(self, payload: bytes, *, attachment: bytes = b"") -> None:
         if self._is_closed:

@@ -9,15 +9,15 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypedDict, TypeVar
 
 import zenoh
-from zenoh import CongestionControl, Priority
+from zenoh import CongestionControl, Priority, Reliability
 
 from trigpoint.bus import Sample
 from trigpoint.bus_settings import Settings
 from trigpoint.errors import BusError
-from trigpoint.topics import Delivery
+from trigpoint.topics import Delivery, Topic
 
 _SWITCH_INTERVAL_S = 0.001
 _RUNTIME = "(rx: (worker_threads: 8))"
@@ -29,7 +29,7 @@ CLOSE_S = 5.0
 """Time limits for sending what is left, and for closing as a whole, if the process was not told to
 stop."""
 
-QUALITY: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
+_QUALITY: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
     Delivery.NEWEST: (CongestionControl.DROP, Priority.BACKGROUND, False),
     Delivery.RECOVERED: (CongestionControl.BLOCK, Priority.DATA_HIGH, False),
     Delivery.LAST_VALUE: (CongestionControl.BLOCK, Priority.DATA, False),
@@ -37,7 +37,18 @@ QUALITY: dict[Delivery, tuple[CongestionControl, Priority, bool]] = {
     Delivery.URGENT: (CongestionControl.BLOCK, Priority.REAL_TIME, True),
     Delivery.BEST_EFFORT: (CongestionControl.DROP, Priority.DATA_LOW, False),
 }
-"""Congestion, priority, express. Small control data need BLOCK: DROP would lose the newest."""
+"""Congestion, priority, express. BLOCK is for small control data: DROP would lose the newest."""
+
+
+class Quality(TypedDict):
+    """How Zenoh sends a topic's samples: a publisher's arguments."""
+
+    encoding: str
+    congestion_control: CongestionControl
+    priority: Priority
+    express: bool
+    reliability: Reliability
+
 
 Arrival = tuple[int, zenoh.Sample]
 """Arrival time by this machine's clock, nanoseconds; and the sample."""
@@ -59,6 +70,19 @@ def open_session(settings: Settings) -> zenoh.Session:
             names = ", ".join(settings.connect)
             raise BusError(f"the bus cannot reach {names} (bus.connect)") from None
         raise BusError(f"the bus cannot be opened: {plain(reason)}") from None
+
+
+def quality_of(topic: Topic) -> Quality:
+    """How a topic's delivery is had from Zenoh."""
+    congestion, priority, express = _QUALITY[topic.delivery]
+    is_reliable = topic.delivery.is_reliable
+    return Quality(
+        encoding=topic.encoding,
+        congestion_control=congestion,
+        priority=priority,
+        express=express,
+        reliability=Reliability.RELIABLE if is_reliable else Reliability.BEST_EFFORT,
+    )
 
 
 def called_at_once(
