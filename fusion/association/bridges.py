@@ -32,20 +32,12 @@ def tied_twice(
     first = _first_seen(graph, used)
     found: set[_Spot] | None = None
     for cut in [None, *edges]:
-        if cut is not None and (cut[1] < first.get(cut[0], 0) or _is_watched(graph, used, cut)):
+        if cut is not None and (cut[1] < first.get(cut[0], 0) or graph.across(cut) is not None):
             continue  # nothing was seen before: the map begins there; or it was seen all the while
         reached = _reached(graph, ties, breaks | ({cut} if cut else set()), first)
         reached |= {place for place, node in seen.items() if node in reached}
         found = reached if found is None else found & reached
     return found or set()
-
-
-def _is_watched(graph: Graph, used: Mapping[int, int], gap: Break) -> bool:
-    """Whether one visit goes on across a gap, with odometry as it is."""
-    robot, step = gap
-    begin, end = graph.paths[robot].stamps_ns[step : step + 2]
-    visits = (graph.visits[number].visit for number in used)
-    return any(v.robot == robot and v.stamp_ns <= begin and end <= v.until_ns for v in visits)
 
 
 def _first_seen(graph: Graph, used: Mapping[int, int]) -> dict[str, int]:

@@ -91,6 +91,20 @@ class Steps:
     about: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Across:
+    """A robot's motion across a gap in which its odometry broke, as a visit has it that saw it
+    before and after, and the covariance (d, d) of what odometry says beside the gap."""
+
+    motion: Pose
+    covariance: Array
+
+    @property
+    def log_covariance(self) -> float:
+        """ln |covariance|."""
+        return float(np.linalg.slogdet(self.covariance)[1])
+
+
 class RobotPath:
     """One robot's nodes, a moment each: odometry's poses (n), the information of the motions
     between them in their free directions (m, d, d), and ln |covariance| (m,)."""
@@ -140,6 +154,7 @@ class Graph:
             int(np.searchsorted(self.paths[v.visit.robot].stamps_ns, _moment(data, v)))
             for v in visits
         ]
+        self._across: dict[Break, Across | None] = {}
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
         self._covariance = [np.linalg.inv(one)[:, :6, :6] for _, one in self._relative]
         self.own_prior = {
@@ -172,6 +187,34 @@ class Graph:
     def room(self, path: RobotPath) -> Array:
         """Variances (d,) of where a robot may be put down."""
         return self.events.room_variances[path.tangent]
+
+    def across(self, gap: Break) -> Across | None:
+        """The motion across a gap by the visit that tells most of it; None where no visit goes on
+        from before it to after it."""
+        if gap not in self._across:
+            each = [one for v in self.visits if (one := self._told_across(gap, v)) is not None]
+            best = min(each, key=lambda one: one.log_covariance, default=None)
+            self._across[gap] = best
+        return self._across[gap]
+
+    def _told_across(self, gap: Break, found: VisitModes) -> Across | None:
+        robot, step = gap
+        path = self.paths[robot]
+        begin, end = path.stamps_ns[step : step + 2]
+        before = [one for one in found.right if one[0] <= begin]
+        after = [one for one in found.right if one[0] >= end]
+        if found.visit.robot != robot or not found.modes or not before or not after:
+            return None
+        (until_ns, earlier), (since_ns, later) = before[-1], after[0]
+        moments = np.clip([until_ns, since_ns], path.track.first_ns, path.track.last_ns)
+        odometry = odometry_poses(self.data, robot, moments)
+        poses = found.modes[0].poses
+        motion = path.odometry[step].inverse() @ odometry[0]
+        motion = motion @ poses[earlier].inverse() @ poses[later]
+        motion = motion @ odometry[1].inverse() @ path.odometry[step + 1]
+        (whole,) = path.track.motion(moments, np.zeros(2)).covariance
+        covariance = whole[np.ix_(path.tangent, path.tangent)] + HELD**2 * np.eye(len(path.tangent))
+        return Across(motion, covariance)
 
     def layout(self, places: Sequence[Place]) -> Layout:
         """With all robots' nodes and these places."""

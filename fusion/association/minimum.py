@@ -157,9 +157,11 @@ class _Minimum:
         """What does not hang on where things are."""
         graph, variant, score = self.graph, self.variants[row], 0.0
         for robot, path in graph.paths.items():
-            broken = [step for name, step in variant.breaks if name == robot]
-            score += float(np.sum(np.delete(path.log_covariance, broken)))
-            score += len(broken) * float(np.sum(np.log(graph.room(path))))
+            broken = [gap for gap in variant.breaks if gap[0] == robot]
+            score += float(np.sum(np.delete(path.log_covariance, [step for _, step in broken])))
+            for across in map(graph.across, broken):
+                anywhere = float(np.sum(np.log(graph.room(path))))
+                score += anywhere if across is None else across.log_covariance
         known = graph.data.known.poses
         unknown = sum(place > 0 or camera not in known for camera, place in self.places)
         score += unknown * graph.events.pose_score
@@ -220,12 +222,13 @@ class _Minimum:
             self._add(rows, np.eye(2), self.scales[robot], np.diag(held**-2.0))
 
     def _add_steps(self, robot: str, path: RobotPath) -> None:
-        """What odometry says between a robot's nodes; nothing where it was lifted."""
+        """What odometry says between a robot's nodes; where it was lifted, what a visit does."""
         nodes, tangent, d = self.nodes[robot], path.tangent, len(path.tangent)
         earlier = Pose(nodes.rotation[:, :-1], nodes.translation[:, :-1])
         later = Pose(nodes.rotation[:, 1:], nodes.translation[:, 1:])
         reported, by_scale = self._reported(robot, path)
-        residual = (earlier.inverse() @ later).difference(reported)[..., tangent]
+        moved = earlier.inverse() @ later
+        residual = moved.difference(reported)[..., tangent]
         by_earlier, by_later = relative_jacobians(earlier, later)
         parts: list[Array] = [
             by_earlier[..., tangent, :][..., tangent],
@@ -234,10 +237,15 @@ class _Minimum:
         information = np.tile(path.information, (len(self.variants), 1, 1, 1))
         for row, variant in enumerate(self.variants):
             for name, step in variant.breaks:
-                if name == robot:  # anywhere: the width alone keeps it determined
+                if name != robot:
+                    continue
+                across, by_scale[row, step] = self.graph.across((name, step)), 0.0
+                if across is None:  # anywhere: the width alone keeps it determined
                     information[row, step] = np.diag(1 / self.graph.room(path))
                     residual[row, step] = 0.0
-                    by_scale[row, step] = 0.0
+                else:
+                    information[row, step] = np.linalg.inv(across.covariance)
+                    residual[row, step] = moved[row][step].difference(across.motion)[tangent]
         if robot in self.scales:
             parts.append(-by_scale)
         jacobian = np.concatenate(parts, axis=-1)

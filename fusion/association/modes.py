@@ -29,11 +29,13 @@ _MORE_WRONG = 2
 
 @dataclass(frozen=True, slots=True)
 class VisitModes:
-    """A visit with its modes, best first; `nothing`: the score where all of it is wrong."""
+    """A visit with its modes, best first; `nothing`: the score where all of it is wrong; `right`:
+    the chosen pictures' (stamp_ns, index) of which each mode has a right sighting."""
 
     visit: Visit
     modes: tuple[Mode, ...]
     nothing: float
+    right: tuple[tuple[int, int], ...]
 
 
 class Memory:
@@ -156,7 +158,9 @@ class ModeFinder:
             found = self._found(visit, problem, self._starts(visit, poses))
         best = min((mode.evidence for mode in found), default=np.inf)
         near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
-        return VisitModes(visit, near, sum(sum(row) for row in scores.values()))
+        right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
+        moments = tuple((chosen[index].stamp_ns, index) for index in right)
+        return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
 
     def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
         lens, found = self.data.lenses[visit.camera], list[Mode]()

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
@@ -11,8 +12,17 @@ from trigpoint.tools.calibrate import worked_out
 from trigpoint.tools.session_inputs import session_inputs
 
 
-def test_either_of_two_sightings_that_contradict_each_other_may_be_wrong(tmp_path: Path) -> None:
-    session = composed_session("mismatch", 7)
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        # Either of two sightings that contradict each other may be wrong.
+        pytest.param("mismatch", 7, id="contradiction"),
+        # What a visit saw before and after a gap says how the robot came across it.
+        pytest.param("composition", 110, id="lift beside a visit that goes on"),
+    ],
+)
+def test_every_camera_is_where_it_says(kind: str, seed: int, tmp_path: Path) -> None:
+    session = composed_session(kind, seed)
     recording = open_recording(write_composition(session, tmp_path))
     pipeline = worked_out(recording, session_inputs(recording, site=None, network=None))
     cameras = pipeline.cameras()
