@@ -75,6 +75,11 @@ class Key:
         """The longest time in which nothing came."""
         return float(np.max(np.diff(self._arrivals_s))) if len(self._arrivals_s) > 1 else 0.0
 
+    def back_s(self, mended_s: float) -> float:
+        """From when something was mended (monotonic clock) to the next message; inf: never."""
+        later = [came_s for came_s in self._arrivals_s if came_s > mended_s]
+        return min(later, default=float("inf")) - mended_s
+
     _arrivals_s: list[float] = field(default_factory=list)
 
 
@@ -273,12 +278,15 @@ def line(name: str, key: Key) -> str:
     )
 
 
-def restarting(every_s: float, dead_s: float, times: int) -> Callable[[Site], None]:
-    """An action: the router's power is cut again and again."""
+def restarting(
+    every_s: float, dead_s: float, times: int, returns_s: list[float]
+) -> Callable[[Site], None]:
+    """An action: the router's power is cut again and again; `returns_s` gets when it was back."""
 
     def act(site: Site) -> None:
         for _ in range(times):
             killing(every_s - dead_s, dead_s)(site)
+            returns_s.append(time.monotonic())
 
     return act
 

@@ -27,13 +27,16 @@ UNDISTURBED = Impairment(BAD.delay_s, bits_per_s=BAD.bits_per_s)
 Found = dict[str, dict[str, Key]]
 
 
-def both(seconds: float) -> Found:
-    """What came of each key, in the site that is disturbed and in the one that is not."""
+def both(seconds: float, returns_s: list[float]) -> Found:
+    """What came of each key, in the site that is disturbed and in the one that is not.
+
+    `returns_s` gets when the router was switched on again, each time.
+    """
     times = int((seconds - _LAST_S) // _EVERY_S)
     bad = Scenario(
         BAD,
         seconds=seconds,
-        action=restarting(_EVERY_S, _DEAD_S, times),
+        action=restarting(_EVERY_S, _DEAD_S, times, returns_s),
         linger_s=_LINGER_S,
         protocols=DATAGRAMS,
     )
@@ -55,20 +58,28 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    found = both(60 * given.minutes)
+    returns_s: list[float] = []
+    found = both(60 * given.minutes, returns_s)
+    back_s = {
+        name: [key.back_s(mended_s) for mended_s in returns_s]
+        for name, key in found["disturbed"].items()
+    }
     if given.out:
-        rows = {
+        rows: dict[str, object] = {
             site: {
                 name: (key.sent, key.counted, key.numbers, key.latencies_s)
                 for name, key in keys.items()
             }
             for site, keys in found.items()
         }
-        given.out.write_text(json.dumps(rows))
+        given.out.write_text(json.dumps(rows | {"back_s": back_s}))
     for site, keys in found.items():
         print(site)
         for name, key in sorted(keys.items()):
             print(f"  {line(name, key)}, uncounted {key.uncounted}")
+    for name, times_s in sorted(back_s.items()):
+        each = ", ".join(f"{time_s:.1f}" for time_s in times_s)
+        print(f"{name} back after the router's return: {each} s")
     ratio = [found[site]["correction"].quantile_s(0.99) for site in ("disturbed", "undisturbed")]
     print(f"corrections' p99 over undisturbed: {ratio[0] / ratio[1]:.2f}")
     print(f"load of the last quarter of an hour: {os.getloadavg()[2]:.1f}")
