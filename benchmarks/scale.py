@@ -81,8 +81,8 @@ def _driven(corridor: Corridor, pipeline: Pipeline, solver: SolverProcess) -> Lo
     from_ns, asked_ns = EPOCH_NS + to_ns(corridor.lap_s), EPOCH_NS
     updates, spent_s, messages, sightings, solver_s = list[float](), 0.0, 0, 0, 0.0
     now_ns = EPOCH_NS
-    for now_ns, turn in _turns(corridor):
-        took_s = _taken(pipeline, now_ns, turn)
+    for now_ns, turn in turns(corridor):
+        took_s = taken(pipeline, now_ns, turn)
         if now_ns >= from_ns:
             solver_s = solver_s or worked_s(solver.pid)
             seen = sum(has_face for *_, has_face in turn)
@@ -104,7 +104,7 @@ def _driven(corridor: Corridor, pipeline: Pipeline, solver: SolverProcess) -> Lo
     )
 
 
-def _turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
+def turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
     """The session cut into turns: until when, and what came."""
     until_ns, turn = EPOCH_NS + _TURN_NS, Turn()
     for node, message in corridor.messages():
@@ -120,7 +120,7 @@ def _encoded(message: Input) -> tuple[str, bytes, bool]:
     return topic.type_name, cdr.encode(message), has_face
 
 
-def _taken(pipeline: Pipeline, now_ns: int, turn: Turn) -> float:
+def taken(pipeline: Pipeline, now_ns: int, turn: Turn) -> float:
     """What one turn takes of the processor, seconds."""
     begin_s = time.thread_time()
     for node, type_name, payload, _ in turn:

@@ -142,8 +142,6 @@ TimeoutStartSec=infinity
 # A stop is told to the node, which ends its helpers in order; it takes two seconds.
 KillMode=mixed
 TimeoutStopSec=20
-# The node is told to stop and ends its helpers itself; whoever is left then is killed.
-KillMode=mixed
 {SHUT_IN}{writes}{_devices(unit)}
 [Install]
 WantedBy=multi-user.target
