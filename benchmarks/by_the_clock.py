@@ -3,10 +3,11 @@
     python -m benchmarks.by_the_clock [--cameras 30] [--robots 10] [--pictures 5] [--minutes 6]
 
 The drive of `benchmarks.scale`, but nothing waits for the solver: messages come by the clock, as
-they do live. Every half minute a line says how long after its messages were due a turn of 20 ms was
-done (so late its corrections are), what the estimator's thread and the solver took of a core, and
-how long ago the solver was asked what it has not answered yet. The run ends early where the turns
-are a minute late. Lateness is of the machine as it is, with whatever else runs on it.
+they do live. (They are made beforehand, which takes about as long.) Every half minute a line says
+how long after its messages were due a turn of 20 ms was done (so late its corrections are), what
+the estimator's thread and the solver took of a core, and how long the solver has owed or took its
+last answer. The run ends early where the turns are a minute late. Lateness is of the machine as it
+is, with whatever else runs on it.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from trigpoint.fusion.pipeline import Pipeline
 from .corridor import EPOCH_NS, Corridor
 from .live import worked_s
 from .machine import machine
-from .scale import taken, turns
+from .scale import Turn, taken, turns
 
 _EVERY_S, _MOST_LATE_S = 30.0, 60.0
 
@@ -62,19 +63,20 @@ class Questions:
 
 def drive(corridor: Corridor) -> None:
     """Go through the session by the clock, and tell."""
+    session = list(turns(corridor))
     solver = SolverProcess(corridor.inputs.data_set())
     try:
         pipeline = Pipeline(corridor.inputs, is_live=False, solver=solver)
         pipeline.resumed(is_new=True)
-        _driven(corridor, pipeline, solver)
+        _driven(session, pipeline, solver)
     finally:
         solver.close()
 
 
-def _driven(corridor: Corridor, pipeline: Pipeline, solver: SolverProcess) -> None:
+def _driven(session: list[tuple[int, Turn]], pipeline: Pipeline, solver: SolverProcess) -> None:
     span, questions, told_s = Span(), Questions(pipeline), 0.0
     began_s, solver_s = time.monotonic(), worked_s(solver.pid)
-    for now_ns, turn in turns(corridor):
+    for now_ns, turn in session:
         now_s = to_seconds(now_ns - EPOCH_NS)
         time.sleep(max(0.0, began_s + now_s - time.monotonic()))
         span.spent_s += taken(pipeline, now_ns, turn)

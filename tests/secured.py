@@ -1,6 +1,9 @@
 """A secured site for tests: its file, its authority, and sessions that show a certificate."""
 
-from collections.abc import Callable
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import zenoh
@@ -8,10 +11,10 @@ from builders import site_text
 
 from trigpoint.access import Identity, Kind
 from trigpoint.bus_opening import open_patiently
-from trigpoint.bus_settings import Settings
+from trigpoint.bus_settings import Settings, router_settings
 from trigpoint.bus_zenoh import open_session
 from trigpoint.config import Site, parse_site
-from trigpoint.security import node_credentials
+from trigpoint.security import door, node_credentials
 from trigpoint.tools.authority import Authority, addresses_of
 
 NODES = (
@@ -55,6 +58,20 @@ class SecuredSite:
             more=more,
         )
         return parse_site(text, directory=self.folder)
+
+    @contextmanager
+    def zenohd(self, program: str) -> Iterator[None]:
+        """The stock router with the configuration that `secure router` writes."""
+        settings = router_settings(self.name, self.listening.bus, door(self.listening))
+        written = self.folder / "router.json5"
+        written.write_text(json.dumps(settings.document()))
+        with (self.folder / "zenohd.log").open("wb") as log:
+            process = subprocess.Popen([program, "-c", written], stdout=log, stderr=log)
+        try:
+            yield
+        finally:
+            process.terminate()
+            process.wait(10)
 
     def settings(self, kind: Kind, node: str) -> Settings:
         """A client's with the node's certificate, whatever the endpoint's host."""

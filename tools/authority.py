@@ -105,14 +105,17 @@ class Authority:
             _write(self._given / CORRECTIONS, _public_pem(key.public_key()), 0o644)
         return files
 
-    def renew(self, identity: Identity, days: int) -> Path:
-        """A new certificate for a node's existing key; no other machine needs to be updated."""
+    def renew(self, identity: Identity, days: int, addresses: Sequence[str] = ()) -> Path:
+        """A new certificate for a node's existing key; no other machine needs to be updated.
+
+        `addresses`: of a router that is reached elsewhere from now on; else those of before.
+        """
         self._require(identity)
         file = self._folder / f"{identity.stem}.pem"
         before = load_certificate(file)
         public = before.public_key()
         assert isinstance(public, ec.EllipticCurvePublicKey)  # made by this authority
-        self._certify(identity, public, days, _addresses(before))
+        self._certify(identity, public, days, addresses or _addresses(before))
         return self._given / f"{identity.stem}.pem"
 
     def revoke(self, identity: Identity) -> None:

@@ -22,6 +22,10 @@ Folder = Annotated[
 ]
 KindOf = Annotated[Kind, typer.Argument(help="What the node is.")]
 NameOf = Annotated[str, typer.Argument(metavar="ID", help="Its name; a camera's in the site file.")]
+Addresses = Annotated[
+    list[str] | None,
+    typer.Option(help="Where a router is connected to: an IP address or a host's name."),
+]
 Days = Annotated[int, typer.Option(help="How long the certificate is good.", min=1, max=3650)]
 _YEAR = 365
 
@@ -45,10 +49,7 @@ def node(
     site: SiteFile = Path("site.toml"),
     authority: Folder = None,
     days: Days = _YEAR,
-    address: Annotated[
-        list[str] | None,
-        typer.Option(help="Where a router is connected to: an IP address or a host's name."),
-    ] = None,
+    address: Addresses = None,
 ) -> None:
     """Make one node's key and certificate, and let it in."""
     loaded = load_site(site)
@@ -68,11 +69,16 @@ def renew(
     site: SiteFile = Path("site.toml"),
     authority: Folder = None,
     days: Days = _YEAR,
+    address: Addresses = None,
 ) -> None:
-    """Prolong a node's certificate; its key stays, and no other machine needs to be told."""
+    """Prolong a node's certificate; its key stays, and no other machine needs to be told.
+
+    A router that is to be reached elsewhere gets all its addresses anew by --address.
+    """
     loaded = load_site(site)
     identity = _identity(loaded, kind, name, is_known=True)
-    file = _authority(loaded, authority).renew(identity, days)
+    addresses = addresses_of(kind, address) if address else ()
+    file = _authority(loaded, authority).renew(identity, days, addresses)
     typer.echo(f"{identity.common_name} is good for {days} days; copy {file} to its machine")
 
 
@@ -116,7 +122,8 @@ def list_nodes(
     else:
         for one in nodes:
             row = _row(one)
-            typer.echo(f"{row['state']:9} {row['until'][:10]}  {row['name']}")
+            reached = f", reached at {row['addresses']}" if row["addresses"] else ""
+            typer.echo(f"{row['state']:9} {row['until'][:10]}  {row['name']}{reached}")
         for name in strangers:
             typer.echo(f"stranger              «{name}» is in {found.trust}; was it put there?")
     if strangers or any(_state(one) == "expired" for one in nodes):

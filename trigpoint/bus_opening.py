@@ -96,9 +96,19 @@ def open_patiently(
             if settings.mode != "client" or time.monotonic() > deadline:
                 raise
             if not is_said:
-                _log.warning("%s; check that it runs; trying again", reason)
+                _log.warning("%s; check that it runs%s; trying again", reason, _hint(settings))
             is_said = True
         time.sleep(_RETRY_S)
+
+
+def _hint(settings: Settings) -> str:
+    """What else may be wrong with a site that is secured: the handshake tells neither side."""
+    if settings.files is None:
+        return ""
+    return (
+        ", that its trust.pem knows this node's certificate, and that its own certificate names "
+        "this address (`trigpoint secure list`)"
+    )
 
 
 def settle(bus: Bus) -> None:

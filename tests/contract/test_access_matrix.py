@@ -1,9 +1,10 @@
 """Every kind of node, every key, and what may be done there, over mutual TLS: as the contract says.
 
 The expected cells are written out here from the contract's table of keys; the rules under test are
-made from another one (`trigpoint.access`).
+made from another one (`trigpoint.access`). Where a stock `zenohd` is installed it is tried too.
 """
 
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -106,7 +107,16 @@ _ANSWER_S = 1.5
 _PATIENCE_S = 20.0
 
 
-@pytest.fixture(params=["gate, tls", "router, tls", "router, quic"])
+_ZENOHD = shutil.which("zenohd")
+_needs_zenohd = pytest.mark.skipif(_ZENOHD is None, reason="zenohd is not installed here")
+
+
+@pytest.fixture(
+    params=[
+        *("gate, tls", "router, tls", "router, quic"),
+        *(pytest.param(f"zenohd, {p}", marks=_needs_zenohd) for p in ("tls", "quic")),
+    ]
+)
 def sessions(
     tmp_path: Path, free_port: Callable[[], int], request: pytest.FixtureRequest
 ) -> Iterator[tuple[zenoh.Session, dict[Kind, zenoh.Session]]]:
@@ -116,6 +126,9 @@ def sessions(
     with ExitStack() as stack:
         if door == "router":
             stack.enter_context(open_router(secured.listening))
+        elif door == "zenohd":
+            assert _ZENOHD is not None  # else it is skipped
+            stack.enter_context(secured.zenohd(_ZENOHD))
         else:
             me = (Kind.FUSION, "fusion")
             stack.enter_context(open_bus(secured.listening, me))

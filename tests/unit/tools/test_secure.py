@@ -118,6 +118,20 @@ def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path) -> None:
     assert first_complaint([credentials]) == ""
 
 
+def test_router_that_moves_is_renewed_for_its_new_address(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    secure(site, "node", "router", "hall", "--address", "10.0.0.1")
+    trust = (site.parent / "secure" / "trust.pem").read_bytes()
+    assert secure(site, "renew", "router", "hall") == 0
+    secure(site, "list")
+    assert "lab/router/hall, reached at 10.0.0.1 localhost" in capsys.readouterr().out
+    assert secure(site, "renew", "router", "hall", "--address", "10.0.0.2") == 0
+    secure(site, "list")
+    assert "lab/router/hall, reached at 10.0.0.2 localhost" in capsys.readouterr().out
+    assert (site.parent / "secure" / "trust.pem").read_bytes() == trust
+
+
 def test_list_tells_of_an_anchor_that_was_smuggled_in(
     site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
