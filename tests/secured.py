@@ -1,11 +1,13 @@
 """A secured site for tests: its file, its authority, and sessions that show a certificate."""
 
 import json
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 import zenoh
 from builders import site_text
 
@@ -27,7 +29,8 @@ NODES = (
     (Kind.VIEWER, "bob"),
 )
 
-
+_ZENOHD = shutil.which("zenohd")
+needs_zenohd = pytest.mark.skipif(_ZENOHD is None, reason="zenohd is not installed here")
 _PATIENCE_S = 60.0
 
 
@@ -60,13 +63,14 @@ class SecuredSite:
         return parse_site(text, directory=self.folder)
 
     @contextmanager
-    def zenohd(self, program: str) -> Iterator[None]:
+    def zenohd(self) -> Iterator[None]:
         """The stock router with the configuration that `secure router` writes."""
+        assert _ZENOHD is not None  # see `needs_zenohd`
         settings = router_settings(self.name, self.listening.bus, door(self.listening))
         written = self.folder / "router.json5"
         written.write_text(json.dumps(settings.document()))
         with (self.folder / "zenohd.log").open("wb") as log:
-            process = subprocess.Popen([program, "-c", written], stdout=log, stderr=log)
+            process = subprocess.Popen([_ZENOHD, "-c", written], stdout=log, stderr=log)
         try:
             yield
         finally:

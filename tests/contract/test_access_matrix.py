@@ -4,7 +4,6 @@ The expected cells are written out here from the contract's table of keys; the r
 made from another one (`trigpoint.access`). Where a stock `zenohd` is installed it is tried too.
 """
 
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from builders import eventually
-from secured import NODES, SecuredSite
+from secured import NODES, SecuredSite, needs_zenohd
 
 from trigpoint.access import Kind
 from trigpoint.bus_settings import session_settings
@@ -107,14 +106,10 @@ _ANSWER_S = 1.5
 _PATIENCE_S = 20.0
 
 
-_ZENOHD = shutil.which("zenohd")
-_needs_zenohd = pytest.mark.skipif(_ZENOHD is None, reason="zenohd is not installed here")
-
-
 @pytest.fixture(
     params=[
         *("gate, tls", "router, tls", "router, quic"),
-        *(pytest.param(f"zenohd, {p}", marks=_needs_zenohd) for p in ("tls", "quic")),
+        *(pytest.param(f"zenohd, {p}", marks=needs_zenohd) for p in ("tls", "quic")),
     ]
 )
 def sessions(
@@ -127,8 +122,7 @@ def sessions(
         if door == "router":
             stack.enter_context(open_router(secured.listening))
         elif door == "zenohd":
-            assert _ZENOHD is not None  # else it is skipped
-            stack.enter_context(secured.zenohd(_ZENOHD))
+            stack.enter_context(secured.zenohd())
         else:
             me = (Kind.FUSION, "fusion")
             stack.enter_context(open_bus(secured.listening, me))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from builders import eventually
-from secured import SecuredSite
+from secured import SecuredSite, needs_zenohd
 
 from trigpoint.access import Identity, Kind
 from trigpoint.bus import Bus
@@ -278,7 +278,11 @@ WAYS = (wrong_authority, expired, revoked, no_certificate, plain_peer, scouting_
 
 
 @pytest.mark.parametrize(
-    ("door", "protocol"), [("gate", "tls"), ("router", "tls"), ("router", "quic")]
+    ("door", "protocol"),
+    [
+        *(("gate", "tls"), ("router", "tls"), ("router", "quic")),
+        *(pytest.param("zenohd", p, marks=needs_zenohd) for p in ("tls", "quic")),
+    ],
 )
 def test_strangers_get_neither_session_nor_byte(
     tmp_path: Path, free_port: Callable[[], int], stack: ExitStack, door: str, protocol: str
@@ -286,15 +290,18 @@ def test_strangers_get_neither_session_nor_byte(
     """All at once: each tries for two seconds."""
     secured = SecuredSite(tmp_path, free_port(), protocol=protocol)
     outsiders = {way.__name__: Outsider(way(secured, tmp_path / way.__name__)) for way in WAYS}
-    opened = (
-        open_bus(secured.listening, FUSION) if door == "gate" else open_router(secured.listening)
-    )
-    inside = stack.enter_context(opened)
+    site = set[str]()
+    if door == "gate":
+        site.add(stack.enter_context(open_bus(secured.listening, FUSION)).identity)
+    elif door == "router":
+        site.add(stack.enter_context(open_router(secured.listening)).identity)
+    else:
+        stack.enter_context(secured.zenohd())
     robot = stack.enter_context(ZenohBus(secured.session(*ROBOT)))
     corrections = robot.subscribe(CORRECTION, CORRECTION.key("lab", "r1"))
     odometry = robot.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
     odometry.put(b"secret")
-    site = {inside.identity, robot.identity, *robot.peers}
+    site |= {robot.identity, *robot.peers}
     with ThreadPoolExecutor(len(outsiders)) as pool:
         met = pool.map(lambda outsider: outsider.try_it(site), outsiders.values())
     assert dict(zip(outsiders, met, strict=True)) == dict.fromkeys(outsiders, False)
