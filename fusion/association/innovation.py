@@ -5,7 +5,6 @@ from typing import Self
 
 import numpy as np
 
-from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
@@ -31,11 +30,12 @@ class Corners:
 
 
 def innovation_excess(
-    corners: Corners, covariance: Array, events: Events, jitter: Jitter | None, *, is_used: bool
+    corners: Corners, covariance: Array, events: Events, jitter: Array | None, *, is_used: bool
 ) -> float:
     """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
     else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
-    anywhere, or of one that is off by any amount, small ones too.
+    anywhere, or of one that is off by any amount, small ones too. `jitter` (6,): variances by which
+    the robot stands otherwise in its picture.
 
     `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
     P the pose's own covariance and H its derivative by the unknowns, what is left over has
@@ -47,7 +47,7 @@ def innovation_excess(
         step = -own @ (flat.T @ corners.residual.reshape(-1))
         by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
         if jitter is not None:
-            own = own + np.diag(jitter.variances)
+            own = own + np.diag(jitter)
         root = np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
         # It shows no pose that could contradict.

@@ -44,10 +44,11 @@ def learnt_noise(
     for modes in found:
         if not modes.modes:
             continue
-        visit = modes.visit
-        pictures = {index: seen[index] for index in visit.chosen}
-        problem = LocalProblem(data, pictures, finder.odometry(visit), {}, events)
-        residuals = problem.residuals(modes.modes[0])
+        visit = _with_neighbours(modes.visit)
+        pictures = {index: seen[index] for index in visit.indices}
+        odometry = finder.odometry(replace(visit, chosen=visit.indices))
+        problem = LocalProblem(data, pictures, odometry, {}, events)
+        residuals = problem.residuals(finder.completed(visit, modes.modes[0]))
         # A robot that moves in space may stand anyhow: nothing tells its jitter from its motion.
         if residuals is not None and data.tracks[visit.robot].planar:
             by_robot.setdefault(visit.robot, []).append(residuals)
@@ -65,6 +66,14 @@ def _telling(visits: list[Visit]) -> list[Visit]:
         mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_LEARN]
         found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TO_LEARN]
     return found
+
+
+def _with_neighbours(visit: Visit) -> Visit:
+    """Of a visit its chosen pictures, each with the next one: far and near show how far a floor's
+    slope reaches."""
+    rows = {visit.indices.index(index) for index in visit.chosen}
+    near = rows | {row + 1 for row in rows if row + 1 < len(visit.indices)}
+    return replace(visit, indices=tuple(visit.indices[row] for row in sorted(near)))
 
 
 def _corner_scales(

@@ -24,17 +24,17 @@ class Linear:
 
     `shifts` (n, 6): by how much each part by itself puts the robot otherwise, with `own` (n, 6, 6)
     its covariance by the corners and `by_unknowns` (n, 6, u); `parts` (n,): which of those asked
-    for it is, and `nodes` (n,) where the robot was: it stood where they are the same; `steps`
-    (m, d): what odometry asks for, with `steps_by_unknowns` (m, d, u), its covariance `spread`
-    (m, d, d), and that by the stated noise and by slip alone, `by_odometry` and `by_slip`; `prior`
-    (u, u): information on the unknowns from before.
+    for it is, and `places` (n, 3) where the robot was; `steps` (m, d): what odometry asks for, with
+    `steps_by_unknowns` (m, d, u), its covariance `spread` (m, d, d), and that by the stated noise
+    and by slip alone, `by_odometry` and `by_slip`; `prior` (u, u): information on the unknowns from
+    before.
     """
 
     shifts: Array
     own: Array
     by_unknowns: Array
     parts: list[int]
-    nodes: np.ndarray
+    places: Array
     steps: Array
     steps_by_unknowns: Array
     spread: Array
@@ -110,7 +110,7 @@ def linearised(
         np.array(own),
         np.array(by_unknowns),
         kept,
-        batch.nodes[[parts[number][0] for number in kept]],
+        poses.translation[batch.nodes[[parts[number][0] for number in kept]]],
         -terms.residual,
         steps,
         chain.motion.covariance[free],

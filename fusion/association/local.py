@@ -229,7 +229,7 @@ class LocalProblem:
                     corners.without(trial.wild[index][order]),
                     covariance,
                     self.events,
-                    self.data.jitter.get(self.robot),
+                    None if batch.jitter is None else batch.jitter[row],
                     is_used=not is_wrong,
                 )
                 excess[is_wrong].append((gain, index, order))

@@ -12,7 +12,7 @@ What is not significantly otherwise than stated stays as stated.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -30,26 +30,51 @@ _SIGNIFICANCE = 1e-3
 # exponential prior), and odometry within a factor of e, slip of e².
 _TILT = math.radians(0.3)
 _SWAY = 1e-3
+# The slope of floors changes over a metre, within a factor of e.
+_LENGTH = 1.0
+_LOG_LENGTH = 1.0
 _LOG_ODOMETRY = 1.0
 _LOG_SLIP = 2.0
 _FREE = 1e3
 _LEAST = 1e-3  # of these medians: nothing
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What may be learnt, by the logarithm of its ratio to `middle`: from `start`, within
+    `bounds`."""
+
+    middle: float
+    start: float
+    bounds: tuple[float, float]
+
+
+_PARTS = {
+    "tilt": _Part(_TILT, -1.0, (math.log(_LEAST), 3.0)),
+    "sway": _Part(_SWAY, -1.0, (math.log(_LEAST), 3.0)),
+    "length": _Part(_LENGTH, 0.0, (-3.0, 3.0)),
+    "odometry": _Part(1.0, 0.3, (-2.0, 2.0)),
+    "slip": _Part(1.0, 0.0, (-3.0, 3.0)),
+}
+_JITTER, _ODOMETRY = ("tilt", "sway"), ("odometry", "slip")
+_FLOOR = (*_JITTER, "length")
 # Where the likelihood changes by less than this share, it tells nothing more.
 _FLAT = 1e-6
 _ROUNDING = 1e-12
+_SAME = 3  # digits of a metre: a robot stands where it stood
 _MOST_STEPS = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
     """`tilt` (rad) and `sway` (m): standard deviations, in each picture, of the robot's turn about
-    and its shift along each axis; `is_floor`: while it stands its tilt stays the same; `odometry`:
-    by what its stated sigmas are multiplied; `slip`: by what the slip of a robot that turns is,
-    which nobody states."""
+    and its shift along each axis; `length` (m): over which a floor's slope changes, 0: it tilts
+    anew in each picture; `odometry`: by what its stated sigmas are multiplied; `slip`: by what the
+    slip of a robot that turns is, which nobody states."""
 
     tilt: float = 0.0
     sway: float = 0.0
-    is_floor: bool = False
+    length: float = 0.0
     odometry: float = 1.0
     slip: float = 1.0
 
@@ -59,7 +84,7 @@ class Noise:
         if self.tilt <= 0 and self.sway <= 0:
             return None
         tilt, sway = max(self.tilt, _LEAST * _TILT), max(self.sway, _LEAST * _SWAY)
-        return Jitter(sway, tilt, self.is_floor)
+        return Jitter(sway, tilt, self.length)
 
 
 STATED = Noise()
@@ -73,12 +98,12 @@ def misfit(visit: Linear, noise: Noise) -> float:
     value = 0.0
     if jitter is not None:
         variances = jitter.variances.copy()
-        if jitter.is_floor:
-            by_floor, information = _floor(visit, variances[3:])
+        if jitter.length > 0:
+            by_floor, information = _floor(visit, jitter)
             by_unknowns = np.concatenate([by_unknowns, by_floor], axis=-1)
-            prior = np.asarray(block_diag(prior, np.diag(information)))
-            value -= float(np.sum(np.log(information)))
-            variances[3:] = 0.0
+            prior = np.asarray(block_diag(prior, information))
+            value -= float(np.linalg.slogdet(information)[1])
+            variances[3:5] = 0.0
         own = own + np.diag(variances)
     root = np.linalg.cholesky(own)
     shifts = np.linalg.solve(root, visit.shifts[..., None])[..., 0].reshape(-1)
@@ -103,13 +128,15 @@ def misfit(visit: Linear, noise: Noise) -> float:
     return float(value)
 
 
-def _floor(visit: Linear, variances: Array) -> tuple[Array, Array]:
-    """What the floor's tilt (3) at each of a visit's nodes does to its parts, (n, 6, t), and the
-    information (t,) on it."""
-    nodes, place = np.unique(visit.nodes, return_inverse=True)
-    by_floor = np.zeros((len(place), 6, len(nodes), 3))
-    by_floor[np.arange(len(place)), 3:, place] = np.eye(3)
-    return by_floor.reshape(len(place), 6, -1), np.tile(1 / variances, len(nodes))
+def _floor(visit: Linear, jitter: Jitter) -> tuple[Array, Array]:
+    """What the floor's tilt (2) where a robot stood does to its parts, (n, 6, t), and the
+    information (t, t) on it, of a Gaussian process in the plane."""
+    places, place = np.unique(visit.places.round(_SAME), axis=0, return_inverse=True)
+    by_floor = np.zeros((len(place), 6, len(places), 2))
+    by_floor[np.arange(len(place)), 3:5, place] = np.eye(2)
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    information = np.linalg.inv(np.exp(-apart / jitter.length))
+    return by_floor.reshape(len(place), 6, -1), np.kron(information, np.eye(2) / jitter.tilt**2)
 
 
 def learn(visits: list[Linear]) -> Noise | None:
@@ -120,21 +147,15 @@ def learn(visits: list[Linear]) -> Noise | None:
     # How the robot tilts and rises shows whatever odometry says: that is left free here, so that
     # what its model lacks is not taken for a target that sways.
     loose = Noise(odometry=_FREE, slip=_FREE)
-    jittery = _likeliest(visits, loose, is_jittery=True, is_other=False)
-    steady = _likeliest(visits, loose, is_jittery=False, is_other=False)
-    if any(len(np.unique(visit.nodes)) < len(visit.nodes) for visit in visits):
-        floor = replace(loose, is_floor=True)
-        jittery = min(
-            jittery, _likeliest(visits, floor, is_jittery=True, is_other=False), key=_cost
-        )
+    jittery = min((_likeliest(visits, loose, free) for free in (_JITTER, _FLOOR)), key=_cost)
+    steady = _likeliest(visits, loose)
     if steady[1] - jittery[1] < chdtri(2, _SIGNIFICANCE):
         jittery = steady
     start = replace(jittery[0], odometry=1.0, slip=1.0)
-    stated = _likeliest(visits, start, is_jittery=False, is_other=False)
-    other = _likeliest(visits, start, is_jittery=False, is_other=True)
+    stated = _likeliest(visits, start)
+    other = _likeliest(visits, start, _ODOMETRY)
     found = other[0] if stated[1] - other[1] > chdtri(2, _SIGNIFICANCE) else start
-    tilt, sway, odometry, slip = map(in_steps, (found.tilt, found.sway, found.odometry, found.slip))
-    return Noise(tilt, sway, found.is_floor, odometry, slip)
+    return Noise(*map(in_steps, astuple(found)))
 
 
 def _cost(found: tuple[Noise, float]) -> float:
@@ -146,32 +167,30 @@ _LEAST_FREEDOM = 24
 
 
 def _likeliest(
-    visits: list[Linear], base: Noise, *, is_jittery: bool, is_other: bool
+    visits: list[Linear], base: Noise, free: tuple[str, ...] = ()
 ) -> tuple[Noise, float]:
     """The noise of greatest posterior with these parts of `base` free, and -2 ln of it."""
+    parts = [_PARTS[name] for name in free]
 
     def noise_of(x: Array) -> Noise:
-        parts = iter(x)
-        tilt, sway = base.tilt, base.sway
-        if is_jittery:
-            tilt, sway = _TILT * math.exp(next(parts)), _SWAY * math.exp(next(parts))
-        if not is_other:
-            return replace(base, tilt=tilt, sway=sway)
-        return Noise(tilt, sway, base.is_floor, math.exp(next(parts)), math.exp(next(parts)))
+        values = [part.middle * math.exp(one) for part, one in zip(parts, x, strict=True)]
+        return replace(base, **dict(zip(free, values, strict=True)))
 
     def cost(x: Array) -> float:
         noise = noise_of(x)
         prior = 2 * math.log(2) * (noise.tilt / _TILT + noise.sway / _SWAY)
         prior += (math.log(noise.odometry) / _LOG_ODOMETRY) ** 2
         prior += (math.log(noise.slip) / _LOG_SLIP) ** 2
+        if noise.length > 0:
+            prior += (math.log(noise.length / _LENGTH) / _LOG_LENGTH) ** 2
         return sum(misfit(visit, noise) for visit in visits) + prior
 
-    start = [-1.0, -1.0] * is_jittery + [0.3, 0.0] * is_other
-    if not start:
-        return base, cost(np.zeros(0))
-    bounds = [(math.log(_LEAST), 3.0)] * (2 * is_jittery) + [(-2.0, 2.0), (-3.0, 3.0)] * is_other
+    start = np.array([part.start for part in parts])
+    if not free:
+        return base, cost(start)
     options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS}
-    found = minimize(cost, np.array(start), method="L-BFGS-B", bounds=bounds, options=options)
+    bounds = [part.bounds for part in parts]
+    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options=options)
     return noise_of(found.x), float(found.fun)
 
 

@@ -56,7 +56,7 @@ def assemble(
     priors = _priors(data, cameras, list(chains), anchored=anchored)
     layout = layout_of(cameras, chains, priors, start)
     start = State(_of_one_lens(start.cameras, priors.owners), start.robots)
-    batches = _batches(data, state, chains, entries, node_of)
+    batches = _batches(data, state, chains, nodes, entries, node_of)
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
@@ -171,6 +171,7 @@ def _batches(
     data: DataSet,
     state: State,
     chains: dict[str, Chain],
+    poses: dict[str, Pose],
     entries: list[int],
     node_of: dict[int, int],
 ) -> tuple[Batch, ...]:
@@ -179,7 +180,7 @@ def _batches(
         observation = data.entries[index].observation
         pairs[observation.camera, observation.robot].append(index)
     return tuple(
-        _batch(data, state, chains[robot], camera, indices, node_of)
+        _batch(data, state, chains[robot], poses[robot], camera, indices, node_of)
         for (camera, robot), indices in pairs.items()
     )
 
@@ -188,6 +189,7 @@ def _batch(
     data: DataSet,
     state: State,
     chain: Chain,
+    poses: Pose,
     camera: str,
     indices: list[int],
     node_of: dict[int, int],
@@ -202,6 +204,7 @@ def _batch(
     points = padded_points(observations, target)
     shares = np.array([data.entries[index].share for index in indices])
     nodes = np.array([node_of[index] for index in indices])
+    jitter = data.jitter.get(chain.robot)
     return Batch(
         camera=camera,
         robot=chain.robot,
@@ -214,7 +217,7 @@ def _batch(
         sources=np.array(indices),
         after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
         since_epoch_s=since_epoch_s,
-        jitter=data.jitter.get(chain.robot),
+        jitter=None if jitter is None else jitter.among(poses.translation[nodes]),
     )
 
 

@@ -21,7 +21,6 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-from .jitter import Jitter
 from .odometry import PLANAR, SPATIAL, Motion, OdometryTrack
 
 
@@ -97,9 +96,10 @@ class Batch:
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
     1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): how much each
     observation counts; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
-    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps; `jitter`: how the target
-    stands otherwise in a picture than its node says (a floor that tilts, a mast that sways), a
-    disturbance in the map's axes that all corners of the picture share; None: not at all.
+    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps; `jitter` (n, 6):
+    variances of how the target stands otherwise in each picture than its node says (a floor that
+    tilts, a mast that sways), a disturbance in the map's axes that all its corners share; None: not
+    at all.
     """
 
     camera: str
@@ -113,7 +113,7 @@ class Batch:
     sources: np.ndarray
     after_node_s: Array
     since_epoch_s: Array
-    jitter: Jitter | None = None
+    jitter: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -156,15 +156,14 @@ def _add_batch(
     flat = jacobian.reshape(n, -1, q)
     if jitter is not None:
         shared = np.broadcast_to(root, residual.shape).reshape(n, -1)
-        weighted = PictureJitter.by(jitter.jacobian * shared[..., None], batch.nodes, jitter.jitter)
+        weighted = PictureJitter.by(jitter.jacobian * shared[..., None], jitter.variances)
         hessian, gradient, cost = weighted.eliminated(flat, residual.reshape(n, -1))
         equations.cost += cost + float(np.sum(np.where(weight < 1, huber * (length - huber), 0.0)))
         equations.log_determinant += weighted.log_determinant
-        _scatter(equations, problem, batch.robot, jitter.nodes, hessian, gradient, columns)
-        return
-    transposed = np.swapaxes(flat, 1, 2)
-    hessian = transposed @ flat
-    gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
+    else:
+        transposed = np.swapaxes(flat, 1, 2)
+        hessian = transposed @ flat
+        gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
     _scatter(equations, problem, batch.robot, batch.nodes, hessian, gradient, columns)
 
 

@@ -48,7 +48,7 @@ def _excesses(
     source and order."""
     by_base = base_jacobian(assembled.problem, batch, state)
     residual = batch_residual(assembled.problem, batch, state)
-    found = []
+    jitter, found = data.jitter.get(batch.robot), []
     for row, source in enumerate(batch.sources.tolist()):
         start = 0
         for order, view in enumerate(data.entries[source].observation.views):
@@ -59,8 +59,8 @@ def _excesses(
                 continue  # left out already
             own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
             step = -own @ (flat.T @ residual[row, part].reshape(-1))
-            if batch.jitter is not None:
-                own = own + np.diag(batch.jitter.variances)
+            if jitter is not None:
+                own = own + np.diag(jitter.variances)
             chi2 = float(step @ np.linalg.solve(own, step))
             excess = chi2 + float(np.linalg.slogdet(own)[1]) - events.wrong_limit
             if excess > 0:

@@ -121,8 +121,8 @@ def test_robots_that_look_alike_are_told_apart_by_a_rolling_shutter_too(tmp_path
         pipeline = worked_out(alike, site_of(alike, "smoother", line_delay_s), is_live=False)
         camera = pipeline.results().network.cameras["c1"]
         assert camera.sightings > 0
-        # Taken for a global shutter, pictures in a turn contradict the others: few may be wrong.
-        most = 0 if line_delay_s == LINE_DELAY_S else 0.1 * camera.sightings
+        # Taken for a global shutter, pictures in a turn contradict the others: some may be wrong.
+        most = 0 if line_delay_s == LINE_DELAY_S else 0.2 * camera.sightings
         assert camera.rejected <= most
         assert camera.reprojection_rms is not None
         rms_px[line_delay_s] = camera.reprojection_rms

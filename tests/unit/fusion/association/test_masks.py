@@ -34,7 +34,7 @@ def visit(wrong: tuple[int, ...], pictures: int = 10, seed: int = 0) -> Linear:
         own=np.tile(SIGMA**2 * np.eye(6), (pictures, 1, 1)),
         by_unknowns=by_unknowns,
         parts=list(range(pictures)),
-        nodes=np.arange(pictures),
+        places=np.eye(pictures, 3),
         steps=random.normal(size=(pictures - 1, 3)) * 0.01,
         steps_by_unknowns=by_steps,
         spread=spread,

@@ -11,7 +11,8 @@ from trigpoint.fusion.association.noise import Noise, corner_scale, learn
 
 def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Linear:
     """A visit to a camera of a robot that is moved in space: pictures of 2 mm and 1 mrad, odometry
-    of 5 mm and 5 mrad a step, with the noise; so many `pictures` share a floor `at_a_stop`."""
+    of 5 mm and 5 mrad a step, with the noise; so many `pictures` are taken `at_a_stop`, and the
+    stops are half a metre apart."""
     random = np.random.default_rng(seed)
     own = np.diag([4e-6, 4e-6, 4e-6, 1e-6, 1e-6, 1e-6])
     jitter = np.zeros(6) if noise.jitter is None else noise.jitter.variances
@@ -31,16 +32,21 @@ def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Li
     spread = np.sqrt(np.diagonal(own) + jitter)
     walk = np.sqrt(noise.odometry**2 * np.diagonal(step) + noise.slip**2 * np.diagonal(slip))
     shifts = random.normal(size=(pictures, 6)) * spread
-    if noise.is_floor:
-        scatter = random.normal(size=(pictures, 3)) * np.sqrt(np.diagonal(own)[3:])
-        floor = random.normal(size=(pictures, 3)) * noise.tilt
-        shifts[:, 3:] = scatter + floor[np.arange(pictures) // at_a_stop]
+    places = np.zeros((pictures, 3))
+    places[:, 0] = 0.5 * (np.arange(pictures) // at_a_stop)
+    if noise.length > 0:
+        scatter = random.normal(size=(pictures, 2)) * np.sqrt(np.diagonal(own)[3:5])
+        alike = np.exp(-np.abs(places[:, :1] - places[:, 0]) / noise.length)
+        floor = np.linalg.cholesky(alike + 1e-9 * np.eye(pictures)) @ random.normal(
+            size=(pictures, 2)
+        )
+        shifts[:, 3:5] = scatter + noise.tilt * floor
     return Linear(
         shifts=shifts,
         own=np.tile(own, (pictures, 1, 1)),
         by_unknowns=by_unknowns,
         parts=list(range(pictures)),
-        nodes=np.arange(pictures) // at_a_stop,
+        places=places,
         steps=random.normal(size=(pictures - 1, 3)) * walk,
         steps_by_unknowns=by_steps,
         spread=np.tile(step + slip, (pictures - 1, 1, 1)),
@@ -78,10 +84,11 @@ def test_corner_scale_leaves_what_is_no_board_out() -> None:
     assert corner_scale([]) == 1.0
 
 
-@pytest.mark.parametrize("is_floor", [False, True])
-def test_a_tilt_that_stays_while_the_robot_stands_is_the_floors(is_floor: bool) -> None:
-    true = Noise(tilt=math.radians(0.3), sway=3e-3, is_floor=is_floor)
-    found = learn([visit(seed, true, at_a_stop=3) for seed in range(8)])
+@pytest.mark.parametrize("length", [0.0, 0.2, 1.0])
+def test_how_far_a_slope_reaches_is_learnt(length: float) -> None:
+    """A mast that rocks tilts in every picture, a floor from place to place."""
+    true = Noise(tilt=math.radians(0.3), sway=3e-3, length=length)
+    found = learn([visit(seed, true, pictures=24, at_a_stop=2) for seed in range(8)])
     assert found is not None
-    assert found.is_floor is is_floor
+    assert found.length == pytest.approx(length, rel=0.5)
     assert found.tilt == pytest.approx(true.tilt, rel=0.3)

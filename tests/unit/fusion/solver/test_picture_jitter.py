@@ -1,13 +1,12 @@
 """What a picture's corners err in together, against the covariance written out."""
 
 import numpy as np
-import pytest
+from scipy.linalg import block_diag
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 
-NODES = np.array([0, 1, 1, 2, 3])
-EACH, FLOOR = Jitter(sway=0.1, tilt=0.4), Jitter(sway=0.1, tilt=0.4, is_floor=True)
+VARIANCES = np.random.default_rng(0).uniform(0.01, 0.2, (5, 6))
 
 
 def drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -19,52 +18,57 @@ def drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def covariance(by_base: np.ndarray, jitter: Jitter) -> np.ndarray:
-    """Of all corners (60, 60), by what they share."""
-    whole = np.eye(60)
-    for one in range(5):
-        for other in range(5):
-            shared = jitter.variances.copy()
-            if one != other:
-                shared[:3] = 0
-                shared[3:] *= jitter.is_floor and NODES[one] == NODES[other]
-            block = by_base[one] @ np.diag(shared) @ by_base[other].T
-            whole[12 * one : 12 * one + 12, 12 * other : 12 * other + 12] += block
-    return whole
+def covariance(by_base: np.ndarray) -> np.ndarray:
+    """Of all corners (60, 60), by what each picture's share."""
+    shared = [by @ np.diag(row) @ by.T for by, row in zip(by_base, VARIANCES, strict=True)]
+    return np.eye(60) + np.asarray(block_diag(*shared))
 
 
-@pytest.mark.parametrize("jitter", [EACH, FLOOR])
-def test_elimination_weighs_with_the_inverse_of_the_joint_covariance(jitter: Jitter) -> None:
+def test_elimination_weighs_with_the_inverse_of_the_joint_covariance() -> None:
     by_base, by_others, residual = drawn(1)
-    eliminated = PictureJitter.by(by_base, NODES, jitter)
-    hessian, gradient, cost = eliminated.eliminated(by_others, residual)
-    weight = np.linalg.inv(covariance(by_base, jitter))
-    for group, node in enumerate(eliminated.nodes):
-        mine = np.repeat((node == NODES) if jitter.is_floor else (np.arange(5) == group), 12)
-        own, others = weight[np.ix_(mine, mine)], by_others.reshape(60, 4)[mine]
-        np.testing.assert_allclose(hessian[group], others.T @ own @ others)
-        np.testing.assert_allclose(gradient[group], others.T @ own @ residual.reshape(60)[mine])
-    flat = residual.reshape(-1)
+    hessian, gradient, cost = PictureJitter.by(by_base, VARIANCES).eliminated(by_others, residual)
+    weight = np.linalg.inv(covariance(by_base))
+    others, flat = by_others.reshape(60, 4), residual.reshape(60)
+    np.testing.assert_allclose(hessian.sum(axis=0), others.T @ weight @ others)
+    np.testing.assert_allclose(gradient.sum(axis=0), others.T @ weight @ flat)
     assert np.isclose(cost, flat @ weight @ flat)
 
 
-@pytest.mark.parametrize("jitter", [EACH, FLOOR])
-def test_determinant_is_that_of_the_joint_covariance(jitter: Jitter) -> None:
+def test_determinant_is_that_of_the_joint_covariance() -> None:
     by_base, _, _ = drawn(2)
-    expected = np.linalg.slogdet(covariance(by_base, jitter))[1]
-    found = PictureJitter.by(by_base, NODES, jitter).log_determinant
-    assert np.isclose(found, expected)
+    expected = np.linalg.slogdet(covariance(by_base))[1]
+    assert np.isclose(PictureJitter.by(by_base, VARIANCES).log_determinant, expected)
 
 
-def test_a_standing_robot_stands_as_its_floor_does_and_sways_anew() -> None:
+def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
     random = np.random.default_rng(3)
-    by_base, tilt = 100 * random.normal(size=(2, 40, 6)), random.normal(size=3)
-    sway = random.normal(size=(2, 3))
-    shift = np.concatenate([sway, np.tile(tilt, (2, 1))], axis=1)
+    by_base, shift = 100 * random.normal(size=(2, 40, 6)), random.normal(size=(2, 6))
+    jitter = PictureJitter.by(by_base, np.full((2, 6), 1e4))
     residual = -(by_base @ shift[..., None])[..., 0]
-    wide = Jitter(sway=100.0, tilt=100.0, is_floor=True)
-    jitter = PictureJitter.by(by_base, np.array([4, 4]), wide)
     assert np.abs(jitter.compensated(residual)).max() < 1e-2
-    # Two tilts that differ are not the floor's.
-    residual[1] += by_base[1, :, 3:] @ np.ones(3)
-    assert np.abs(jitter.compensated(residual)).max() > 10
+    residual[1, 0] += 10
+    assert np.abs(jitter.compensated(residual)).max() > 5
+
+
+def test_pictures_that_share_a_tilt_weigh_together_as_one() -> None:
+    """Of twenty at one place and one far away the mean of the twenty is as good as the one."""
+    places = np.array([[0.0, 0.0, 0.0]] * 20 + [[50.0, 0.0, 0.0]])
+    jitter = Jitter(sway=0.1, tilt=0.4, length=1.0)
+    weights = 1 / jitter.among(places)
+    np.testing.assert_allclose(weights[:20, 3:5].sum(axis=0), weights[20, 3:5])
+    np.testing.assert_allclose(weights[20], 1 / jitter.variances)
+    np.testing.assert_allclose(weights[0, :3], weights[20, :3])  # a mast sways in each anew
+
+
+def test_variance_of_a_mean_over_a_slope_is_that_by_its_correlation() -> None:
+    """Over many lengths the mean of pictures is as good as those weights say."""
+    along = np.linspace(0, 40, 2000)
+    places = np.stack([along, np.zeros(2000), np.zeros(2000)], axis=1)
+    jitter = Jitter(sway=0.1, tilt=0.4, length=0.5)
+    true = np.exp(-np.abs(along[:, None] - along) / 0.5).mean() * jitter.tilt**2
+    assert np.isclose(1 / (1 / jitter.among(places)[:, 3]).sum(), true, rtol=0.05)
+
+
+def test_a_tilt_in_each_picture_anew_is_shared_by_none() -> None:
+    jitter = Jitter(sway=0.1, tilt=0.4)
+    np.testing.assert_allclose(jitter.among(np.zeros((3, 3))), np.tile(jitter.variances, (3, 1)))
