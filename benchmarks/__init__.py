@@ -2,3 +2,9 @@
 
 `BENCHMARKS` in `table` names them all; `python -m benchmarks` runs them.
 """
+
+import os
+
+# As the programs do it (`trigpoint.cli`): for many small matrices threads are a hindrance, and on a
+# busy machine a standstill. Before numpy is imported, and for every process that is begun.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

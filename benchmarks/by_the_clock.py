@@ -4,10 +4,10 @@
 
 The drive of `benchmarks.scale`, but nothing waits for the solver: messages come by the clock, as
 they do live. (They are made beforehand, which takes about as long.) Every half minute a line says
-how long after its messages were due a turn of 20 ms was done (so late its corrections are), what
-the estimator's thread and the solver took of a core, and how long the solver has owed or took its
-last answer. The run ends early where the turns are a minute late. Lateness is of the machine as it
-is, with whatever else runs on it.
+how long after its messages were due a turn of 20 ms was done (so late its corrections are; of the
+machine as it is, with whatever else runs on it), how much of the processor the estimator's thread
+took for a second of the session, what the solver took of a core, and how long it has owed or took
+its last answer. The run ends early where the turns are a minute late.
 """
 
 import argparse
@@ -38,7 +38,7 @@ class Span:
     sightings: int = 0
 
     def told(self, passed_s: float) -> str:
-        """For people; `passed_s`: by the clock."""
+        """For people; `passed_s`: of the session."""
         middle, most = 1e3 * np.percentile(self.late_s or [np.nan], [50, 99])
         return (
             f"{self.sightings / passed_s:.1f} sightings/s done {middle:.0f} ms after due, "
@@ -75,7 +75,8 @@ def drive(corridor: Corridor) -> None:
 
 def _driven(session: list[tuple[int, Turn]], pipeline: Pipeline, solver: SolverProcess) -> None:
     span, questions, told_s = Span(), Questions(pipeline), 0.0
-    began_s, solver_s = time.monotonic(), worked_s(solver.pid)
+    began_s = told_at_s = time.monotonic()
+    solver_s = worked_s(solver.pid)
     for now_ns, turn in session:
         now_s = to_seconds(now_ns - EPOCH_NS)
         time.sleep(max(0.0, began_s + now_s - time.monotonic()))
@@ -84,15 +85,17 @@ def _driven(session: list[tuple[int, Turn]], pipeline: Pipeline, solver: SolverP
         if seen := sum(has_face for *_, has_face in turn):
             span.sightings += seen
             span.late_s.append(late_s)
-        if now_s + late_s - told_s >= _EVERY_S or late_s > _MOST_LATE_S:
+        if now_s - told_s >= _EVERY_S or late_s > _MOST_LATE_S:
             questions.listen()
-            worked, passed_s = worked_s(solver.pid) - solver_s, now_s + late_s - told_s
+            worked = worked_s(solver.pid) - solver_s
+            clock_s = time.monotonic() - told_at_s
             print(
-                f"{now_s:5.0f} s: {span.told(passed_s)}, {pipeline.located_count} located; the "
-                f"solver {100 * worked / passed_s:.0f} %, last answer {questions.took_s:.0f} s",
+                f"{now_s:5.0f} s: {span.told(now_s - told_s)}, {pipeline.located_count} located; "
+                f"the solver {100 * worked / clock_s:.0f} %, last answer {questions.took_s:.0f} s",
                 flush=True,
             )
-            span, told_s, solver_s = Span(), now_s + late_s, solver_s + worked
+            span, told_s, solver_s = Span(), now_s, solver_s + worked
+            told_at_s = time.monotonic()
         if late_s > _MOST_LATE_S:
             print("the turns are a minute late: this is not carried")
             return

@@ -14,8 +14,7 @@ from trigpoint.errors import OperationError
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Numbering, Pattern, Target
 
-from .target_drawing import described
-from .target_pattern import black_rectangles
+from .target_pattern import black_rectangles, described
 
 BLACK, WHITE = "##", "  "
 _PICTURE_SIDE_PX = 900

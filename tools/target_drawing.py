@@ -5,9 +5,9 @@ from pathlib import Path
 
 from reportlab.pdfgen.canvas import Canvas
 
-from trigpoint.target import Face, Numbering, Pattern, Target
+from trigpoint.target import Face, Target
 
-from .target_pattern import black_rectangles
+from .target_pattern import black_rectangles, described
 
 MILLIMETRE = 72 / 25.4
 _NON_ZERO = 1  # reportlab's FILL_NON_ZERO
@@ -108,19 +108,3 @@ def _draw_foot(canvas: Canvas, target: Target, face: Face) -> None:
     for tick in range(0, 101, 10):
         height = 3.0 if tick % 50 == 0 else 1.5
         canvas.line(MARGIN_MM + tick, 6.0, MARGIN_MM + tick, 6.0 + height)
-
-
-def described(face: Face) -> str:
-    """A face's pattern in words."""
-    square_mm = face.square * 1000
-    if face.pattern is Pattern.CHECKERBOARD:
-        colours = ", inverted" if face.inverted else ""
-        size = f"{face.columns} x {face.rows} squares of {square_mm:.2f} mm"
-        return f"checkerboard, {size}{colours}"
-    last = face.first_marker + face.marker_count - 1
-    marks = f"{face.dictionary} {face.first_marker} to {last}, {(face.marker or 0) * 1000:.2f} mm"
-    unit = "squares of" if face.pattern is Pattern.CHARUCO else "tags, pitch"
-    kinds = [name for name in ("legacy", "inverted") if getattr(face, name)]
-    kinds += ["tags counted from the bottom left"] if face.numbering is Numbering.KALIBR else []
-    size = f"{face.columns} x {face.rows} {unit} {square_mm:.2f} mm"
-    return ", ".join([f"{face.pattern.value}, {size}", marks, *kinds])

@@ -1,7 +1,6 @@
-"""The black parts of a face as rectangles in the face frame; for printing and for tests.
+"""What a face's pattern is: in words, and its black parts as rectangles in the face frame.
 
-Every function returns rectangles as (n, 4): x, y, width, height, metres, y down the page; none
-lies over another.
+Rectangles are (n, 4): x, y, width, height, metres, y down the page; none lies over another.
 """
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.edge.registration.printed_pattern import charuco_layout
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern
+from trigpoint.target import Face, Numbering, Pattern
 
 
 def black_rectangles(face: Face) -> Array:
@@ -55,6 +54,22 @@ def _squares(face: Face) -> Array:
     """The lower corner of every square, row by row, (rows · columns, 2); corner 0 is (0, 0)."""
     column, row = np.meshgrid(np.arange(face.columns) - 1, np.arange(face.rows) - 1)
     return np.stack([column, row], axis=-1).reshape(-1, 2) * face.square
+
+
+def described(face: Face) -> str:
+    """A face's pattern in words."""
+    square_mm = face.square * 1000
+    if face.pattern is Pattern.CHECKERBOARD:
+        colours = ", inverted" if face.inverted else ""
+        size = f"{face.columns} x {face.rows} squares of {square_mm:.2f} mm"
+        return f"checkerboard, {size}{colours}"
+    last = face.first_marker + face.marker_count - 1
+    marks = f"{face.dictionary} {face.first_marker} to {last}, {(face.marker or 0) * 1000:.2f} mm"
+    unit = "squares of" if face.pattern is Pattern.CHARUCO else "tags, pitch"
+    kinds = [name for name in ("legacy", "inverted") if getattr(face, name)]
+    kinds += ["tags counted from the bottom left"] if face.numbering is Numbering.KALIBR else []
+    size = f"{face.columns} x {face.rows} {unit} {square_mm:.2f} mm"
+    return ", ".join([f"{face.pattern.value}, {size}", marks, *kinds])
 
 
 def _checkerboard(face: Face) -> Array:

@@ -134,17 +134,23 @@ EXTRAS: dict[str, str] = {
     "cv2": "edge",
     "serial": "robot",
     "cobs": "robot",
+    "filterpy": "fusion",
     "scipy": "fusion",
-    "PIL": "recorder",
     "isal": "recorder",
+    "lz4": "recorder",
     "mcap": "recorder",
+    "zstandard": "recorder",
     "rerun": "recorder",
+    "rerun_cli": "recorder",
     "pyarrow": "recorder",
     "reportlab": "tools",
 }
 """Package -> the extra that installs it, if the command's own row names none."""
 
-SITE_EXTRAS: dict[str, str] = {"cryptography": "secure"}
+SITE_EXTRAS: dict[str, str] = {
+    "PIL": "recorder",
+    "cryptography": "secure",
+}
 """The same for packages that a site file may require of any command."""
 
 

@@ -3,6 +3,8 @@
 import base64
 import json
 import re
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -33,6 +35,16 @@ def test_sound_target_is_said_to_be_so(file: Path, capsys: pytest.CaptureFixture
     out = capsys.readouterr().out
     assert "target «three-plane» is sound: 6 faces, 288 corners" in out
     assert "look alike" in out
+
+
+def test_check_needs_no_printer(file: Path) -> None:
+    """A camera's machine has no `reportlab`; there a target is checked all the same."""
+    code = (
+        "import sys; sys.modules['reportlab'] = None; from trigpoint.cli import run; "
+        "sys.exit(run(['target', 'check', sys.argv[1]]))"
+    )
+    words = [sys.executable, "-c", code, str(file)]
+    assert subprocess.run(words, capture_output=True, timeout=60).returncode == 0
 
 
 def test_check_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

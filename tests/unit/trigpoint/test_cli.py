@@ -1,9 +1,11 @@
+import ast
 import logging
 import os
 import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -11,8 +13,18 @@ from types import ModuleType
 import pytest
 import typer
 
+import trigpoint
 from trigpoint import __version__
-from trigpoint.cli import COMMANDS, EXTRAS, GROUPS, Command, chosen_command, log_level_in_front, run
+from trigpoint.cli import (
+    COMMANDS,
+    EXTRAS,
+    GROUPS,
+    SITE_EXTRAS,
+    Command,
+    chosen_command,
+    log_level_in_front,
+    run,
+)
 from trigpoint.errors import BusError, ConfigError
 
 
@@ -153,6 +165,27 @@ def test_missing_extra_names_what_to_install(
         f"trigpoint: `trigpoint edge` needs the package «{package}», which is not installed here; "
         "run: pip install 'trigpoint[edge]'\n"
     )
+
+
+def test_every_package_that_may_be_missing_is_known() -> None:
+    """Else whoever installed less than all of it gets a traceback."""
+    source = Path(trigpoint.__file__).parents[1]
+    parts = ("trigpoint", "edge", "fusion", "robot", "recorder", "tools")
+    modules = [path for part in parts for path in (source / part).rglob("*.py")]
+    imported = {name for path in modules for name in _imported(ast.parse(path.read_bytes()))}
+    always = {"trigpoint", "zenoh", "msgspec", "numpy", "rosbags", "ruamel", "rich", "typer"}
+    always.add("pymavlink")  # its own protocol says that it is missing
+    assert len(modules) > 100
+    assert imported - sys.stdlib_module_names - always <= EXTRAS.keys() | SITE_EXTRAS.keys()
+
+
+def _imported(tree: ast.AST) -> Iterator[str]:
+    """The top packages that a module imports, at its head or in a function."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (name.name.partition(".")[0] for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            yield node.module.partition(".")[0]
 
 
 def test_a_module_of_ours_that_is_missing_is_no_missing_extra(
