@@ -108,7 +108,8 @@ class Intake:
         return False
 
     def _views(self, camera: str, message: Sightings) -> tuple[dict[str, list[View]], bool]:
-        """The views by robot, and whether there are others, whose robot is yet to be identified."""
+        """The views by robot, and whether there are others, of robots yet to be identified, that
+        may add to the map."""
         views: dict[str, list[View]] = {}
         shared: list[dict[str, View]] = []
         eye = self._site.cameras[camera]
@@ -137,9 +138,18 @@ class Intake:
                 )
                 continue
             views.setdefault(robots[0], []).append(view)
-        if shared and self._shared is not None:
-            self._shared.add(camera, message.stamp_ns, tuple(shared))
-        return views, bool(shared)
+        if not shared or self._shared is None:
+            return views, False
+        self._shared.add(camera, message.stamp_ns, tuple(shared))
+        return views, not self._is_shown_again(camera, message.stamp_ns, shared)
+
+    def _is_shown_again(self, camera: str, stamp_ns: int, faces: list[dict[str, View]]) -> bool:
+        """Whether faces that several robots may carry only repeat what was seen before."""
+        if self._standstills is None:
+            return False
+        robots = tuple(sorted({robot for face in faces for robot in face}))
+        views = tuple(view for face in faces for view in list(face.values())[:1])
+        return self._standstills.shown_again(camera, robots, stamp_ns, views)
 
     def tell_apart(self, *, is_end: bool = False) -> None:
         """Queue the sightings of identical targets whose robot is identified by now; `is_end`: of

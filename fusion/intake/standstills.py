@@ -4,6 +4,9 @@ Errors of corners are partly systematic and stay while a robot stands (decisions
 standstill's pictures soon tell nothing new; but a robot may stand before a camera for days. So a
 fixed number of pictures is kept for each look of the robot. A robot that was put elsewhere, a
 camera that was moved, or a face that appears is another look.
+
+Of a target that several robots carry, any of them may be seen. How they drive tells them apart:
+what looks alike is another look after any of them has moved; what does not is a new standstill.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,8 +33,9 @@ _LEAST_CORNERS = 4
 
 @dataclass(slots=True)
 class _Standstill:
-    """A robot before a camera, until the last picture of it. `views`: its present look; `count`:
-    how many pictures of that look were kept; `kept`: the budget for all looks."""
+    """A robot, or one of several, before a camera, until the last picture of it. `views`: its
+    present look; `count`: how many pictures of that look were kept; `kept`: the budget for all
+    looks."""
 
     last_ns: int
     views: tuple[View, ...]
@@ -45,38 +49,51 @@ class Standstills:
 
     def __init__(self, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
-        self._found: dict[tuple[str, str], _Standstill] = {}
+        self._found: dict[tuple[str, tuple[str, ...]], _Standstill] = {}
 
     def repeats(self, observation: Observation) -> bool:
         """Whether an observation only repeats earlier ones; to be asked in the order in which they
         come."""
-        found = self._standstill(observation)
-        new = tuple(v for v in observation.views if not any(_shows(v, w) for w in found.views))
-        has_moved = any(v not in new and not _is_alike(v, found.views) for v in observation.views)
-        count = 0 if has_moved or new else found.count
-        stamp_ns = observation.stamp_ns
+        robot, views = (observation.robot,), observation.views
+        return self.shown_again(observation.camera, robot, observation.stamp_ns, views)
+
+    def shown_again(
+        self, camera: str, robots: tuple[str, ...], stamp_ns: int, views: tuple[View, ...]
+    ) -> bool:
+        """Whether views that may be of any of `robots` only repeat earlier ones; asked likewise."""
+        found, have_stood = self._going_on(camera, robots, stamp_ns, views)
+        if found is None:
+            kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)
+            found = self._found[camera, robots] = _Standstill(stamp_ns, views, kept)
+        found.last_ns = max(found.last_ns, stamp_ns)
+        new = tuple(v for v in views if not any(_shows(v, w) for w in found.views))
+        has_moved = any(v not in new and not _is_alike(v, found.views) for v in views)
+        count = 0 if has_moved or new or not have_stood else found.count
         if count >= MOST_ALIKE or not found.kept.takes(stamp_ns, stamp_ns):
             return True
-        found.views = observation.views if has_moved else (*found.views, *new)
+        found.views = views if has_moved else (*found.views, *new)
         found.count = count + 1
         return False
 
-    def _standstill(self, observation: Observation) -> _Standstill:
-        pair = observation.camera, observation.robot
-        found = self._found.get(pair)
-        if found is None or not self._has_stood(observation, found.last_ns):
-            kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)
-            found = _Standstill(observation.stamp_ns, observation.views, kept)
-            self._found[pair] = found
-        found.last_ns = max(found.last_ns, observation.stamp_ns)
-        return found
+    def _going_on(
+        self, camera: str, robots: tuple[str, ...], stamp_ns: int, views: tuple[View, ...]
+    ) -> tuple[_Standstill | None, bool]:
+        """The standstill that views belong to, if any, and whether all robots have stood since its
+        last picture."""
+        found = self._found.get((camera, robots))
+        if found is None:
+            return None, True
+        if all(self._has_stood(robot, found.last_ns, stamp_ns) for robot in robots):
+            return found, True
+        may_be_another = len(robots) > 1 and all(_is_alike(view, found.views) for view in views)
+        return (found if may_be_another else None), False
 
-    def _has_stood(self, observation: Observation, since_ns: int) -> bool:
-        """Whether the robot has stood since a moment, as far as its odometry reaches."""
-        track = self._tracks[observation.robot]
+    def _has_stood(self, robot: str, since_ns: int, stamp_ns: int) -> bool:
+        """Whether a robot has stood since a moment, as far as its odometry reaches."""
+        track = self._tracks[robot]
         if not len(track):
             return True
-        stamps_ns = np.clip([since_ns, observation.stamp_ns], track.first_ns, track.last_ns)
+        stamps_ns = np.clip([since_ns, stamp_ns], track.first_ns, track.last_ns)
         return track.is_still(*sorted(stamps_ns.tolist()))
 
 

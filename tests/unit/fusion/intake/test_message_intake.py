@@ -8,9 +8,14 @@ from builders import make_target
 from drives import EPOCH_NS, lens
 
 from trigpoint.clock import to_ns
-from trigpoint.config import parse_site
+from trigpoint.config import OdometryNoise, parse_site
+from trigpoint.fusion.inputs import Inputs
 from trigpoint.fusion.intake.message_intake import Intake
+from trigpoint.fusion.intake.robot_identity import RobotIdentification
+from trigpoint.fusion.intake.standstills import MOST_ALIKE, Standstills
+from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.messages import FaceSighting, Sightings
+from trigpoint.target import Target
 
 SITE = """
 site = "lab"
@@ -30,12 +35,12 @@ def intake() -> Intake:
     return Intake(parse_site(SITE, directory=Path()), {"r1": make_target()})
 
 
-def see(intake: Intake, camera: str, seconds: float) -> None:
+def see(intake: Intake, camera: str, seconds: float) -> bool:
     target = make_target()
     pixels = np.zeros((4, 2), np.float32)
     face = FaceSighting(target.name, target.faces[0].id, np.arange(4, dtype=np.uint16), pixels, 0.2)
     stamp_ns = EPOCH_NS + to_ns(seconds)
-    intake.add(camera, Sightings(stamp_ns, f"{camera}/optical", 640, 480, (face,)), lens())
+    return intake.add(camera, Sightings(stamp_ns, f"{camera}/optical", 640, 480, (face,)), lens())
 
 
 def ready(intake: Intake, last_s: float) -> list[str]:
@@ -76,3 +81,14 @@ def test_last_sightings_of_a_session_are_not_lost(intake: Intake) -> None:
     rest = intake.rest("r1", EPOCH_NS + to_ns(1.1))
     assert [observation.stamp_ns for observation in rest] == [EPOCH_NS + to_ns(1.0)]
     assert intake.depth == 1
+
+
+def test_of_twins_that_stand_a_stated_number_adds_to_the_map() -> None:
+    """So many are written into the checkpoint; the others are used and forgotten."""
+    site = parse_site(f'{SITE}[robots.r2]\nport = "loop://"\n', directory=Path())
+    targets: dict[str, Target] = dict.fromkeys(("r1", "r2"), make_target())
+    tracks = {robot: OdometryTrack(OdometryNoise(), planar=True) for robot in targets}
+    shared = RobotIdentification(Inputs(site, targets).data_set())
+    twins = Intake(site, targets, shared=shared, standstills=Standstills(tracks))
+    added = [see(twins, "c1", 0.2 * number) for number in range(2 * MOST_ALIKE)]
+    assert added == [True] * MOST_ALIKE + [False] * MOST_ALIKE

@@ -117,3 +117,52 @@ def test_what_was_kept_is_kept_again_where_it_is_read_again() -> None:
     scene.show([*alike(300), *((view(CORNERS + 4.0),) for _ in range(300))])
     again = Standstills({"r1": scene.track})
     assert not any(again.repeats(observation) for observation in scene.kept)
+
+
+class Twins:
+    """A robot before a camera that any of two may be; `drives`: which of them drive, if any."""
+
+    def __init__(self) -> None:
+        tracks = {name: OdometryTrack(OdometryNoise(), planar=True) for name in ("r1", "r2")}
+        self._tracks, self._standstills = tracks, Standstills(tracks)
+        self._count, self._x = 0, dict.fromkeys(tracks, 0.0)
+
+    def show(self, pictures: Iterable[tuple[View, ...]], *drives: str) -> int:
+        """Take pictures; how many of them are kept."""
+        kept = 0
+        for views in pictures:
+            self._count += 1
+            stamp_ns = self._count * PERIOD_NS
+            for name, track in self._tracks.items():
+                self._x[name] += 0.1 * (name in drives)
+                track.add(stamp_ns, Pose.planar(self._x[name], 0.0, 0.0))
+            kept += not self._standstills.shown_again("c1", ("r1", "r2"), stamp_ns, views)
+        return kept
+
+
+def elsewhere(count: int) -> list[tuple[View, ...]]:
+    """A robot that drives through the picture."""
+    return [(view(CORNERS + 2.0 * number),) for number in range(count)]
+
+
+def test_of_twins_that_stand_a_stated_number_is_kept() -> None:
+    twins = Twins()
+    assert twins.show(alike(200)) == MOST_ALIKE
+
+
+def test_a_twin_that_drives_makes_the_standing_one_worth_another_look() -> None:
+    twins = Twins()
+    twins.show(alike(150))
+    twins.show(alike(10), "r2")
+    assert twins.show(alike(150)) in (MOST_ALIKE - 1, MOST_ALIKE)
+
+
+def test_what_is_kept_of_a_standing_twin_is_bounded_however_the_other_drives() -> None:
+    twins = Twins()
+    assert twins.show(alike(1400), "r2") <= 17 * MOST_ALIKE
+
+
+def test_everything_of_a_driving_twin_is_kept_while_the_other_stands_elsewhere() -> None:
+    twins = Twins()
+    for _ in range(2):
+        assert twins.show(elsewhere(600), "r2") == 600
