@@ -21,10 +21,9 @@ from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
 from .graph import Graph, Variant
-from .learning import learnt_noise
+from .learning import SessionNoise, learnt_noise
 from .local import Mode
 from .modes import Memory, ModeFinder
-from .noise import PESSIMISTIC, Noise
 from .search import Hypothesis, Search
 from .session_noise import with_noise
 from .visits import visits_of
@@ -61,7 +60,7 @@ def explain(
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
     seen, noises = learnt_noise(data, observations, events, memory)
-    worlds = [_World(with_noise(data, noise), seen, events, noise, memory) for noise in noises]
+    worlds = [_World(data, seen, events, each, memory) for each in noises]
     memory.forget_unused()
     return _Outcome(worlds, seen).explanation()
 
@@ -77,10 +76,11 @@ class _World:
         data: DataSet,
         observations: list[Observation],
         events: Events,
-        noise: dict[str, Noise],
+        noise: SessionNoise,
         memory: Memory,
     ) -> None:
-        self.data, self.observations, self.noise, self.events = data, observations, noise, events
+        self.observations, self.noise, self.events = observations, noise, events
+        self.data = data = with_noise(data, noise.by_robot)
         self.finder = finder = ModeFinder(data, observations, events, memory)
         found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
@@ -135,14 +135,8 @@ class _World:
                 assert place is not None
                 last[camera] = max(last.get(camera, 0), place)
             loose = {camera for camera, place in last.items() if (camera, place) not in tied}
-            found.append((hypothesis.score + self.prior_score, loose))
+            found.append((hypothesis.score + self.noise.score, loose))
         return found
-
-    @property
-    def prior_score(self) -> float:
-        """Of the session's noise."""
-        is_otherwise = any(noise is PESSIMISTIC for noise in self.noise.values())
-        return self.events.noise_score if is_otherwise else 0.0
 
     def places(self, camera: str, number: int | None) -> list[Place]:
         """Where each explanation puts a camera; `number`: at which of its places, None: at last."""
@@ -155,7 +149,7 @@ class _World:
 
     def _places_by(self, hypothesis: Hypothesis, camera: str, number: int | None) -> list[Place]:
         assert hypothesis.placed is not None
-        score = hypothesis.score + self.prior_score
+        score = hypothesis.score + self.noise.score
         mine = {
             n: place
             for n in [*hypothesis.ties, *hypothesis.open]
@@ -198,14 +192,14 @@ class _Outcome:
 
     def __init__(self, worlds: list[_World], observations: list[Observation]) -> None:
         self.worlds, self.observations = worlds, observations
-        self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.prior_score)
+        self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.noise.score)
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
         self.loose = self._loose()
 
     def _loose(self) -> set[str]:
         """Cameras that hang on a gap in which the robot may have been carried once more."""
-        least = self.chosen.score + self.best.prior_score
+        least = self.chosen.score + self.best.noise.score
         limit = least + window() - self.best.events.event_score
         found = [each for world in self.worlds for each in world.loose() if each[0] < limit]
         return {camera for _, cameras in found for camera in cameras}
@@ -221,7 +215,7 @@ class _Outcome:
             places=places,
             lifts=tuple(self._lifts()),
             moves=tuple(self._moves()),
-            noise=self.best.noise,
+            noise=self.best.noise.by_robot,
             is_complete=all(world.search.is_closed for world in self.worlds),
         )
 

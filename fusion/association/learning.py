@@ -1,6 +1,6 @@
 """What a session tells of its own noise: that of each camera's corners, and of each robot."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,11 +21,20 @@ _LEAST_TO_LEARN = 3
 _MOST_SCATTERS = 40
 
 
+@dataclass(frozen=True, slots=True)
+class SessionNoise:
+    """The noise of each robot, and the score of its prior."""
+
+    by_robot: dict[str, Noise]
+    score: float = 0.0
+
+
 def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
-) -> tuple[list[Observation], list[dict[str, Noise]]]:
-    """The observations with their corners' noise, and what each robot's noise may be: one where the
-    session tells, else as stated and as a decision must survive it."""
+) -> tuple[list[Observation], list[SessionNoise]]:
+    """The observations with their corners' noise, and what the robots' may be: one where the
+    session tells, else as stated and as a decision must survive it. Who states the one wrongly
+    states the other wrongly sooner than not."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)
@@ -55,8 +64,10 @@ def learnt_noise(
     learnt = {robot: learn(residuals) for robot, residuals in by_robot.items()}
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}
     if len(known) == len(data.site.robots):
-        return seen, [known]
-    return seen, [dict.fromkeys(data.site.robots, noise) | known for noise in (STATED, PESSIMISTIC)]
+        return seen, [SessionNoise(known)]
+    score = events.noise_score if common == 1.0 else 0.0
+    stated, otherwise = (dict.fromkeys(data.site.robots, n) | known for n in (STATED, PESSIMISTIC))
+    return seen, [SessionNoise(stated), SessionNoise(otherwise, score)]
 
 
 def _telling(visits: list[Visit]) -> list[Visit]:
