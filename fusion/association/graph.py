@@ -94,15 +94,13 @@ class Steps:
 @dataclass(frozen=True, slots=True)
 class Across:
     """A robot's motion across a gap in which its odometry broke, as a visit has it that saw it
-    before and after, and the covariance (d, d) of what odometry says beside the gap."""
+    before and after, and the covariance (d, d) of what odometry says beside the gap. `surprise`:
+    what the visit's own score has for that motion, taken to be odometry's, which it is not then.
+    """
 
     motion: Pose
     covariance: Array
-
-    @property
-    def log_covariance(self) -> float:
-        """ln |covariance|."""
-        return float(np.linalg.slogdet(self.covariance)[1])
+    surprise: float
 
 
 class RobotPath:
@@ -193,8 +191,8 @@ class Graph:
         from before it to after it."""
         if gap not in self._across:
             each = [one for v in self.visits if (one := self._told_across(gap, v)) is not None]
-            best = min(each, key=lambda one: one.log_covariance, default=None)
-            self._across[gap] = best
+            tight = min(each, key=lambda one: np.linalg.slogdet(one.covariance)[1], default=None)
+            self._across[gap] = tight
         return self._across[gap]
 
     def _told_across(self, gap: Break, found: VisitModes) -> Across | None:
@@ -209,12 +207,13 @@ class Graph:
         moments = np.clip([until_ns, since_ns], path.track.first_ns, path.track.last_ns)
         odometry = odometry_poses(self.data, robot, moments)
         poses = found.modes[0].poses
-        motion = path.odometry[step].inverse() @ odometry[0]
-        motion = motion @ poses[earlier].inverse() @ poses[later]
+        seen = poses[earlier].inverse() @ poses[later]
+        error = seen.difference(odometry[0].inverse() @ odometry[1])[path.tangent]
+        motion = path.odometry[step].inverse() @ odometry[0] @ seen
         motion = motion @ odometry[1].inverse() @ path.odometry[step + 1]
         (whole,) = path.track.motion(moments, np.zeros(2)).covariance
         covariance = whole[np.ix_(path.tangent, path.tangent)] + HELD**2 * np.eye(len(path.tangent))
-        return Across(motion, covariance)
+        return Across(motion, covariance, float(error @ np.linalg.solve(covariance, error)))
 
     def layout(self, places: Sequence[Place]) -> Layout:
         """With all robots' nodes and these places."""

@@ -10,7 +10,7 @@ from trigpoint.fusion.model.observations import Observation
 from .events import Events
 from .linear import Linear
 from .local import LocalProblem
-from .modes import Memory, ModeFinder
+from .modes import Memory, ModeFinder, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
 from .session_noise import with_corner_scale, with_noise
 from .visits import Visit, visits_of
@@ -54,10 +54,15 @@ def learnt_noise(
         if not modes.modes:
             continue
         visit = _with_neighbours(modes.visit)
-        pictures = {index: seen[index] for index in visit.indices}
-        odometry = finder.odometry(replace(visit, chosen=visit.indices))
-        problem = LocalProblem(data, pictures, odometry, {}, events)
-        residuals = problem.residuals(finder.completed(visit, modes.modes[0]))
+        pictures = {index: seen[index] for index in visit.chosen}
+        odometry, mode = finder.odometry(visit), modes.modes[0]
+        unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
+        more = LocalProblem(wide, pictures, odometry, unscored, events).mode_near(
+            mode.camera, wrong_by(mode)
+        )
+        if more is None:
+            continue
+        residuals = LocalProblem(data, pictures, odometry, {}, events).residuals(more)
         # A robot that moves in space may stand anyhow: nothing tells its jitter from its motion.
         if residuals is not None and data.tracks[visit.robot].planar:
             by_robot.setdefault(visit.robot, []).append(residuals)
@@ -84,7 +89,7 @@ def _with_neighbours(visit: Visit) -> Visit:
     slope reaches."""
     rows = {visit.indices.index(index) for index in visit.chosen}
     near = rows | {row + 1 for row in rows if row + 1 < len(visit.indices)}
-    return replace(visit, indices=tuple(visit.indices[row] for row in sorted(near)))
+    return replace(visit, chosen=tuple(visit.indices[row] for row in sorted(near)))
 
 
 def _corner_scales(

@@ -159,9 +159,8 @@ class _Minimum:
         for robot, path in graph.paths.items():
             broken = [gap for gap in variant.breaks if gap[0] == robot]
             score += float(np.sum(np.delete(path.log_covariance, [step for _, step in broken])))
-            for across in map(graph.across, broken):
-                anywhere = float(np.sum(np.log(graph.room(path))))
-                score += anywhere if across is None else across.log_covariance
+            score += len(broken) * float(np.sum(np.log(graph.room(path))))
+            score -= sum(one.surprise for gap in broken if (one := graph.across(gap)))
         known = graph.data.known.poses
         unknown = sum(place > 0 or camera not in known for camera, place in self.places)
         score += unknown * graph.events.pose_score

@@ -176,7 +176,7 @@ class ModeFinder:
     def _unmasked(self, visit: Visit, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """Modes beside the best ones, in which other sightings are wrong."""
         others = []
-        known = {tuple(_wrong(mode).items()) for mode in found}
+        known = {tuple(wrong_by(mode).items()) for mode in found}
         for mode in found:
             if mode.evidence > found[0].evidence + window():
                 break
@@ -282,7 +282,7 @@ def _is_wrong(readings: tuple[Reading | None, ...]) -> bool:
     return all(reading is None for reading in readings)
 
 
-def _wrong(mode: Mode) -> dict[int, tuple[bool, ...]]:
+def wrong_by(mode: Mode) -> dict[int, tuple[bool, ...]]:
     """Which sightings are wrong by a mode."""
     return {i: tuple(reading is None for reading in row) for i, row in mode.readings.items()}
 
