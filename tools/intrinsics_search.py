@@ -26,6 +26,8 @@ from .detect import Still, stills
 _PICTURES_A_JOB = 20
 # Pictures that wait for each process, at most: they are held in memory.
 _AHEAD = 2
+# More names than these nobody reads.
+_MOST_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,7 @@ def search(
     """
     count, size, views = 0, (0, 0), list[View]()
     misdescribed: dict[str, None] = {}
+    sizes: dict[tuple[int, int], list[str]] = {}
     expected = _expected(pictures)
     wanted = jobs or min(os.cpu_count() or 1, max(1, expected // _PICTURES_A_JOB))
     with ExitStack() as stack:
@@ -70,18 +73,25 @@ def search(
         )
         for still, (found, wrong) in _found(stills(pictures, topics), targets, wanted, stack):
             height, width = still.picture.shape
-            if count and (width, height) != size:
-                raise InputError(
-                    f"{still.name}: {width} × {height}, but the pictures before it are {size[0]} × "
-                    f"{size[1]}; give pictures of one camera at one size"
-                )
             count, size = count + 1, (width, height)
+            sizes.setdefault(size, []).append(still.name)
             views += found
             misdescribed |= dict.fromkeys(wrong)
             bar.update(1)
+    if len(sizes) > 1:
+        raise InputError(_several(sizes))
     if not views:
         raise OperationError("; ".join(misdescribed) or _nothing_found(count, targets))
     return Searched(count, size, views, tuple(misdescribed))
+
+
+def _several(sizes: dict[tuple[int, int], list[str]]) -> str:
+    """How many pictures there are of each size, with names of the fewest."""
+    each = sorted(sizes.items(), key=lambda item: -len(item[1]))
+    counts = ", ".join(f"{len(names)} of {size[0]} × {size[1]}" for size, names in each)
+    odd = [name for _, names in each[1:] for name in names]
+    some = ", ".join(odd[:_MOST_NAMED]) + (", …" if len(odd) > _MOST_NAMED else "")
+    return f"pictures of several sizes: {counts} ({some}); give pictures of one camera at one size"
 
 
 def _expected(pictures: Sequence[Path]) -> int:

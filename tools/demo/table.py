@@ -62,7 +62,7 @@ def _distances(results: DemoResults) -> Iterator[str]:
     yield f"distances between cameras, mean error  {_cm(results.mean_distance_error_m)}"
     yield f"{_INDENT}the paper's                          {_cm(PAPER_DISTANCE_ERROR_M)}"
     if results.bound_m is not None:
-        yield f"{_INDENT}Cramér–Rao bound of this drive       {_cm(results.bound_m)}"
+        yield f"{_INDENT}expected at the Cramér–Rao bound     {_cm(results.bound_m)}"
     if promised is not None:
         yield f"{_INDENT}expected by the network's covariance {_cm(promised)}"
 

@@ -78,7 +78,7 @@ def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFix
         (["shots", "--target", "target.toml", "--site", "site.toml"], "no target is given, or two"),
         (["none", "--target", "target.toml"], "none: there is no such picture"),
         (["shots", "--target", "target.toml", "--out", "lens.txt"], "end the name in .yaml"),
-        (["shots", "other.png", "--target", "target.toml"], "give pictures of one camera"),
+        (["shots", "other.png", "--target", "target.toml"], "1 of 30 × 20 (other.png); give"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
