@@ -1,6 +1,7 @@
 """One visit by itself: every place of the camera, seen from where the robot then was, that its
 pictures and the odometry between them allow."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Reading, Verdict
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
 from trigpoint.fusion.model.problem import Batch, CameraState, State
-from trigpoint.fusion.reading.faces import best_reading
+from trigpoint.fusion.reading.best_readings import read_where_they_are
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -21,7 +22,7 @@ from .events import Events
 from .innovation import Corners, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
-from .sightings import without_wild
+from .sightings import wild_corners
 from .system import System
 
 _MOST_ROUNDS = 10
@@ -135,16 +136,15 @@ class LocalProblem:
 
     def _read(self, trial: _Trial, camera: CameraState) -> None:
         """Read each view as it fits best where robot and camera are thought to be."""
-        from_map = camera.map_from_camera.inverse()
         trial.hidden.clear()
-        for index, observation in self.observations.items():
-            camera_from_base = from_map @ trial.poses[index]
-            best = [
-                best_reading(view, self.target, camera.lens, camera_from_base)
-                for view in observation.views
-            ]
-            trial.readings[index] = [reading for reading, _, _ in best]
-            hidden = [not np.isfinite(rms) for _, rms, _ in best]
+        seen = self.observations.items()
+        stood = Pose.stack([trial.poses[index] for index in self.observations])
+        camera_from_base = camera.map_from_camera.inverse() @ stood
+        observations = list(self.observations.values())
+        read = read_where_they_are(observations, self.target, camera.lens, camera_from_base)
+        for (index, observation), (readings, rms) in zip(seen, read, strict=True):
+            trial.readings[index] = list(readings)
+            hidden = [not np.isfinite(each) for each in rms]
             trial.hidden.update((index, order) for order in np.flatnonzero(hidden).tolist())
             before = trial.wrong.get(index, hidden)
             trial.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
@@ -201,38 +201,33 @@ class LocalProblem:
         except LinAlgError:
             return
         (batch,) = assembled.problem.batches
-        indices = list(self.observations)
         whole = replace(batch, weights=self._weights(batch))
         jacobian, residual, columns = batch_jacobian(assembled.problem, whole, state)
         by_base = base_jacobian(assembled.problem, whole, state)
+        dense = system.dense_row + columns
+        rows = [
+            np.concatenate([system.node_rows(self.robot, int(node)), dense]) for node in batch.nodes
+        ]
+        # The last of the way to the minimum is nothing beside the noise, but much beside what a
+        # sighting leaves over that says nearly alone where something is.
+        rest = 0.0 if is_robust else 1.0
+        left = residual + rest * np.stack(
+            [each @ system.step[mine] for each, mine in zip(jacobian, rows, strict=True)]
+        )
+        wild = self._wild(by_base, left)
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
-        for row, source in enumerate(batch.sources):
-            index, start = indices[int(source)], 0
-            rows = np.concatenate(
-                [system.node_rows(self.robot, int(batch.nodes[row])), system.dense_row + columns]
+        for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
+            trial.wild[index][order] = flags
+            is_wrong = trial.wrong[index][order]
+            corners = Corners(left[row, part], by_base[row, part], jacobian[row, part])
+            gain = innovation_excess(
+                corners.without(flags),
+                system.covariance[np.ix_(rows[row], rows[row])],
+                self.events,
+                None if batch.jitter is None else batch.jitter[row],
+                is_used=not is_wrong,
             )
-            covariance = system.covariance[np.ix_(rows, rows)]
-            left = residual[row]
-            if not is_robust:
-                # The last of the way to the minimum is nothing beside the noise, but much beside
-                # what a sighting leaves over that says nearly alone where something is.
-                left = left + jacobian[row] @ system.step[rows]
-            for order, view in enumerate(self.observations[index].views):
-                part = slice(start, start + len(view.corners))
-                start = part.stop
-                corners = Corners(left[part], by_base[row, part], jacobian[row, part])
-                trial.wild[index][order] = without_wild(
-                    corners.by_base, corners.residual, self.events.wild_score
-                )[1]
-                is_wrong = trial.wrong[index][order]
-                gain = innovation_excess(
-                    corners.without(trial.wild[index][order]),
-                    covariance,
-                    self.events,
-                    None if batch.jitter is None else batch.jitter[row],
-                    is_used=not is_wrong,
-                )
-                excess[is_wrong].append((gain, index, order))
+            excess[is_wrong].append((gain, index, order))
         most = max((gain for gain, *_ in excess[False]), default=0.0)
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
@@ -245,6 +240,19 @@ class LocalProblem:
         for gain, index, order in excess[True]:
             if gain < 0 and (index, order) not in trial.hidden:
                 trial.wrong[index][order] = False
+
+    def _parts(self) -> Iterator[tuple[int, int, int, slice]]:
+        """Each view: the row of its picture, the index of that, its order and its corners there."""
+        for row, (index, observation) in enumerate(self.observations.items()):
+            start = 0
+            for order, view in enumerate(observation.views):
+                yield row, index, order, slice(start, start + len(view.corners))
+                start += len(view.corners)
+
+    def _wild(self, by_base: Array, residual: Array) -> list[np.ndarray]:
+        """Of each view, which corners are wild."""
+        parts = [(by_base[row, part], residual[row, part]) for row, _, _, part in self._parts()]
+        return wild_corners(parts, self.events.wild_score)
 
     def _weights(self, batch: Batch) -> Array:
         """1/sigma of every corner (n, K), also of those that are left out."""
@@ -281,15 +289,8 @@ class LocalProblem:
         self._read(trial, mode.camera)
         assembled = self._assembled(trial, mode.camera)
         (batch,) = assembled.problem.batches
-        parts, of_part = [], []
-        for row, index in enumerate(self.observations):
-            start = 0
-            for order, view in enumerate(self.observations[index].views):
-                part = slice(start, start + len(view.corners))
-                start = part.stop
-                if not trial.wrong[index][order]:
-                    parts.append((row, part))
-                    of_part.append((index, order))
+        shown = [each for each in self._parts() if not trial.wrong[each[1]][each[2]]]
+        parts: list[tuple[int, slice | None]] = [(row, part) for row, _, _, part in shown]
         linear = linearised(self.data, assembled, self._tame(assembled, batch), parts)
         if linear is None:
             return []
@@ -297,7 +298,7 @@ class LocalProblem:
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
             wrong = {index: [True] * len(o.views) for index, o in self.observations.items()}
             for number, is_wrong in zip(linear.parts, flags, strict=True):
-                index, order = of_part[number]
+                _, index, order, _ = shown[number]
                 wrong[index][order] = is_wrong
             found.append({index: tuple(row) for index, row in wrong.items()})
         return found
@@ -309,13 +310,9 @@ class LocalProblem:
         _, residual, _ = batch_jacobian(assembled.problem, whole, state)
         by_base = base_jacobian(assembled.problem, whole, state)
         weights = whole.weights.copy()
-        for row, observation in enumerate(self.observations.values()):
-            start = 0
-            for view in observation.views:
-                part = slice(start, start + len(view.corners))
-                start = part.stop
-                wild = without_wild(by_base[row, part], residual[row, part], self.events.wild_score)
-                weights[row, part] *= ~wild[1]
+        wild = self._wild(by_base, residual)
+        for (row, _, _, part), flags in zip(self._parts(), wild, strict=True):
+            weights[row, part] *= ~flags
         return replace(batch, weights=weights)
 
     # -- the result -------------------------------------------------------------------------------

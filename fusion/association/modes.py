@@ -216,18 +216,20 @@ class ModeFinder:
         """
         if len(visit.chosen) == len(visit.indices):
             return mode
-        reader = PictureReader(self.data, mode, self.events)
         poses, drifts = self._between(visit, mode)
+        rows = np.flatnonzero([index not in mode.readings for index in visit.indices])
+        others = [visit.indices[row] for row in rows]
+        reader = PictureReader(self.data, visit.robot, mode, self.events)
+        read = reader.read([self.observations[i] for i in others], poses[rows], drifts[rows])
         readings, wild = dict(mode.readings), dict(mode.wild)
-        for index in visit.indices:
-            if index not in mode.readings:
-                observation = self.observations[index]
-                readings[index], wild[index] = reader.read(observation, poses[index], drifts[index])
-        return replace(mode, readings=readings, wild=wild, poses=poses | mode.poses)
+        for index, (mine, flags) in zip(others, read, strict=True):
+            readings[index], wild[index] = mine, flags
+        stood = {index: poses[row] for row, index in zip(rows.tolist(), others, strict=True)}
+        return replace(mode, readings=readings, wild=wild, poses=stood | mode.poses)
 
-    def _between(self, visit: Visit, mode: Mode) -> tuple[dict[int, Pose], dict[int, Array]]:
-        """Where the robot stood at all pictures, by odometry from the nearest chosen one, and the
-        covariances (6, 6) of that."""
+    def _between(self, visit: Visit, mode: Mode) -> tuple[Pose, Array]:
+        """Where the robot stood at all pictures (n), by odometry from the nearest chosen one, and
+        the covariances (n, 6, 6) of that."""
         track = self.data.tracks[visit.robot]
         stamps = np.array([self.observations[index].stamp_ns for index in visit.indices])
         inside = np.clip(stamps, track.first_ns, track.last_ns)
@@ -237,15 +239,12 @@ class ModeFinder:
         if len(moments) > 1:
             steps = track.motion(moments, np.zeros(2)).covariance
             drift[1:] = np.cumsum(steps, axis=0)
-        anchors = [row for row, index in enumerate(visit.indices) if index in mode.poses]
-        poses, drifts = {}, {}
-        for row, index in enumerate(visit.indices):
-            near = anchors[int(np.argmin(np.abs(stamps[anchors] - stamps[row])))]
-            there = mode.poses[visit.indices[near]]
-            poses[index] = there @ (odometry[near].inverse() @ odometry[row])
-            apart = drift[row_of[row]] - drift[row_of[near]]
-            drifts[index] = apart if row_of[row] >= row_of[near] else -apart
-        return poses, drifts
+        anchors = np.array([row for row, i in enumerate(visit.indices) if i in mode.poses])
+        near = anchors[np.argmin(np.abs(stamps[anchors] - stamps[:, None]), axis=1)]
+        start = Pose.stack([mode.poses[visit.indices[row]] for row in near.tolist()])
+        apart = drift[row_of] - drift[row_of[near]]
+        sign = np.where(row_of >= row_of[near], 1.0, -1.0)
+        return start @ (odometry[near].inverse() @ odometry), sign[:, None, None] * apart
 
     def odometry(self, visit: Visit) -> dict[int, Pose]:
         """Where odometry puts the robot at each chosen picture."""

@@ -1,12 +1,14 @@
 """What one sighting says by itself: how well a board fits it, and its score where it is wrong."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points
 from trigpoint.fusion.model.projection import projected
+from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
@@ -18,6 +20,9 @@ _MOST_REFITS = 3
 _MOST_WEIGHINGS = 6
 _LEAST_GOOD = 4
 _LEAST_CORNERS = 12
+# Of its information: what keeps a direction that no corner shows solvable.
+_OPEN = 1e-14
+_LEAST = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,31 +112,68 @@ def without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, 
 
     `by_pose`: (n, 2, 6).
     """
-    weight = np.ones(len(residual))
-    step = _step(by_pose, residual, weight)
-    if np.all(np.sum((residual + by_pose @ step) ** 2, axis=1) <= limit):
-        return step, weight == 0
+    steps, wild = all_without_wild(by_pose[None], residual[None], limit)
+    return steps[0], wild[0]
+
+
+def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
+    """Which corners (n,) of sightings are wild, each by its derivatives (n, 2, 6) and residuals
+    (n, 2)."""
+    found = [np.zeros(0, dtype=bool)] * len(sightings)
+    for rows in groups_of([len(residual) for _, residual in sightings]):
+        by_pose, residual = (
+            np.stack(each) for each in zip(*(sightings[r] for r in rows), strict=True)
+        )
+        _, wild = all_without_wild(by_pose, residual, limit)
+        for row, flags in zip(rows.tolist(), wild, strict=True):
+            found[row] = flags
+    return found
+
+
+def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
+    """`without_wild` of many sightings (v) with equally many corners (n), each by itself.
+
+    `by_pose`: (v, n, 2, 6), `residual`: (v, n, 2); the steps (v, 6) and the flags (v, n).
+    """
+    weight = np.ones(residual.shape[:2])
+    step, square = _steps(by_pose, residual, weight)
+    rows = np.flatnonzero(np.any(square > limit, axis=1))
+    if len(rows):
+        weight[rows] = _weights(by_pose[rows], residual[rows], limit)
+        step[rows], _ = _steps(by_pose[rows], residual[rows], weight[rows])
+    return step, weight == 0
+
+
+def _weights(by_pose: Array, residual: Array, limit: float) -> Array:
+    """Of sightings of which some corners may be wild, 0 for those that are, (v, n)."""
+    weight = np.ones(residual.shape[:2])
     for _ in range(_MOST_WEIGHINGS):
-        left = residual + by_pose @ _step(by_pose, residual, weight)
-        square = np.sum(left**2, axis=1)
-        weight = 1 / (1 + square / max(2.0, 2 * float(np.median(square))))
+        _, square = _steps(by_pose, residual, weight)
+        middle = np.median(square, axis=1, keepdims=True)
+        weight = 1 / (1 + square / np.maximum(2.0, 2 * middle))
     for _ in range(_MOST_REFITS):
-        left = residual + by_pose @ _step(by_pose, residual, weight)
-        wild = np.sum(left**2, axis=1) > limit
-        if np.sum(~wild) < _LEAST_GOOD:
-            break  # it is no board, whatever it is
-        if np.array_equal(weight, np.where(wild, 0.0, 1.0)):
-            return _step(by_pose, residual, weight), wild
-        weight = np.where(wild, 0.0, 1.0)
-    if np.sum(weight > 0) < _LEAST_GOOD or np.any((weight > 0) & (weight < 1)):
-        weight = np.ones(len(residual))
-    return _step(by_pose, residual, weight), weight == 0
+        _, square = _steps(by_pose, residual, weight)
+        is_good = square <= limit
+        is_board = np.sum(is_good, axis=1) >= _LEAST_GOOD  # otherwise whatever it is
+        weight = np.where(is_board[:, None], is_good, weight)
+    is_settled = np.all((weight == 0) | (weight == 1), axis=1)
+    is_settled &= np.sum(weight > 0, axis=1) >= _LEAST_GOOD
+    return np.where(is_settled[:, None], weight, 1.0)
 
 
-def _step(by_pose: Array, residual: Array, weight: Array) -> Array:
-    root = np.sqrt(weight)[:, None]
-    flat = (by_pose * root[..., None]).reshape(-1, 6)
-    return np.linalg.lstsq(flat, -(residual * root).reshape(-1), rcond=1e-12)[0]
+def _steps(by_pose: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
+    """The steps (v, 6) of least squares with corners weighed (v, n), and what each leaves of every
+    corner, χ² (v, n)."""
+    flat = by_pose.reshape(len(by_pose), -1, 6)
+    weighted = np.swapaxes((by_pose * weight[..., None, None]).reshape(flat.shape), 1, 2)
+    normal = weighted @ flat
+    # Corners in one row leave a direction open; along it nothing is asked for.
+    normal += _OPEN * np.eye(6) * np.diagonal(normal, axis1=1, axis2=2)[:, None] + _LEAST * np.eye(
+        6
+    )
+    step = -np.linalg.solve(normal, weighted @ residual.reshape(len(flat), -1, 1))
+    left = residual + (flat @ step).reshape(residual.shape)
+    return step[..., 0], np.sum(left**2, axis=-1)
 
 
 def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from trigpoint.fusion.model.observations import Reading, Verdict
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import CameraState, Problem, State
 from trigpoint.fusion.reading import faces
-from trigpoint.fusion.reading.unambiguous import are_visible, is_unambiguous
+from trigpoint.fusion.reading.best_readings import read_where_they_are
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
@@ -95,38 +95,18 @@ def _readings(
     data: DataSet, camera: CameraState, poses: dict[int, Pose]
 ) -> dict[int, tuple[Reading, ...]]:
     """The best reading of each observation; those that fit in no way are left out."""
-    found = {}
-    from_map = camera.map_from_camera.inverse()
-    possible = _possible(data, from_map, poses)
-    for index, map_from_base in poses.items():
-        observation = data.entries[index].observation
-        if index in possible:
-            if possible[index]:
-                found[index] = tuple(view.readings[0] for view in observation.views)
-            continue
-        target = data.targets[observation.robot]
-        best = [
-            faces.best_reading(view, target, camera.lens, from_map @ map_from_base)
-            for view in observation.views
-        ]
-        if all(np.isfinite(rms) for _, rms, _ in best):
-            found[index] = tuple(reading for reading, _, _ in best)
-    return found
-
-
-def _possible(data: DataSet, camera_from_map: Pose, poses: dict[int, Pose]) -> dict[int, bool]:
-    """Of those observations that can be read in one way only, whether that is possible."""
     by_robot: dict[str, list[int]] = {}
     for index in poses:
-        observation = data.entries[index].observation
-        if is_unambiguous(observation):
-            by_robot.setdefault(observation.robot, []).append(index)
-    found: dict[int, bool] = {}
+        by_robot.setdefault(data.entries[index].observation.robot, []).append(index)
+    found = {}
+    from_map = camera.map_from_camera.inverse()
     for robot, indices in by_robot.items():
-        observations = [data.entries[index].observation for index in indices]
-        camera_from_base = camera_from_map @ Pose.stack([poses[index] for index in indices])
-        are = are_visible(observations, data.targets[robot], camera_from_base)
-        found |= dict(zip(indices, are.tolist(), strict=True))
+        seen = [data.entries[index].observation for index in indices]
+        camera_from_base = from_map @ Pose.stack([poses[index] for index in indices])
+        read = read_where_they_are(seen, data.targets[robot], camera.lens, camera_from_base)
+        for index, (readings, rms) in zip(indices, read, strict=True):
+            if np.all(np.isfinite(rms)):
+                found[index] = readings
     return found
 
 

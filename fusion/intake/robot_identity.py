@@ -212,18 +212,27 @@ class RobotIdentification:
         for run in runs(self._data, camera, visit):
             left = run
             for look in range(_MOST_LOOKS):
-                told, rest = self._told_of(camera, left)
+                told, unclear, rest = self._told_of(camera, left)
                 found += told
                 is_last = not told or look + 1 == _MOST_LOOKS
                 left = [] if is_last else _lasting(left, {seen.stamp_ns for seen in told})
                 again = {picture.stamp_ns for picture in left}
-                self._leave_out(camera, [p for p in rest if p.stamp_ns not in again])
+                unclear, rest = (
+                    [picture for picture in part if picture.stamp_ns not in again]
+                    for part in (unclear, rest)
+                )
+                # Beside a robot that was told, what no robot's motion explains is a wrong sighting
+                # or one of a robot that passed by: not worth explaining the whole session anew.
+                self._leave_out(camera, unclear, rest, is_worth=not told)
                 if not left:
                     break
         return found
 
-    def _told_of(self, camera: str, run: list[Picture]) -> tuple[list[Observation], list[Picture]]:
-        """The observations of each robot that a run shows, and what is left of its pictures."""
+    def _told_of(
+        self, camera: str, run: list[Picture]
+    ) -> tuple[list[Observation], list[Picture], list[Picture]]:
+        """The observations of each robot that a run shows, the pictures that may show one or
+        another, and what is left of them all."""
         found: list[Observation] = []
         known, rest, unclear = set[str](), run, list[Picture]()
         while rest:
@@ -240,7 +249,7 @@ class RobotIdentification:
             else:
                 unclear += shown
             rest = left
-        return found, unclear + rest
+        return found, unclear, rest
 
     def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:
         """The robot whose motion explains a visit best, and how each does that does; None where
@@ -263,11 +272,14 @@ class RobotIdentification:
             return True
         return _leads(robot, fits(self._data, camera, shown, self._events))
 
-    def _leave_out(self, camera: str, visit: list[Picture]) -> None:
-        if not visit:
+    def _leave_out(
+        self, camera: str, unclear: list[Picture], rest: list[Picture], *, is_worth: bool
+    ) -> None:
+        """Leave out pictures; `is_worth`: to look at the rest again once places are known."""
+        if not (unclear or rest):
             return
-        self._left.extend((camera, picture) for picture in visit)
-        self.untold += len(visit)
+        self._left.extend((camera, picture) for picture in unclear + (rest if is_worth else []))
+        self.untold += len(unclear) + len(rest)
         self.problem = (
             f"camera {camera} saw a target that several robots carry, and their odometry does not "
             "tell which it was; give each robot its own target, or let one alone drive while the "

@@ -101,8 +101,15 @@ def _shows(view: View, other: View) -> bool:
     """Whether two views can be compared: of one face, with corners in common."""
     if view.readings != other.readings:
         return False
-    least = min(_LEAST_CORNERS, len(view.corners))
-    return len(np.intersect1d(view.corners, other.corners)) >= least
+    return len(_common(view, other)[0]) >= min(_LEAST_CORNERS, len(view.corners))
+
+
+def _common(view: View, other: View) -> tuple[np.ndarray, np.ndarray]:
+    """Where each of two views has the corners that both have."""
+    if np.array_equal(view.corners, other.corners):
+        rows = np.arange(len(view.corners))
+        return rows, rows
+    return np.intersect1d(view.corners, other.corners, return_indices=True)[1:]
 
 
 def _is_alike(view: View, others: Iterable[View]) -> bool:
@@ -111,7 +118,7 @@ def _is_alike(view: View, others: Iterable[View]) -> bool:
 
 
 def _is_at_one_place(view: View, other: View) -> bool:
-    _, mine, theirs = np.intersect1d(view.corners, other.corners, return_indices=True)
+    mine, theirs = _common(view, other)
     pixels = [view.pixels[mine]]
     if any(reading.is_turned for reading in view.readings):
         pixels.append(pixels[0][::-1])  # it may be read from either end

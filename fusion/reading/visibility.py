@@ -62,7 +62,7 @@ def body_of(target: Target) -> Body:
 
 def by_reading(view: View, body: Body) -> Array:
     """A view's corners in the base frame by each of its readings, (r, n, 3)."""
-    faces, is_turned = _ways(view.readings)
+    faces, is_turned = ways_of(view.readings)
     points = corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
     return points if view.sweep is None else points + view.sweep.shift(points)
 
@@ -78,12 +78,12 @@ def corners_in_base(
 
 def faces_of(view: View) -> np.ndarray:
     """The face of each of a view's readings, (r,)."""
-    return _ways(view.readings)[0]
+    return ways_of(view.readings)[0]
 
 
 @lru_cache(maxsize=4096)
-def _ways(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Face of each reading, and whether it is turned, (r,)."""
+def ways_of(readings: tuple[Reading, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The face of each reading, and whether it is turned, (r,)."""
     faces = np.array([reading.face for reading in readings])
     return faces, np.array([reading.is_turned for reading in readings])
 

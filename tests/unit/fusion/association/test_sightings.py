@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trigpoint.fusion.association.events import Events
-from trigpoint.fusion.association.sightings import without_wild
+from trigpoint.fusion.association.sightings import all_without_wild, without_wild
 
 LIMIT = Events().wild_score
 
@@ -37,3 +37,22 @@ def test_corners_that_show_no_board_are_kept_as_they_are() -> None:
     by_pose, residual = board(2, np.zeros(6), 12)
     _, wild = without_wild(by_pose, residual + 500 * random.normal(size=residual.shape), LIMIT)
     assert np.sum(~wild) >= 4
+
+
+def test_many_sightings_are_judged_as_each_by_itself() -> None:
+    random = np.random.default_rng(4)
+    boards = [board(seed, np.full(6, 0.1 * seed), 24) for seed in range(40)]
+    for seed, (_, residual) in enumerate(boards):
+        wild = random.choice(24, seed % 22, replace=False)
+        residual[wild] += 60 * random.normal(size=(len(wild), 2))
+    boards[3][0][:, :, 4] = 0.0  # a direction that no corner shows
+    by_pose, residual = (np.stack(each) for each in zip(*boards, strict=True))
+    steps, wild = all_without_wild(by_pose, residual, LIMIT)
+    for row in range(40):
+        step, flags = without_wild(by_pose[row], residual[row], LIMIT)
+        np.testing.assert_allclose(steps[row], step, atol=1e-9)
+        np.testing.assert_array_equal(wild[row], flags)
+        kept = by_pose[row][~flags].reshape(-1, 6)
+        least = np.linalg.lstsq(kept, -residual[row][~flags].reshape(-1), rcond=1e-12)[0]
+        np.testing.assert_allclose(step, least, atol=1e-8)
+    assert 100 < np.sum(wild) < 500

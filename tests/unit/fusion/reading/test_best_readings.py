@@ -1,0 +1,75 @@
+"""Held against `best_reading`, which looks at one view after the other."""
+
+import numpy as np
+import pytest
+
+from trigpoint.fusion.model.observations import Reading, View, observation_of
+from trigpoint.fusion.model.rolling_shutter import Sweep
+from trigpoint.fusion.reading import faces
+from trigpoint.fusion.reading.best_readings import best_readings, read_where_they_are
+from trigpoint.fusion.reading.visibility import by_reading, outermost
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.target import Target
+from trigpoint.tools.simulation.targets import target_of
+
+LENS = CameraModel.from_field_of_view(640, 480, np.radians(60.0))
+
+
+def random_view(target: Target, random: np.random.Generator) -> View:
+    face = int(random.integers(len(target.faces)))
+    count = int(random.integers(1, target.faces[face].corner_count + 1))
+    corners = np.sort(random.choice(target.faces[face].corner_count, count, replace=False))
+    pixels = random.uniform(0.0, 480.0, (count, 2))
+    if random.random() < 0.2:
+        pixels = np.round(pixels, -2)  # corners that reach equally far
+    other = Reading((face + 1) % len(target.faces), bool(random.random() < 0.5))
+    readings = (Reading(face), Reading(face, is_turned=True), other)[: random.integers(1, 4)]
+    sweep = None
+    if random.random() < 0.3:
+        sweep = Sweep(random.normal(0.0, 0.01, count), random.normal(size=6))
+    return View(corners, pixels, 0.2, readings, sweep)
+
+
+@pytest.mark.parametrize("kind", ["charuco", "checkerboard"])
+def test_many_views_are_read_as_each_by_itself(kind: str) -> None:
+    target, random = target_of(kind), np.random.default_rng(2)
+    views = [random_view(target, random) for _ in range(300)]
+    vectors = random.normal(0.0, [0.6, 0.6, 0.6, 1.5, 1.5, 1.5], (300, 6))
+    poses = Pose.from_vector(vectors + np.eye(6)[2])
+    readings, rms = best_readings(views, target, LENS, poses)
+    expected = [
+        faces.best_reading(view, target, LENS, poses[row]) for row, view in enumerate(views)
+    ]
+    assert readings == [reading for reading, _, _ in expected]
+    np.testing.assert_allclose(rms, [each for _, each, _ in expected], rtol=1e-9)
+    assert 20 < np.sum(np.isfinite(rms)) < 280  # both happen
+
+
+def test_pictures_get_their_own_views_readings() -> None:
+    target, random = target_of("charuco"), np.random.default_rng(3)
+    seen = [
+        observation_of("c1", "r1", 0, tuple(random_view(target, random) for _ in range(count)))
+        for count in (1, 3, 2)
+    ]
+    poses = Pose.from_vector(random.normal(0.0, 0.1, (3, 6)) + 3 * np.eye(6)[2])
+    found = read_where_they_are(seen, target, LENS, poses)
+    for row, (readings, rms) in enumerate(found):
+        alone = [faces.best_reading(v, target, LENS, poses[row]) for v in seen[row].views]
+        assert readings == tuple(reading for reading, _, _ in alone)
+        np.testing.assert_allclose(rms, [each for _, each, _ in alone], rtol=1e-9)
+
+
+def test_turned_reading_names_corners_from_the_other_end() -> None:
+    target = target_of("checkerboard")
+    body = faces.body_of(target)
+    corners = np.array([0, 3, 7])
+    both = (Reading(2), Reading(2, is_turned=True))
+    upright, turned = by_reading(View(corners, np.zeros((3, 2)), 0.2, both), body)
+    np.testing.assert_array_equal(upright, body.corners[2][corners])
+    np.testing.assert_array_equal(turned, body.corners[2][::-1][corners])
+
+
+def test_outermost_corners_are_each_named_once() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]])
+    np.testing.assert_array_equal(outermost(square), [0, 1, 2, 3])
+    np.testing.assert_array_equal(outermost(square[:1]), [0])
