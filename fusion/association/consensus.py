@@ -32,7 +32,7 @@ from .sightings import alone
 _FAR_SIGMAS = 7.0
 _LEAST_VARIANCE = 1e-12
 # One of so many sightings, spread over a visit, is right.
-_MOST_SEEDS = 8
+MOST_SEEDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def starts_of(
 def _seeds(ways: _Ways) -> np.ndarray:
     """The ways (s,) to read some sightings, spread over the visit."""
     sightings = np.unique(ways.sighting)
-    sightings = sightings[thinned(len(sightings), _MOST_SEEDS)]
+    sightings = sightings[thinned(len(sightings), MOST_SEEDS)]
     return np.flatnonzero(np.isin(ways.sighting, sightings))
 
 

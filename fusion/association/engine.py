@@ -17,6 +17,7 @@ from trigpoint.geometry import Pose
 
 from .agreement import seen_by
 from .bridges import tied_twice
+from .budget import Budget
 from .events import Events, window
 from .evidence import Place, alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
@@ -45,19 +46,26 @@ _LOOSE = (
     "and nothing shows that the robot was not on its way here; drive from here past a camera that "
     "it met before"
 )
+_LATE = (
+    "position and orientation in the map: not decided in time, since too much may have happened in "
+    "this session; record it in several shorter ones"
+)
 
 
 def explain(
     data: DataSet,
     observations: list[Observation],
     memory: Memory | None = None,
+    budget: Budget | None = None,
 ) -> Explanation:
     """What explains all observations, in order of their stamps, of the site's cameras.
 
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
-    `memory`: of the last search over fewer observations of the same session.
+    `memory`: of the last search over fewer observations of the same session; `budget`: of work, by
+    the session's length if not given.
     """
     events, memory = Events(data.site.fusion.priors), memory or Memory()
+    memory.budget = budget or Budget.of(data.tracks.values())
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
     seen, noises = learnt_noise(data, observations, events, memory)
     worlds = [_World(data, seen, events, each, memory) for each in noises]
@@ -69,7 +77,10 @@ def explain(
 
 
 class _World:
-    """Everything that may explain the session where its noise is this."""
+    """Everything that may explain the session where its noise is this.
+
+    `undecided`: the cameras for which the budget did not suffice to look at everything else.
+    """
 
     def __init__(
         self,
@@ -85,23 +96,33 @@ class _World:
         found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
-        self.search = Search(self.graph, events)
+        self.budget = memory.budget
+        self.search = Search(self.graph, events, self.budget)
         numbers = range(len(self.visits))
         self.hypotheses = self.search.explained(self.search.beginning(), numbers)
+        self.undecided = {v.visit.camera for v in self.visits} if self.budget.is_spent else set()
         self._verify()
 
     def _verify(self) -> None:
-        """For the best explanation, camera by camera: everything else that its visits may be."""
+        """For the best explanation, camera by camera: everything else that its visits may be. Where
+        that is not done to the end, it is done for none that was met but once."""
         best = self.hypotheses[0]
         known = {_signature(hypothesis) for hypothesis in self.hypotheses}
-        for camera in dict.fromkeys(v.visit.camera for v in self.visits):
+        cameras = dict.fromkeys(v.visit.camera for v in self.visits)
+        verified = set[str]()
+        for camera in cameras:
             mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
             if len(mine) < 2:
                 continue
             rest = self._without(best, set(mine))
             if rest is None:
                 continue
-            for hypothesis in self.search.explained(rest, mine):
+            found = self.search.explained(rest, mine)
+            if self.budget.is_spent:
+                self.undecided |= cameras.keys() - verified
+                break
+            verified.add(camera)
+            for hypothesis in found:
                 if _signature(hypothesis) not in known:
                     known.add(_signature(hypothesis))
                     self.hypotheses.append(hypothesis)
@@ -196,6 +217,7 @@ class _Outcome:
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
         self.loose = self._loose()
+        self.undecided = {camera for world in worlds for camera in world.undecided}
 
     def _loose(self) -> set[str]:
         """Cameras that hang on a gap in which the robot may have been carried once more."""
@@ -216,10 +238,11 @@ class _Outcome:
             lifts=tuple(self._lifts()),
             moves=tuple(self._moves()),
             noise=self.best.noise.by_robot,
-            is_complete=all(world.search.is_closed for world in self.worlds),
         )
 
     def _finding(self, camera: str) -> CameraFinding:
+        if camera in self.undecided:
+            return CameraFinding(camera, (), 0, _LATE)
         alternatives = alternatives_of(
             place for world in self.worlds for place in world.places(camera, None)
         )
@@ -243,6 +266,8 @@ class _Outcome:
             camera = self.best.visits[n].visit.camera
             place = self.chosen.place_of(n)
             assert place is not None
+            if camera in self.undecided:
+                continue
             last = self._last_place(camera)
             if place == last:
                 if findings[camera].is_located:

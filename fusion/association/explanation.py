@@ -78,7 +78,7 @@ class Explanation:
 
     `observations`: as they came, with their corners' noise as learnt; `reads`: one for each;
     `findings`: by camera; `places`: by (camera, number of its place) where it was, those that are
-    one place; `is_complete`: whether the search closed.
+    one place.
     """
 
     observations: tuple[Observation, ...]
@@ -88,4 +88,3 @@ class Explanation:
     lifts: tuple[Lifted, ...]
     moves: tuple[Moved, ...]
     noise: dict[str, Noise]
-    is_complete: bool = True

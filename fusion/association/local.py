@@ -18,6 +18,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .budget import Budget
 from .events import Events
 from .innovation import Corners, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
@@ -91,9 +92,12 @@ class LocalProblem:
         poses: dict[int, Pose],
         wrong_scores: dict[int, tuple[float, ...]],
         events: Events,
+        budget: Budget | None = None,
     ) -> None:
         self.data, self.observations, self.poses = data, observations, poses
         self.wrong_scores, self.events = wrong_scores, events
+        self.budget = budget if budget is not None else Budget()
+        self._corners = sum(observation.corner_count for observation in observations.values())
         first = next(iter(observations.values()))
         self.camera, self.robot = first.camera, first.robot
         self.target = data.targets[self.robot]
@@ -165,6 +169,7 @@ class LocalProblem:
             )
         except LinAlgError:
             return None  # it went where nothing is determined
+        self.budget.spend_solving(steps=solution.iterations, corners=self._corners)
         if not np.isfinite(solution.cost):
             return None
         return assembled, solution.state
@@ -294,6 +299,7 @@ class LocalProblem:
         linear = linearised(self.data, assembled, self._tame(assembled, batch), parts)
         if linear is None:
             return []
+        self.budget.spend_filtering(parts=len(linear.parts), unknowns=len(linear.prior))
         found = []
         for flags in likeliest_wrong(linear, self.data.jitter.get(self.robot), self.events):
             wrong = {index: [True] * len(o.views) for index, o in self.observations.items()}

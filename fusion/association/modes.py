@@ -1,5 +1,6 @@
 """The modes of each visit: where its search starts, and which of them come near the best."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,8 @@ from trigpoint.fusion.reading.faces import candidates, is_same_pose
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-from .consensus import Start, drift_between, starts_of
+from .budget import Budget
+from .consensus import MOST_SEEDS, Start, drift_between, starts_of
 from .events import Events, window
 from .local import LocalProblem, Mode
 from .pictures import PictureReader
@@ -40,9 +42,10 @@ class VisitModes:
 
 class Memory:
     """What was found of visits, kept from one search to the next: most visits of a session that
-    grows stay what they were. Not thread-safe."""
+    grows stay what they were; `budget`: for what is not. Not thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: Budget | None = None) -> None:
+        self.budget = budget if budget is not None else Budget()
         self._kept: dict[tuple[object, ...], VisitModes] = {}
         self._used: dict[tuple[object, ...], VisitModes] = {}
         self.alone: dict[tuple[object, ...], Alone] = {}
@@ -131,9 +134,11 @@ class ModeFinder:
         return None
 
     def modes_of(self, visit: Visit) -> VisitModes:
-        """All modes of a visit within the window."""
+        """All modes of a visit within the window; none once the budget is spent."""
         key = self._key(visit)
         found = self.memory.get(key)
+        if found is None and self.memory.budget.is_spent:
+            return VisitModes(visit, (), 0.0, ())
         if found is None:
             found = self._modes_of(visit)
             self.memory.put(key, found)
@@ -151,7 +156,8 @@ class ModeFinder:
         chosen = {index: self.observations[index] for index in visit.chosen}
         poses = self.odometry(visit)
         scores = {index: tuple(a.wrong_score for a in self.alone(index)) for index in chosen}
-        problem = LocalProblem(self.data, chosen, poses, scores, self.events)
+        budget = self.memory.budget
+        problem = LocalProblem(self.data, chosen, poses, scores, self.events, budget)
         if len(chosen) == 1:
             found = self._of_one(visit, problem, poses)
         else:
@@ -259,6 +265,9 @@ class ModeFinder:
         stamps = np.array([observation.stamp_ns for observation in tame.values()])
         there = Pose.stack(list(poses.values()))
         drift = drift_between(self.data, visit.robot, stamps, there)
+        sizes = [len(view.readings) for seen in tame.values() for view in seen.views]
+        seeds = math.ceil(sum(sizes) * min(1, MOST_SEEDS / len(sizes)))
+        self.memory.budget.spend_starting(ways=sum(sizes), seeds=seeds)
         return starts_of(
             self.data, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
         )

@@ -9,9 +9,10 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.geometry import Pose
 
+from .budget import Budget
 from .events import Events
 from .local import Mode
-from .modes import ModeFinder, VisitModes
+from .modes import Memory, ModeFinder, VisitModes
 from .noise import PESSIMISTIC, corner_scale
 from .session_noise import with_corner_scale, with_noise
 from .visits import visit_of, visits_of
@@ -83,12 +84,17 @@ class RobotFit:
 
 
 def fits(
-    data: DataSet, camera: str, pictures: Sequence[Picture], events: Events
+    data: DataSet,
+    camera: str,
+    pictures: Sequence[Picture],
+    events: Events,
+    budget: Budget | None = None,
 ) -> dict[str, RobotFit]:
     """How each robot that may be in them explains the pictures of a visit, in order of time; those
-    that do at all. A robot whose odometry does not cover a picture is not in it."""
-    noisy = _noisy(data, pictures)
-    found = {r: _fit(noisy, camera, r, pictures, events) for r in _robots(pictures)}
+    that do at all, within the budget. A robot whose odometry does not cover a picture is not in
+    it."""
+    noisy, memory = _noisy(data, pictures), Memory(budget)
+    found = {r: _fit(noisy, camera, r, pictures, events, memory) for r in _robots(pictures)}
     return {robot: fit for robot, fit in found.items() if fit is not None}
 
 
@@ -113,19 +119,24 @@ def _noisy(data: DataSet, pictures: Sequence[Picture]) -> DataSet:
 
 
 def _fit(
-    data: DataSet, camera: str, robot: str, pictures: Sequence[Picture], events: Events
+    data: DataSet,
+    camera: str,
+    robot: str,
+    pictures: Sequence[Picture],
+    events: Events,
+    memory: Memory,
 ) -> RobotFit | None:
     seen = _observations(data, camera, robot, pictures)
     if not seen:
         return None
     observations = list(seen.values())
     visit = visit_of(observations, list(range(len(observations))), most=_MOST_VIEWS)
-    finder = ModeFinder(data, observations, events)
+    finder = ModeFinder(data, observations, events, memory)
     scatters = [view.scatter for index in visit.chosen for view in finder.alone(index)]
     scale = corner_scale([scatter for scatter in scatters if np.isfinite(scatter)])
     if scale != 1.0:
         observations = [with_corner_scale(observation, scale) for observation in observations]
-        finder = ModeFinder(data, observations, events)
+        finder = ModeFinder(data, observations, events, memory)
     found = finder.modes_of(visit)
     if not found.modes:
         return None

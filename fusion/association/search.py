@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .agreement import agreement
+from .budget import Budget
 from .events import Events, window
 from .graph import Break, Graph, Placed, Tie, Variant
 from .minimum import placed
@@ -62,12 +63,12 @@ _Pair = tuple[int | None, int]
 
 
 class Search:
-    """Explains the visits of one graph."""
+    """Explains the visits of one graph; once the budget is spent, what is left of them is taken to
+    be wrong."""
 
-    def __init__(self, graph: Graph, events: Events) -> None:
-        self.graph, self.events = graph, events
+    def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
+        self.graph, self.events, self.budget = graph, events, budget
         self.visits = graph.visits
-        self.is_closed = True
         self._open_score = [
             _log_sum([mode.evidence for mode in v.modes]) + events.pose_score for v in self.visits
         ]
@@ -90,11 +91,18 @@ class Search:
         """Hypotheses with ties and breaks of their own, placed and scored; without those that are
         not determined."""
         found = []
-        variants = [variant for _, variant in wanted]
-        for (like, variant), there in zip(wanted, placed(self.graph, variants), strict=True):
+        minima = self._minima([variant for _, variant in wanted])
+        for (like, variant), there in zip(wanted, minima, strict=True):
             if there is not None:
                 ties, breaks = dict(variant.ties), variant.breaks
                 found.append(self.scored(replace(like, ties=ties, breaks=breaks, placed=there)))
+        return found
+
+    def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
+        found = placed(self.graph, variants)
+        for minimum in found:
+            unknowns = minimum.layout.size if minimum is not None else 0
+            self.budget.spend_solving(steps=1, unknowns=unknowns)
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -120,14 +128,14 @@ class Search:
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)
         near = [h for h in grown if h.score < grown[0].score + _WINDOW]
-        if len(near) > _MOST_HYPOTHESES:
-            self.is_closed = False
         return near[:_MOST_HYPOTHESES]
 
     # -- one more visit ---------------------------------------------------------------------------
 
     def _with(self, hypotheses: list[Hypothesis], number: int) -> list[Hypothesis]:
         """Everything that one more visit may be."""
+        if self.budget.is_spent:
+            return [self._wrong(hypotheses[0], number)]
         found: list[Hypothesis] = []
         joins: list[_Join] = []
         for before in hypotheses:
@@ -147,7 +155,7 @@ class Search:
         """What a visit may be that binds nothing: all of it wrong, its camera's first or anew, or
         the one before it wrong; and where it may join what its camera saw before."""
         visit = self.visits[number]
-        wrong = self.scored(replace(before, nothing=before.nothing | {number}))
+        wrong = self._wrong(before, number)
         if not visit.modes:
             return [wrong], None
         mine = self._of_camera(before, visit.visit.camera)
@@ -166,6 +174,9 @@ class Search:
             found.append(self.scored(replace(before, open=opened, nothing=nothing)))
         return found, _Join(before, number, place, there)
 
+    def _wrong(self, before: Hypothesis, number: int) -> Hypothesis:
+        return self.scored(replace(before, nothing=before.nothing | {number}))
+
     def _of_camera(self, hypothesis: Hypothesis, camera: str) -> list[int]:
         used = [*hypothesis.ties, *hypothesis.open]
         return sorted(n for n in used if self.visits[n].visit.camera == camera)
@@ -179,10 +190,8 @@ class Search:
                 wanted.append(self._joined(join, pair, breaks))
                 source.append(order)
         found: list[list[Hypothesis]] = [[] for _ in joins]
-        variants = [variant for _, variant in wanted]
-        for order, (like, variant), there in zip(
-            source, wanted, placed(self.graph, variants), strict=True
-        ):
+        minima = self._minima([variant for _, variant in wanted])
+        for order, (like, variant), there in zip(source, wanted, minima, strict=True):
             if there is not None:
                 ties, breaks = dict(variant.ties), variant.breaks
                 after = replace(like, ties=ties, breaks=breaks, placed=there)
@@ -220,9 +229,8 @@ class Search:
         gaps = [self._gaps(join) for join in joins]
         some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
         broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
-        loose = placed(
-            self.graph,
-            [Variant(join.before.ties, b) for (join, _), b in zip(some, broken, strict=True)],
+        loose = self._minima(
+            [Variant(join.before.ties, b) for (join, _), b in zip(some, broken, strict=True)]
         )
         relaxed, left = [], []
         for (join, mine), breaks, there in zip(some, broken, loose, strict=True):

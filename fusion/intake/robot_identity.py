@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from trigpoint.clock import to_ns
+from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.estimators.interface import Live
@@ -41,17 +42,22 @@ _AT_PLACE = 25.0
 _MOST_CHI2 = 2.0
 # Pictures that wait for places in the map; as many as an hour of one busy camera has.
 _MOST_LEFT = 16384
+# Of work: every way to place a robot by one face.
+_PLACEMENTS = 5e3
+_NOT_TOLD = "their odometry does not tell which it was"
+_DO = "give each robot its own target, or let one alone drive while the others stand"
 
 
 class RobotIdentification:
-    """Pictures of targets that several robots carry, until the robot is identified. Not
-    thread-safe.
+    """Pictures of targets that several robots carry, until the robot is identified or the budget
+    is spent, which grows with the robots' odometry. Not thread-safe.
 
     `untold`: how many pictures are not identified; `problem`: why, as text.
     """
 
-    def __init__(self, data: DataSet) -> None:
+    def __init__(self, data: DataSet, budget: Budget | None = None) -> None:
         self._data, self._events = data, Events(data.site.fusion.priors)
+        self._own_budget, self._budget = budget, budget or Budget()
         self._open: dict[str, list[Picture]] = {}
         self._closed: list[tuple[str, list[Picture]]] = []
         self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)
@@ -69,6 +75,8 @@ class RobotIdentification:
         as long as anyone waits for, or of all visits at the end. The longer they are, the better
         and the quicker they tell: whoever has the time asks at the end alone."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
+        if self._own_budget is None:
+            self._budget.allowed = Budget.of(tracks).allowed
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
             is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns
@@ -86,7 +94,7 @@ class RobotIdentification:
     def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
         """The pictures left out so far that the poses of robots and cameras identify now; tried
         again where there are more of either, or more pictures, and at the end."""
-        if not self._left:
+        if not self._left or self._budget.is_spent:
             return []
         tied = sum(estimator.robot(robot) is not None for robot in self._data.site.robots)
         looked = (self.untold, estimator.located_count, tied)
@@ -141,6 +149,7 @@ class RobotIdentification:
         there, stood = places.camera(camera), places.robot(robot, stamp_ns)
         if there is None or stood is None:
             return -1.0
+        self._budget.spent += _PLACEMENTS
         observation = observation_of(camera, robot, stamp_ns, (view,))
         tangent = self._data.tracks[robot].tangent
         shown = placements(
@@ -257,9 +266,7 @@ class RobotIdentification:
         if len(visit) < _LEAST_PICTURES:
             return None
         every = {
-            robot: fit
-            for robot, fit in fits(self._data, camera, visit, self._events).items()
-            if fit.gain > window()
+            robot: fit for robot, fit in self._fits(camera, visit).items() if fit.gain > window()
         }
         return (max(every, key=lambda robot: every[robot].gain), every) if every else None
 
@@ -270,7 +277,10 @@ class RobotIdentification:
         robot's by its best fit. None does that explains the whole visit no better."""
         if _leads(robot, every):
             return True
-        return _leads(robot, fits(self._data, camera, shown, self._events))
+        return _leads(robot, self._fits(camera, shown))
+
+    def _fits(self, camera: str, pictures: list[Picture]) -> dict[str, RobotFit]:
+        return fits(self._data, camera, pictures, self._events, self._budget)
 
     def _leave_out(
         self, camera: str, unclear: list[Picture], rest: list[Picture], *, is_worth: bool
@@ -280,11 +290,8 @@ class RobotIdentification:
             return
         self._left.extend((camera, picture) for picture in unclear + (rest if is_worth else []))
         self.untold += len(unclear) + len(rest)
-        self.problem = (
-            f"camera {camera} saw a target that several robots carry, and their odometry does not "
-            "tell which it was; give each robot its own target, or let one alone drive while the "
-            "others stand"
-        )
+        why = "which it was is not decided in time" if self._budget.is_spent else _NOT_TOLD
+        self.problem = f"camera {camera} saw a target that several robots carry, and {why}; {_DO}"
 
 
 def _leads(robot: str, every: dict[str, RobotFit]) -> bool:

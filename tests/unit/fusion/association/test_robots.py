@@ -8,8 +8,10 @@ from drives import Plan, RobotPlan, Way, circle, lab_cameras, make_session, obse
 from msgspec import structs
 
 from trigpoint.clock import to_ns
+from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
+from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose
 from trigpoint.tools.simulation.targets import target_of
@@ -82,3 +84,14 @@ def test_runs_end_where_nobody_was_seen_for_long() -> None:
     late = [p for p in pictures if p.stamp_ns > early[-1].stamp_ns + to_ns(31.0)]
     assert late
     assert runs(data, "c1", [*early, *late]) == [early, late]
+
+
+def test_once_the_budget_is_spent_no_robot_is_told_and_it_is_said() -> None:
+    data = beside(circle())
+    pictures = seen_of(data, "r1")
+    identification = RobotIdentification(data, Budget(0.0))
+    for picture in pictures:
+        identification.add("c1", picture.stamp_ns, picture.faces)
+    assert not identification.ready(is_end=True)
+    assert identification.untold == len(pictures) > 0
+    assert "not decided in time" in identification.problem

@@ -1,0 +1,72 @@
+"""What a session is given up for is left open, and nothing else changes."""
+
+import numpy as np
+import pytest
+from small_sessions import Shape, small_session
+
+from trigpoint.fusion.association.budget import Budget
+from trigpoint.fusion.association.engine import explain
+from trigpoint.fusion.association.explanation import Explanation
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+
+Came = tuple[DataSet, list[Observation]]
+
+
+@pytest.fixture(scope="module")
+def came() -> Came:
+    """Two cameras that were met twice, one by one."""
+    session = small_session(Shape(8, (0, 1, 0, 1), is_alike=False, is_near=True))
+    pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        pipeline.advance()
+    pipeline.finish()
+    data = pipeline._data  # pyright: ignore[reportPrivateUsage]
+    return data, [entry.observation for entry in data.entries]
+
+
+def within(came: Came, allowed: float) -> tuple[Explanation, Budget]:
+    budget = Budget(allowed)
+    return explain(*came, budget=budget), budget
+
+
+def test_without_a_budget_nothing_is_located_or_called_anything_but_undecided(came: Came) -> None:
+    explanation, budget = within(came, 0.0)
+    assert explanation.findings.keys() == {"c1", "c2"}
+    assert all("not decided in time" in f.reason for f in explanation.findings.values())
+    assert not any(finding.alternatives for finding in explanation.findings.values())
+    assert not explanation.places
+    assert not explanation.lifts
+    assert not explanation.moves
+    _, whole = within(came, np.inf)
+    assert budget.spent < 0.2 * whole.spent
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.999, 1.001])
+def test_whatever_the_budget_what_is_located_is_where_it_is(came: Came, share: float) -> None:
+    whole, needed = within(came, np.inf)
+    found, _ = within(came, share * needed.spent)
+    for camera, finding in found.findings.items():
+        if finding.is_located:
+            right = whole.findings[camera].alternatives[0].map_from_camera
+            there = finding.alternatives[0].map_from_camera
+            np.testing.assert_allclose(there.translation, right.translation, atol=1e-6)
+        else:
+            assert "not decided in time" in finding.reason
+    located = {camera for camera, finding in found.findings.items() if finding.is_located}
+    assert (located == {"c1", "c2"}) == (share > 1)
+    assert {camera for camera, _ in found.places} <= located
+
+
+def test_usual_session_takes_little_of_what_its_length_allows(came: Came) -> None:
+    _, needed = within(came, np.inf)
+    allowed = Budget.of(came[0].tracks.values()).allowed
+    assert 0 < needed.spent < allowed / 10
+
+
+def test_budget_grows_with_the_session(came: Came) -> None:
+    (track,) = came[0].tracks.values()
+    longer = Budget.of([track]).allowed - Budget.of([]).allowed
+    assert longer == pytest.approx(0.2e6 * (track.last_ns - track.first_ns) / 1e9)
