@@ -71,9 +71,9 @@ target_rotation = 0.2
 """
 # wrist_from_board to a centimetre and five degrees, from a hand-eye solution of these pictures.
 ABOUT = Pose(
-    so3.exp([0.0, 0.0, math.radians(-95.0)])
+    so3.exp([math.radians(95.0), 0.0, 0.0])
     @ so3.exp([0.0, math.radians(45.0), 0.0])
-    @ so3.exp([math.radians(95.0), 0.0, 0.0]),
+    @ so3.exp([0.0, 0.0, math.radians(-95.0)]),
     np.array([-0.10, -0.04, 0.16]),
 )
 

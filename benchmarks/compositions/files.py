@@ -85,6 +85,8 @@ def site_text(session: Composition) -> str:
     for index, carrier in enumerate(session.carriers):
         own = {"target": files[index]} if len(files) > 1 else {}
         tables[f"robots.{carrier.name}"] = {"port": "loop://", **own}
+        if recipe.in_space:
+            tables[f"robots.{carrier.name}"]["planar"] = False
         said = {key: value for key, value in noise.items() if key in always or value}
         tables[f"robots.{carrier.name}.odometry"] = said
     mount = {"target_translation": MOUNT_M, "target_rotation": MOUNT_RAD} if recipe.mount else {}

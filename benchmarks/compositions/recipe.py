@@ -38,7 +38,8 @@ class Recipe:
     Of the sightings: shares of displaced ones, of wild corners, of misnamed faces; `displaced_px`:
     how far, None: drawn each time. Of the site: `time_offset_s`, `scale`, `mount`, `lens_spread`:
     what is unknown and has a prior in the site file. `moves`, `lifts`: how many of each.
-    `gaps`: in the odometry. `late_share`, `twice_share`: of the sightings' messages.
+    `in_space`: robots also rise, sink and lean. `gaps`: in the odometry. `late_share`,
+    `twice_share`: of the sightings' messages.
 
     `sigma_px`, `noise`: what is told of corners (pixels) and odometry (times the defaults).
 
@@ -66,6 +67,7 @@ class Recipe:
     misnamed_share: float = 0.0
     time_offset_s: float = 0.0
     scale: float = 0.0
+    in_space: bool = False
     mount: bool = False
     lens_spread: bool = False
     moves: int = 0
@@ -186,6 +188,11 @@ def everything(recipe: Recipe) -> Recipe:
     )
 
 
+def in_space(recipe: Recipe) -> Recipe:
+    """A composition whose robot moves in space; of what is unknown to the site, nothing."""
+    return replace(composed(recipe), in_space=True)
+
+
 def unknown_to_the_site(recipe: Recipe) -> Recipe:
     """The same with things that the site file does not know; at least one of them."""
     random = recipe.random("mismatch")
@@ -215,6 +222,7 @@ KINDS: dict[str, Preset] = {
     "mismatch": Preset(
         "a composition with what the site file does not know", composed, is_mismatch=True
     ),
+    "space": Preset("a composition with a robot that moves in space", in_space),
     "loop-alike": Preset("a closed loop, one picture a stop, equal checkerboards", always=_ALIKE),
     "dance-alike": Preset("a dance, equal checkerboards", always={"route": Route.DANCE, **_ALIKE}),
     "dance-displaced": Preset(

@@ -11,7 +11,9 @@ from msgspec import structs
 
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import wrap
+from trigpoint.odometry_noise import step_variances
 from trigpoint.tools.simulation.odometry import chained
 from trigpoint.tools.simulation.way import scattered
 
@@ -21,6 +23,8 @@ STEP_S = 0.01  # true poses; pictures are taken at them
 STEPS_A_MESSAGE = 5  # 20 Hz
 _SPEED_M_S, _TURN_RAD_S = 0.4, 0.9
 _SLIP_S, _SLIPS_A_SECOND = 0.5, 0.1
+# Of a robot that moves in space, as the defaults are of one in the plane.
+_VERTICAL, _TILT = 0.003, 0.003
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +39,7 @@ class Ride:
     straight_s: list[tuple[float, float]]
     lifts_s: list[float]
     scale_errors: np.ndarray
+    is_in_space: bool = False
 
     @property
     def end_s(self) -> float:
@@ -66,6 +71,7 @@ class Driver:
         self._random = recipe.random("wheels", robot)
         self._noise = true_noise(recipe)
         self._slip = recipe.slip
+        self._swing = Swing.drawn(self._random) if recipe.in_space else None
         self.scale_errors = self._random.standard_normal(2) * recipe.scale
         self._truth, self._report = [Pose.planar(*start)], [Pose.planar(*odometry_start)]
         self._steps = 0
@@ -140,6 +146,7 @@ class Driver:
             self._straight_s,
             self._lifts_s,
             self.scale_errors,
+            self._swing is not None,
         )
 
     def _stand_quietly(self, steps: int = STEPS_A_MESSAGE) -> None:
@@ -157,18 +164,84 @@ class Driver:
         self._append(np.tile(step, (count, 1)))
 
     def _append(self, steps: np.ndarray) -> None:
-        moved = scattered(steps, self._noise, self.scale_errors, self._random)
-        if self._slip:
-            moved = moved * (1 - self._slip * self._slipping(len(steps)))[:, None]
-        self._truth.append(chained(_last(self._truth[-1])[0], moved)[1:])
-        self._report.append(chained(_last(self._report[-1])[0], steps)[1:])
+        if self._swing is not None:
+            self._append_in_space(steps, self._swing)
+        else:
+            moved = scattered(steps, self._noise, self.scale_errors, self._random)
+            if self._slip:
+                moved = moved * (1 - self._slip * self._slipping(len(steps)))[:, None]
+            self._truth.append(chained(_last(self._truth[-1])[0], moved)[1:])
+            self._report.append(chained(_last(self._report[-1])[0], steps)[1:])
         self._steps += len(steps)
+
+    def _append_in_space(self, steps: np.ndarray, swing: "Swing") -> None:
+        """The same while it also rises, sinks and leans."""
+        before, after = swing.along(steps)
+        level = Pose.planar(steps[:, 0], steps[:, 1], steps[:, 2])
+        reported = before.inverse() @ level @ after
+        slip = 1 - self._slip * self._slipping(len(steps))[:, None] if self._slip else 1.0
+        moved = scattered_in_space(reported, self._noise, self.scale_errors, slip, self._random)
+        self._truth.append(_followed(_last(self._truth[-1])[0], moved))
+        self._report.append(_followed(_last(self._report[-1])[0], reported))
 
     def _slipping(self, count: int) -> np.ndarray:
         """Which of the steps lie in a burst, (count,) of 0 and 1."""
         starts = self._random.random(count) < _SLIPS_A_SECOND * STEP_S
         burst = np.ones(round(_SLIP_S / STEP_S))
         return np.minimum(np.convolve(starts, burst)[:count], 1.0)
+
+
+class Swing:
+    """How a robot in space is held beside its level way: waves of what it has driven and turned, so
+    that it stands still where that does."""
+
+    def __init__(self, amplitudes: np.ndarray, lengths: np.ndarray) -> None:
+        """Both (6,): of each part of a pose, m and rad; of driven metres and turned radians."""
+        self.amplitudes, self.lengths = amplitudes, lengths
+        self._way = 0.0
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator) -> "Swing":
+        most = np.array([0.03, 0.03, 0.15, 0.15, 0.15, 0.1])
+        return cls(most * random.uniform(0.5, 1.0, 6), random.uniform(0.5, 1.5, 6))
+
+    def along(self, steps: np.ndarray) -> tuple[Pose, Pose]:
+        """Level base to base before and after each of the next steps (n, 3)."""
+        gone = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(steps[:, 2])
+        ways = self._way + np.concatenate([[0.0], np.cumsum(gone)])
+        self._way = float(ways[-1])
+        swung = self.amplitudes * np.sin(ways[:, None] / self.lengths)
+        held = Pose.identity().repeated(len(ways)).disturbed(swung)
+        return held[:-1], held[1:]
+
+
+def scattered_in_space(
+    reported: Pose,
+    noise: OdometryNoise,
+    scale_errors: np.ndarray,
+    slip: np.ndarray | float,
+    random: np.random.Generator,
+) -> Pose:
+    """True motion (n) of reported steps (n) in space, with the contract's noise in all directions;
+    `slip` (n, 1): the share of each that is not lost."""
+    turns = so3.log(reported.rotation)
+    moves = np.linalg.solve(so3.left_jacobian(turns), reported.translation[..., None])[..., 0]
+    variances = step_variances(noise, np.linalg.norm(moves, axis=1), np.linalg.norm(turns, axis=1))
+    draw = random.standard_normal((len(turns), 6))
+    shift = np.sqrt(variances.translation) * draw[:, :3]
+    shift = (so3.exp(0.5 * turns) @ shift[..., None])[..., 0]
+    turns = turns * (1 + scale_errors[1]) * slip
+    moves = moves * (1 + scale_errors[0]) * slip
+    true = Pose(so3.exp(turns), (so3.left_jacobian(turns) @ moves[..., None])[..., 0])
+    return true.disturbed(np.hstack([shift, np.sqrt(variances.rotation) * draw[:, 3:]]))
+
+
+def _followed(start: Pose, steps: Pose) -> Pose:
+    """The poses (n) that steps (n) lead to."""
+    poses = [start]
+    for step in range(len(steps)):
+        poses.append(poses[-1] @ steps[step])
+    return Pose.stack(poses[1:])
 
 
 def told_noise(recipe: Recipe) -> OdometryNoise:
@@ -180,6 +253,9 @@ def told_noise(recipe: Recipe) -> OdometryNoise:
         lateral=plain.lateral * recipe.noise,
         heading_drive=plain.heading_drive * recipe.noise,
         heading_turn=plain.heading_turn * recipe.noise,
+        vertical=_VERTICAL * recipe.noise * recipe.in_space,
+        tilt=_TILT * recipe.noise * recipe.in_space,
+        tilt_turn=_TILT * recipe.noise * recipe.in_space,
         distance_scale=recipe.scale,
         heading_scale=recipe.scale,
     )
@@ -194,6 +270,9 @@ def true_noise(recipe: Recipe) -> OdometryNoise:
         lateral=told.lateral / recipe.stated,
         heading_drive=told.heading_drive / recipe.stated,
         heading_turn=told.heading_turn / recipe.stated,
+        vertical=told.vertical / recipe.stated,
+        tilt=told.tilt / recipe.stated,
+        tilt_turn=told.tilt_turn / recipe.stated,
     )
 
 

@@ -175,14 +175,17 @@ def _picture_times(recipe: Recipe, camera: Camera, rides: list[Ride]) -> np.ndar
 
 def _is_told(carrier: Carrier, lift_s: float, seen: dict[str, list[Picture]]) -> bool:
     """Whether a camera met the robot rightly before and after a lift. One after which it meets only
-    new cameras is told by no picture: these then hang elsewhere, and all fits as well."""
+    new cameras is told by no picture: these then hang elsewhere, and all fits as well. Nor is one
+    in space that one picture before or after it shows: the robot may have been put down anyhow."""
+    enough = 2 if carrier.ride.is_in_space else 1
     for pictures in seen.values():
         met_s = [
             picture.t_s
             for picture in pictures
             if any(face.robot == carrier.name and face.is_good for face in picture.faces)
         ]
-        if met_s and min(met_s) < lift_s < max(met_s):
+        before = sum(at_s < lift_s for at_s in met_s)
+        if min(before, len(met_s) - before) >= enough:
             return True
     return False
 

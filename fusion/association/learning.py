@@ -63,10 +63,12 @@ def learnt_noise(
         if more is None:
             continue
         residuals = LocalProblem(data, pictures, odometry, {}, events).residuals(more)
-        # A robot that moves in space may stand anyhow: nothing tells its jitter from its motion.
-        if residuals is not None and data.tracks[visit.robot].planar:
+        if residuals is not None:
             by_robot.setdefault(visit.robot, []).append(residuals)
-    learnt = {robot: learn(residuals) for robot, residuals in by_robot.items()}
+    learnt = {
+        robot: learn(residuals, planar=data.tracks[robot].planar)
+        for robot, residuals in by_robot.items()
+    }
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}
     if len(known) == len(data.site.robots):
         return seen, [SessionNoise(known)]

@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.odometry import SLIP
+from trigpoint.fusion.model.odometry import PARTS, SLIP
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
@@ -156,9 +156,7 @@ def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
     """The covariances (m, d, d) of a chain's steps by the stated noise, and by slip."""
     free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
     noise = data.site.robots[chain.robot].odometry
-    silent = msgspec.structs.replace(
-        noise, distance=0.0, lateral=0.0, heading_drive=0.0, heading_turn=0.0
-    )
+    silent = msgspec.structs.replace(noise, **dict.fromkeys(PARTS, 0.0))
     found = []
     for part, slip in ((noise, 0.0), (silent, SLIP)):
         track = chain.track.noisy(part, slip=slip, skid=0.0)

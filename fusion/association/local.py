@@ -233,6 +233,8 @@ class LocalProblem:
                 is_used=not is_wrong,
             )
             excess[is_wrong].append((gain, index, order))
+        if len(excess[False]) == 1:
+            excess[False] = []  # nothing beside it makes it improbable
         most = max((gain for gain, *_ in excess[False]), default=0.0)
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):

@@ -139,11 +139,18 @@ def _floor(visit: Linear, jitter: Jitter) -> tuple[Array, Array]:
     return by_floor.reshape(len(place), 6, -1), np.kron(information, np.eye(2) / jitter.tilt**2)
 
 
-def learn(visits: list[Linear]) -> Noise | None:
-    """The noise that these visits show; None where they are too few to show any."""
+def learn(visits: list[Linear], *, planar: bool = True) -> Noise | None:
+    """The noise that these visits show; None where they are too few to show any. A robot in space
+    may stand anyhow by what it drives: None too, unless its noise is clearly not as stated."""
     freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
     if freedom < _LEAST_FREEDOM:
         return None
+    if not planar:
+        stated = _likeliest(visits, STATED)
+        other = _likeliest(visits, STATED, (*_JITTER, *_ODOMETRY))
+        if stated[1] - other[1] < chdtri(4, _SIGNIFICANCE):
+            return None
+        return Noise(*map(in_steps, astuple(other[0])))
     # How the robot tilts and rises shows whatever odometry says: that is left free here, so that
     # what its model lacks is not taken for a target that sways.
     loose = Noise(odometry=_FREE, slip=_FREE)

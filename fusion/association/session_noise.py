@@ -6,11 +6,9 @@ import msgspec
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import LEAST_SIGMA_PX, Observation
-from trigpoint.fusion.model.odometry import SLIP
+from trigpoint.fusion.model.odometry import PARTS, SLIP
 
 from .noise import Noise
-
-PARTS = ("distance", "lateral", "heading_drive", "heading_turn")
 
 
 def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
+from trigpoint.geometry import rotation as so3
 
 # Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
 # a tenth of what a camera's distance is.
@@ -67,14 +68,15 @@ def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
     if len(moments) < 2:
         return []
     motion = track.motion(moments, np.zeros(2))
-    variances = np.diagonal(motion.covariance, axis1=1, axis2=2)
+    variances = np.diagonal(motion.covariance, axis1=1, axis2=2)[:, track.tangent]
+    half = (len(track.tangent) + 1) // 2  # shifts, then turns
     noise = data.site.robots[robot].odometry
     lengths = np.linalg.norm(motion.earlier_from_later.translation, axis=1)
-    turns = np.abs(motion.earlier_from_later.heading)
+    turns = np.linalg.norm(so3.log(motion.earlier_from_later.rotation), axis=1)
     steps = np.stack(
         [
-            variances[:, 0] + variances[:, 1] + (noise.distance_scale * lengths) ** 2,
-            variances[:, 5] + (noise.heading_scale * turns) ** 2,
+            variances[:, :half].sum(axis=1) + (noise.distance_scale * lengths) ** 2,
+            variances[:, half:].sum(axis=1) + (noise.heading_scale * turns) ** 2,
         ],
         axis=1,
     )

@@ -31,8 +31,18 @@ from .motion import (
     moved,
 )
 
-__all__ = ["PLANAR", "SPATIAL", "Added", "Motion", "OdometryTrack", "composed"]
+__all__ = ["PARTS", "PLANAR", "SPATIAL", "Added", "Motion", "OdometryTrack", "composed"]
 
+PARTS = (
+    "distance",
+    "lateral",
+    "vertical",
+    "heading_drive",
+    "heading_turn",
+    "tilt",
+    "tilt_turn",
+)
+"""Of the stated noise: everything but the scales."""
 PLANAR = [0, 1, 5]
 SPATIAL = [0, 1, 2, 3, 4, 5]
 

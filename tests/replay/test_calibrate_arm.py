@@ -21,7 +21,8 @@ def test_camera_before_an_arm_is_located_and_the_board_on_its_wrist_found(tmp_pa
     results = calibrated(recording, session_inputs(recording, site=None, network=None))
     record = results.network.cameras["c1"]
     assert record.map_from_camera is not None
-    assert np.linalg.norm(np.subtract(record.map_from_camera.translation, CAMERA_M)) < 0.005
+    # Within two of both sigmas: the arm errs by 0.4°, which is learnt, and three pictures by more.
+    assert np.linalg.norm(np.subtract(record.map_from_camera.translation, CAMERA_M)) < 0.006
     assert 0.001 < record.position_sigma < 0.01
     (face,) = results.network.robots["r1"].target.faces
     # The start's centimetre and five degrees, and what that leaves at the board's far corners.

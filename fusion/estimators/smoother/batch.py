@@ -108,11 +108,10 @@ class BatchSolution:
         return self._solved_as_explained()
 
     def _is_explainable(self) -> bool:
-        """Whether the association can explain the session: it knows robots in the plane, and takes
-        their odometry's scales to first order."""
+        """Whether the association can explain the session: it takes the odometry's scales to first
+        order."""
         return all(
-            robot.planar
-            and max(robot.odometry.distance_scale, robot.odometry.heading_scale) <= _ROUGH_SCALE
+            max(robot.odometry.distance_scale, robot.odometry.heading_scale) <= _ROUGH_SCALE
             for robot in self.data.site.robots.values()
         )
 

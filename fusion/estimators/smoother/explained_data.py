@@ -4,10 +4,9 @@ import msgspec
 import numpy as np
 
 from trigpoint.fusion.association.explanation import Explanation, Read
-from trigpoint.fusion.association.session_noise import PARTS
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, KnownCameras, Lift, Move
 from trigpoint.fusion.model.observations import Observation, Verdict, observation_of
-from trigpoint.fusion.model.odometry import SLIP
+from trigpoint.fusion.model.odometry import PARTS, SLIP
 from trigpoint.fusion.model.problem import State
 
 

@@ -74,6 +74,14 @@ def test_tilt_and_odometry_are_learnt() -> None:
     assert found.odometry == pytest.approx(true.odometry, rel=0.35)
 
 
+def test_robot_in_space_keeps_its_stated_noise_where_nothing_clearly_tells_otherwise() -> None:
+    assert learn([visit(n, Noise()) for n in range(6)], planar=False) is None
+    true = Noise(odometry=4.0)
+    found = learn([visit(seed, true) for seed in range(8)], planar=False)
+    assert found is not None
+    assert found.odometry == pytest.approx(true.odometry, rel=0.35)
+
+
 def test_few_pictures_tell_nothing() -> None:
     assert learn([visit(1, Noise(), pictures=2)]) is None
 
