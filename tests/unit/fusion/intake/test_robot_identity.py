@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.study.measure import GROSS
 from benchmarks.study.session import StudySession, simulated_session, worked_out
+from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.pipeline import Pipeline
 
 
@@ -45,3 +46,19 @@ def test_no_sighting_is_taken_for_another_robots(session: StudySession, pipeline
         rows = slice(6 * index, 6 * index + 6)
         own = results.covariance[rows, rows]
         assert np.sqrt(error @ np.linalg.solve(own, error) / 6) < GROSS
+
+
+def test_few_more_sightings_of_located_cameras_are_no_reason_to_explain_all_anew(
+    pipeline: Pipeline,
+) -> None:
+    data, estimator = pipeline._data, pipeline._estimator  # pyright: ignore[reportPrivateUsage]
+    seen = next(e.observation for e in data.entries if e.observation.camera == "c1")
+    faces = tuple({str(robot): view for robot in ("r1", "r2")} for view in seen.views)
+    for count, is_told in ((1, False), (len(data.entries) // 10, True)):
+        identification = RobotIdentification(data)
+        for _ in range(count):
+            identification.add("c1", seen.stamp_ns, faces)
+            identification.ready(is_end=True)  # one picture alone tells nothing
+        assert identification.untold == count
+        assert len(identification.by_place(estimator, is_end=True)) == count * is_told
+        assert identification.untold == count * (not is_told)
