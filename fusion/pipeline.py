@@ -17,7 +17,7 @@ from trigpoint.network import Network
 from trigpoint.target import Target
 
 from .camera_announcements import CameraAnnouncements
-from .estimators.interface import CameraEstimate, Collecting, Inspectable, Live, Sampled
+from .estimators.interface import CameraEstimate, Live
 from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
@@ -173,9 +173,9 @@ class Pipeline:
             self._left_out.add("odometry_jumps")
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
             odom_from_base = self._data.tracks[robot].odom_from_base[-1]
-            estimator = self._estimator
-            particles = estimator.particles if isinstance(estimator, Sampled) else None
-            self._outputs += self._robots.place(robot, estimate, odom_from_base, particles)
+            self._outputs += self._robots.place(
+                robot, estimate, odom_from_base, self._estimator.particles
+            )
         return True
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
@@ -214,7 +214,7 @@ class Pipeline:
         Whoever wrote it may have sent more corrections than it shows. `is_new`: there was nothing
         in it.
         """
-        if isinstance(self._estimator, Collecting) and not is_new:
+        if not is_new:
             self._use_rest()
             self._estimator.finish()
         self._is_live = True
@@ -232,7 +232,7 @@ class Pipeline:
         (offline). `most`: how many observations of a robot are used at most, so that a turn ends
         soon whatever came; `is_behind` says whether more are ready.
         """
-        if not self._is_collecting:
+        if self._is_live:  # at the end most is known of all of it
             self._intake.tell_apart()
         used = self._use_ready(now_ns, most)
         is_quiet = not used
@@ -250,11 +250,6 @@ class Pipeline:
         outputs, self._outputs = self._outputs, []
         return outputs
 
-    @property
-    def _is_collecting(self) -> bool:
-        """Whether all is worked out at the end alone, where most is known of all of it."""
-        return not self._is_live and isinstance(self._estimator, Collecting)
-
     def _use_ready(self, now_ns: int | None, most: int | None) -> list[Observation]:
         used = []
         for robot, track in self._data.tracks.items():
@@ -266,9 +261,8 @@ class Pipeline:
 
     def _settle(self, follower: Follower, now_ns: int | None, *, is_quiet: bool) -> None:
         """Have the session settled where that is due."""
-        count, is_idle = follower.count, follower.is_idle
         if now_ns is not None and self._schedule.is_due(
-            count, now_ns, is_quiet=is_quiet, is_idle=is_idle
+            now_ns, is_quiet=is_quiet, is_idle=follower.is_idle
         ):
             follower.finish()
 
@@ -296,8 +290,7 @@ class Pipeline:
             )
         # Its camera's time offset is left out; what uses it puts that right.
         observation = self._data.moving(observation, observation.stamp_ns)
-        if self._is_collecting:
-            assert isinstance(self._estimator, Collecting)
+        if not self._is_live:
             if not observation.is_repeat:
                 self._estimator.collect(observation)
             return
@@ -381,12 +374,9 @@ class Pipeline:
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or
         where the estimator has none."""
-        estimator = self._estimator
-        return estimator.guidance_world() if isinstance(estimator, Inspectable) else None
+        return self._estimator.guidance_world()
 
     def residuals(self) -> dict[str, CameraResiduals]:
         """The residuals of each camera's corners; empty where the estimator does not say."""
-        estimator = self._estimator
-        if not isinstance(estimator, Inspectable):
-            return {}
-        return {name: estimator.residuals(name) for name in self.site.cameras}
+        found = {name: self._estimator.residuals(name) for name in self.site.cameras}
+        return {name: each for name, each in found.items() if each is not None}

@@ -36,13 +36,13 @@ class RobotAnnouncements:
         robot: str,
         estimate: RobotEstimate,
         odom_from_base: Pose,
-        particles: Callable[[str], Pose | None] | None,
+        particles: Callable[[str], Pose | None],
     ) -> Iterator[Output]:
         """What to say of a robot at its last odometry message, which gave `odom_from_base`;
         `particles`: where it may be, by an estimator that has them."""
         stamp_ns, pose = estimate.stamp_ns, estimate.map_from_base
         yield Output(topics.ROBOT_POSE, robot, _message(estimate))
-        if particles is not None and self._is_due(topics.PARTICLES, robot, stamp_ns):
+        if self._is_due(topics.PARTICLES, robot, stamp_ns):
             poses = particles(robot)
             if poses is not None:
                 yield Output(topics.PARTICLES, robot, PoseArray(stamp_ns, "map", poses))

@@ -27,6 +27,8 @@ class SlowSolver:
         while self._orders:
             for item in self._worker.carry_out(self._orders.popleft()):
                 self._found.append((self._count + self._calls, item))
+        for item in self._worker.rest():
+            self._found.append((self._count + self._calls, item))
         found = []
         while self._found and self._found[0][0] <= self._count:
             found.append(self._found.popleft()[1])
@@ -34,8 +36,7 @@ class SlowSolver:
 
     def solve(self) -> None:
         """Solve now over what it was told."""
-        self._worker._smoother.solve()
-        self._found.extend((0, item) for item in self._worker._solved(0.0))
+        self._found.extend((0, item) for item in self._worker._solve())
 
     def close(self) -> None:
         self._orders.clear()

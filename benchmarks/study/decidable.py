@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.fusion.initialisation.camera_hypotheses import Hypothesis, distinct, refine
-from trigpoint.fusion.initialisation.cameras import is_below_floor
-from trigpoint.fusion.initialisation.start_poses import spread, starts_of
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.geometry import Pose
+
+from .hypotheses.camera_hypotheses import Hypothesis, distinct, refine
+from .hypotheses.start_poses import spread, starts_of
 
 _MOST_OBSERVATIONS = 24
 _MOST_RIVALS = 24
@@ -29,7 +29,7 @@ def lead_of_truth(data: DataSet, camera: str, true_pose: Pose, true_places: list
     worked out to their best; infinite where there is no other, negative where another is better.
 
     `true_places`: map_from_base at each of the data set's entries. By the robot that tells most;
-    poses below the floor are no others (`initialisation.cameras`).
+    poses below the floor are no others.
     """
     entries = [
         replace(entry, map_from_base=pose)
@@ -59,4 +59,11 @@ def _lead(data: DataSet, camera: str, robot: str, true_pose: Pose) -> float:
 
 
 def _is_other(data: DataSet, truth: Hypothesis, rival: Hypothesis) -> bool:
-    return not rival.is_like(truth) and not is_below_floor(data, rival)
+    return not rival.is_like(truth) and not _is_below_floor(data, rival)
+
+
+def _is_below_floor(data: DataSet, hypothesis: Hypothesis) -> bool:
+    """Whether a camera would look up through the floor at robots that drive on it."""
+    robots = {data.entries[index].observation.robot for index in hypothesis.located.readings}
+    is_on_floor = all(data.tracks[robot].planar for robot in robots)
+    return is_on_floor and hypothesis.located.map_from_camera.translation[2] < 0

@@ -25,6 +25,7 @@ from .graph import Graph, Variant
 from .learning import SessionNoise, learnt_noise
 from .local import Mode
 from .modes import Memory, ModeFinder
+from .scales import with_learnt_scales
 from .search import Hypothesis, Search
 from .session_noise import with_noise
 from .visits import visits_of
@@ -67,10 +68,12 @@ def explain(
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     memory.budget = budget or Budget.of(data.tracks.values())
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
-    seen, noises = learnt_noise(data, observations, events, memory)
+    data = with_learnt_scales(data, observations, events, memory)
+    corner_scale, noises = learnt_noise(data, observations, events, memory)
+    seen = [o.scattering(corner_scale[o.camera]) for o in observations]
     worlds = [_World(data, seen, events, each, memory) for each in noises]
     memory.forget_unused()
-    return _Outcome(worlds, seen).explanation()
+    return _Outcome(worlds, seen, corner_scale).explanation()
 
 
 # -- one world: a session with one noise ----------------------------------------------------------
@@ -211,8 +214,13 @@ def _signature(hypothesis: Hypothesis) -> tuple[object, ...]:
 class _Outcome:
     """What all worlds say together; how pictures are read is the best one's word."""
 
-    def __init__(self, worlds: list[_World], observations: list[Observation]) -> None:
-        self.worlds, self.observations = worlds, observations
+    def __init__(
+        self,
+        worlds: list[_World],
+        observations: list[Observation],
+        corner_scale: dict[str, float],
+    ) -> None:
+        self.worlds, self.observations, self.corner_scale = worlds, observations, corner_scale
         self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.noise.score)
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
@@ -238,6 +246,7 @@ class _Outcome:
             lifts=tuple(self._lifts()),
             moves=tuple(self._moves()),
             noise=self.best.noise.by_robot,
+            corner_scale=self.corner_scale,
         )
 
     def _finding(self, camera: str) -> CameraFinding:
@@ -349,7 +358,11 @@ class _Outcome:
         map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ start.inverse()
         return {
             index: Read(
-                mode.readings[index], mode.wild[index], map_from_odom @ mode.poses[index], place
+                mode.readings[index],
+                mode.wild[index],
+                map_from_odom @ mode.poses[index],
+                place,
+                index not in visit.chosen,
             )
             for index in visit.indices
         }

@@ -64,19 +64,21 @@ class Moved:
 class Read:
     """How one observation is read: a reading for each view, None where it is wrong; the wild
     corners of each; where the robot stood, None where nothing says; the number of its camera's
-    place."""
+    place; `is_alone`: it was judged where odometry leads from others, not together with them."""
 
     readings: tuple[Reading | None, ...]
     wild: tuple[np.ndarray, ...]
     map_from_base: Pose | None
     place: int
+    is_alone: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
     """The likeliest explanation, with what is open beside it.
 
-    `observations`: as they came, with their corners' noise as learnt; `reads`: one for each;
+    `observations`: as they came, with their corners' noise as learnt, `corner_scale` by camera as
+    much as stated; `reads`: one for each;
     `findings`: by camera; `places`: by (camera, number of its place) where it was, those that are
     one place.
     """
@@ -88,3 +90,4 @@ class Explanation:
     lifts: tuple[Lifted, ...]
     moves: tuple[Moved, ...]
     noise: dict[str, Noise]
+    corner_scale: dict[str, float]

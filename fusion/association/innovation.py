@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 
+from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
@@ -29,13 +30,42 @@ class Corners:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Stood:
+    """How robots stood otherwise in pictures (n) than their nodes say, by all that is used of them:
+    `shift` (n, 6), its covariance `own` (n, 6, 6) where the unknowns are known, and its derivative
+    by those, `by_state` (n, 6, q). So views of one picture say of each other where that was."""
+
+    shift: Array
+    own: Array
+    by_state: Array
+
+    @classmethod
+    def of(cls, jitter: PictureJitter, by_state: Array, residual: Array) -> Self:
+        """`by_state` (n, 2K, q) and `residual` (n, 2K) of what is used."""
+        own = np.linalg.inv(jitter.information)
+        pull = -own @ np.swapaxes(jitter.jacobian, 1, 2)
+        return cls((pull @ residual[..., None])[..., 0], own, pull @ by_state)
+
+    def beside(self, row: int, corners: Corners, covariance: Array) -> tuple[Corners, Array]:
+        """A view's corners in a picture with that as six more unknowns, and the covariance of all
+        of them."""
+        by, shift = self.by_state[row], self.shift[row]
+        across = by @ covariance
+        joint = np.block([[covariance, across.T], [across, self.own[row] + across @ by.T]])
+        return Corners(
+            corners.residual + corners.by_base @ shift,
+            corners.by_base,
+            np.concatenate([corners.by_state, corners.by_base], axis=-1),
+        ), joint
+
+
 def innovation_excess(
-    corners: Corners, covariance: Array, events: Events, jitter: Array | None, *, is_used: bool
+    corners: Corners, covariance: Array, events: Events, *, is_used: bool
 ) -> float:
     """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
     else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
-    anywhere, or of one that is off by any amount, small ones too. `jitter` (6,): variances by which
-    the robot stands otherwise in its picture.
+    anywhere, or of one that is off by any amount, small ones too.
 
     `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
     P the pose's own covariance and H its derivative by the unknowns, what is left over has
@@ -46,8 +76,6 @@ def innovation_excess(
         own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
         step = -own @ (flat.T @ corners.residual.reshape(-1))
         by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
-        if jitter is not None:
-            own = own + np.diag(jitter)
         root = np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
         # It shows no pose that could contradict.

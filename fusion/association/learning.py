@@ -12,12 +12,9 @@ from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
-from .session_noise import with_corner_scale, with_noise
-from .visits import Visit, visits_of
+from .session_noise import with_noise
+from .visits import Visit, telling, visits_of
 
-# Pictures of so few visits tell the noise well enough.
-_MOST_TO_LEARN = 6
-_LEAST_TO_LEARN = 3
 _MOST_SCATTERS = 40
 
 
@@ -31,24 +28,22 @@ class SessionNoise:
 
 def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
-) -> tuple[list[Observation], list[SessionNoise]]:
-    """The observations with their corners' noise, and what the robots' may be: one where the
-    session tells, else as stated and as a decision must survive it. Who states the one wrongly
-    states the other wrongly sooner than not."""
+) -> tuple[dict[str, float], list[SessionNoise]]:
+    """By camera how many times as much as stated its corners scatter, and what the robots' noise
+    may be: one where the session tells, else as stated and as a decision must survive it. Who
+    states the one wrongly states the other wrongly sooner than not."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)
     common = corner_scale(list(scales.values()))
-    seen = [with_corner_scale(o, scales.get(o.camera, common)) for o in observations]
+    seen = [o.scattering(scales.get(o.camera, common)) for o in observations]
     finder = ModeFinder(wide, seen, events, memory)
-    found = [finder.modes_of(visit) for visit in _telling(visits_of(data, observations))]
+    found = [finder.modes_of(visit) for visit in telling(visits_of(data, observations))]
     lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
     relensed = replace(data, lenses=data.lenses | lenses)
-    others = _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
-    seen = [
-        with_corner_scale(came, others[came.camera]) if came.camera in others else scaled
-        for came, scaled in zip(observations, seen, strict=True)
-    ]
+    scales |= _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
+    scales = {o.camera: scales.get(o.camera, common) for o in observations}
+    seen = [observation.scattering(scales[observation.camera]) for observation in observations]
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
         if not modes.modes:
@@ -71,19 +66,10 @@ def learnt_noise(
     }
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}
     if len(known) == len(data.site.robots):
-        return seen, [SessionNoise(known)]
+        return scales, [SessionNoise(known)]
     score = events.noise_score if common == 1.0 else 0.0
     stated, otherwise = (dict.fromkeys(data.site.robots, n) | known for n in (STATED, PESSIMISTIC))
-    return seen, [SessionNoise(stated), SessionNoise(otherwise, score)]
-
-
-def _telling(visits: list[Visit]) -> list[Visit]:
-    """The visits with most pictures, of every robot."""
-    found: list[Visit] = []
-    for robot in dict.fromkeys(visit.robot for visit in visits):
-        mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_LEARN]
-        found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TO_LEARN]
-    return found
+    return scales, [SessionNoise(stated), SessionNoise(otherwise, score)]
 
 
 def _with_neighbours(visit: Visit) -> Visit:

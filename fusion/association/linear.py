@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.odometry import PARTS, SLIP
+from trigpoint.fusion.model.odometry import PARTS
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
@@ -153,13 +153,14 @@ def _of(part: slice | None) -> list[int]:
 
 
 def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
-    """The covariances (m, d, d) of a chain's steps by the stated noise, and by slip."""
+    """The covariances (m, d, d) of a chain's steps by the stated noise and skid, and by slip."""
     free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
     noise = data.site.robots[chain.robot].odometry
     silent = msgspec.structs.replace(noise, **dict.fromkeys(PARTS, 0.0))
     found = []
-    for part, slip in ((noise, 0.0), (silent, SLIP)):
-        track = chain.track.noisy(part, slip=slip, skid=0.0)
+    whole = chain.track
+    for part, slip, skid in ((noise, 0.0, whole.skid), (silent, whole.slip, 0.0)):
+        track = whole.noisy(part, slip=slip, skid=skid)
         found.append(track.motion(chain.stamps_ns, chain.scales).covariance[free])
     return found[0], found[1]
 

@@ -12,15 +12,18 @@ from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Reading, Verdict
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
-from trigpoint.fusion.model.problem import Batch, CameraState, State
+from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
 from trigpoint.fusion.reading.best_readings import read_where_they_are
+from trigpoint.fusion.reading.faces import readings_rms_px
+from trigpoint.fusion.reading.visibility import body_of
 from trigpoint.fusion.solver.levenberg_marquardt import solve
-from trigpoint.geometry import Pose
+from trigpoint.fusion.solver.picture_jitter import PictureJitter
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .budget import Budget
 from .events import Events
-from .innovation import Corners, innovation_excess
+from .innovation import Corners, Stood, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .sightings import wild_corners
@@ -41,7 +44,8 @@ class Mode:
     exactly odometry's); `camera`: with lens and clock; `information`: of `columns` unknowns, pose
     (6), then lens and clock where they are estimated, their priors included, of which `prior` is
     ln |information|; `score`: of what is not in them; `readings`: by index, None for a wrong
-    sighting; `wild`: by index, each view's wild corners; `poses`: where the robot stood.
+    sighting; `wild`: by index, each view's wild corners; `poses`: where the robot stood; `scales`:
+    (2,) and their covariance, and `faces`: base_from_face of all, each where they are estimated.
     """
 
     camera: CameraState
@@ -51,6 +55,8 @@ class Mode:
     readings: dict[int, tuple[Reading | None, ...]]
     wild: dict[int, tuple[np.ndarray, ...]]
     poses: dict[int, Pose]
+    scales: tuple[Array, Array] | None = None
+    faces: Pose | None = None
 
     @property
     def map_from_camera(self) -> Pose:
@@ -70,13 +76,15 @@ class Mode:
 @dataclass(slots=True)
 class _Trial:
     """How each picture is read at the moment, and which of its views are taken to be wrong;
-    `hidden`: those that no reading can show, what they would be to first order means nothing."""
+    `hidden`: those that no reading can show, what they would be to first order means nothing;
+    `faces`: base_from_face of all as last solved, where they are estimated."""
 
     wrong: dict[int, list[bool]]
     poses: dict[int, Pose]
     readings: dict[int, list[Reading]] = field(default_factory=dict)
     wild: dict[int, list[np.ndarray]] = field(default_factory=dict)
     hidden: set[tuple[int, int]] = field(default_factory=set)
+    faces: Pose | None = None
 
 
 class LocalProblem:
@@ -145,7 +153,10 @@ class LocalProblem:
         stood = Pose.stack([trial.poses[index] for index in self.observations])
         camera_from_base = camera.map_from_camera.inverse() @ stood
         observations = list(self.observations.values())
-        read = read_where_they_are(observations, self.target, camera.lens, camera_from_base)
+        if trial.faces is None:
+            read = read_where_they_are(observations, self.target, camera.lens, camera_from_base)
+        else:
+            read = self._read_by(trial.faces, camera.lens, camera_from_base)
         for (index, observation), (readings, rms) in zip(seen, read, strict=True):
             trial.readings[index] = list(readings)
             hidden = [not np.isfinite(each) for each in rms]
@@ -154,6 +165,23 @@ class LocalProblem:
             trial.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
             if index not in trial.wild:
                 trial.wild[index] = [np.zeros(len(v.corners), bool) for v in observation.views]
+
+    def _read_by(
+        self, faces: Pose, lens: CameraModel, camera_from_base: Pose
+    ) -> list[tuple[tuple[Reading, ...], list[float]]]:
+        """Of each observation the readings that fit best with the faces as they are by now, and
+        their RMS (pixels)."""
+        found = []
+        shift = faces @ body_of(self.target).face_from_base
+        for row, observation in enumerate(self.observations.values()):
+            readings, least = [], []
+            for view in observation.views:
+                each = readings_rms_px(view, self.target, lens, camera_from_base[row] @ shift)
+                rms = [float(each[r.face, order]) for order, r in enumerate(view.readings)]
+                readings.append(view.readings[int(np.argmin(rms))])
+                least.append(min(rms))
+            found.append((tuple(readings), least))
+        return found
 
     def _solved(
         self, trial: _Trial, camera: CameraState, *, huber: float
@@ -193,6 +221,8 @@ class LocalProblem:
         indices = list(self.observations)
         for order, node in assembled.node_of.items():
             trial.poses[indices[order]] = nodes[node]
+        if assembled.problem.priors.faces:
+            trial.faces = state.robots[self.robot].base_from_face
 
     # -- what is wrong ----------------------------------------------------------------------------
 
@@ -220,21 +250,19 @@ class LocalProblem:
             [each @ system.step[mine] for each, mine in zip(jacobian, rows, strict=True)]
         )
         wild = self._wild(by_base, left)
+        stood = _stood(assembled.problem, batch, state, jacobian, left)
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
         for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
             trial.wild[index][order] = flags
             is_wrong = trial.wrong[index][order]
             corners = Corners(left[row, part], by_base[row, part], jacobian[row, part])
+            covariance = system.covariance[np.ix_(rows[row], rows[row])]
+            if stood is not None:
+                corners, covariance = stood.beside(row, corners, covariance)
             gain = innovation_excess(
-                corners.without(flags),
-                system.covariance[np.ix_(rows[row], rows[row])],
-                self.events,
-                None if batch.jitter is None else batch.jitter[row],
-                is_used=not is_wrong,
+                corners.without(flags), covariance, self.events, is_used=not is_wrong
             )
             excess[is_wrong].append((gain, index, order))
-        if len(excess[False]) == 1:
-            excess[False] = []  # nothing beside it makes it improbable
         most = max((gain for gain, *_ in excess[False]), default=0.0)
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
@@ -356,7 +384,15 @@ class LocalProblem:
             },
             {index: tuple(row) for index, row in trial.wild.items()},
             dict(trial.poses),
+            self._scales(problem, state, system),
+            trial.faces,
         )
+
+    def _scales(self, problem: Problem, state: State, system: System) -> tuple[Array, Array] | None:
+        if self.robot not in problem.layout.scales:
+            return None
+        rows = system.dense_rows(problem.layout.scales[self.robot])
+        return state.robots[self.robot].scales, system.covariance[np.ix_(rows, rows)]
 
     def _odometry_score(self, assembled: Assembled) -> float:
         chain = assembled.problem.chains[self.robot]
@@ -374,6 +410,19 @@ class LocalProblem:
                 else:
                     score += self.events.wild_score * int(trial.wild[index][order].sum())
         return score
+
+
+def _stood(
+    problem: Problem, batch: Batch, state: State, jacobian: Array, residual: Array
+) -> Stood | None:
+    """How the robot stood in each picture by its used corners; None where it stands as its odometry
+    says. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
+    jitter = PictureJitter.of(problem, batch, state)
+    if jitter is None:
+        return None
+    used = (batch.weights > 0)[..., None]
+    by_state = (jacobian * used[..., None]).reshape(len(residual), -1, jacobian.shape[-1])
+    return Stood.of(jitter, by_state, (residual * used).reshape(len(residual), -1))
 
 
 def _signature(trial: _Trial) -> tuple[object, ...]:

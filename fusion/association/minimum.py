@@ -18,6 +18,8 @@ _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
 _SMALL_STEP = 1e-5
 _SMALL_GAIN = 1e-3
+# No odometry's scale is so far off; a step beyond comes from where the first order means nothing.
+_FAR_OFF = 0.9
 # So many numbers of equations are held at once.
 _MOST_NUMBERS = 4_000_000
 
@@ -174,7 +176,7 @@ class _Minimum:
             whole[..., self.graph.paths[robot].tangent] = step[:, rows]
             self.nodes[robot] = self.nodes[robot].disturbed(whole)
         for robot, rows in self.layout.scales.items():
-            self.scales[robot] = self.scales[robot] + step[:, rows]
+            self.scales[robot] = np.clip(self.scales[robot] + step[:, rows], -_FAR_OFF, _FAR_OFF)
         for key, rows in self.layout.places.items():
             self.places[key] = self.places[key].disturbed(step[:, rows])
         for camera, rows in self.layout.own.items():

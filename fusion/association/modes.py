@@ -149,7 +149,7 @@ class ModeFinder:
         track = self.data.tracks[visit.robot]
         jitter = self.data.jitter.get(visit.robot)
         sigmas = tuple(v.sigma for i in visit.chosen for v in self.observations[i].views)
-        noise = track.noise, track.slip, jitter
+        noise = track.noise, track.scales, track.slip, jitter
         return visit, sigmas, noise, self.data.lenses[visit.camera]
 
     def _modes_of(self, visit: Visit) -> VisitModes:
@@ -225,7 +225,7 @@ class ModeFinder:
         poses, drifts = self._between(visit, mode)
         rows = np.flatnonzero([index not in mode.readings for index in visit.indices])
         others = [visit.indices[row] for row in rows]
-        reader = PictureReader(self.data, visit.robot, mode, self.events)
+        reader = PictureReader(self.data, visit.robot, mode.camera, self.events, mode.faces)
         read = reader.read([self.observations[i] for i in others], poses[rows], drifts[rows])
         readings, wild = dict(mode.readings), dict(mode.wild)
         for index, (mine, flags) in zip(others, read, strict=True):

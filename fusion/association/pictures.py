@@ -1,4 +1,8 @@
-"""How the other pictures of a visit whose camera is known are read, and what of each is wrong."""
+"""How the other pictures of a visit whose camera is known are read, and what of each is wrong.
+
+Where the robot stood in a picture, its odometry from the nearest one says about; the views of one
+picture say it of each other, since the robot stood there once.
+"""
 
 from collections.abc import Sequence
 
@@ -6,6 +10,7 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Reading, View
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.best_readings import best_readings, groups_of, points_of_views
 from trigpoint.fusion.reading.visibility import body_of
@@ -13,7 +18,6 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
-from .local import Mode
 from .sightings import all_without_wild
 
 # How many pictures are read at once: some megabytes of derivatives.
@@ -24,10 +28,20 @@ ReadPicture = tuple[tuple[Reading | None, ...], tuple[np.ndarray, ...]]
 
 
 class PictureReader:
-    """Reads pictures of one robot by a visit's mode, each by itself."""
+    """Reads pictures of one robot by a camera whose place is known, each by itself.
 
-    def __init__(self, data: DataSet, robot: str, mode: Mode, events: Events) -> None:
-        self.data, self.mode, self.events = data, mode, events
+    `places`: base_from_face of all faces where they are estimated.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        robot: str,
+        camera: CameraState,
+        events: Events,
+        places: Pose | None = None,
+    ) -> None:
+        self.camera, self.events, self.places = camera, events, places
         self.target, self.jitter = data.targets[robot], data.jitter.get(robot)
 
     def read(
@@ -48,17 +62,17 @@ class PictureReader:
     ) -> list[ReadPicture]:
         views = [view for observation in observations for view in observation.views]
         owner = np.repeat(np.arange(len(observations)), [len(o.views) for o in observations])
-        poses, camera = map_from_base[owner], self.mode.camera
+        poses, camera = map_from_base[owner], self.camera
         from_map = camera.map_from_camera.inverse()
         readings, rms = best_readings(views, self.target, camera.lens, from_map @ poses)
-        is_right = np.isfinite(rms)
+        step, own = np.zeros((len(views), 6)), np.zeros((len(views), 6, 6))
         wild: list[np.ndarray] = [np.zeros(0, dtype=bool)] * len(views)
         for rows in groups_of([len(view.corners) for view in views]):
             seen, chosen = [views[row] for row in rows], [readings[row] for row in rows]
-            score, flags = self._judged(seen, chosen, poses[rows], drift[owner[rows]])
-            is_right[rows] &= score < self.events.wrong_limit
+            step[rows], own[rows], flags = self._shown(seen, chosen, poses[rows])
             for row, each in zip(rows, flags, strict=True):
                 wild[row] = each
+        is_right = self._are_right(owner, step, own, drift) & np.isfinite(rms)
         right = [r if is_used else None for r, is_used in zip(readings, is_right, strict=True)]
         ends = np.cumsum([len(observation.views) for observation in observations]).tolist()
         return [
@@ -66,33 +80,61 @@ class PictureReader:
             for start, end in zip([0, *ends[:-1]], ends, strict=True)
         ]
 
-    def _judged(
-        self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose, drift: Array
-    ) -> tuple[Array, np.ndarray]:
-        """The scores (v,) of views with equally many corners (n), read so, and their wild corners
-        (v, n)."""
+    def _shown(
+        self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
+    ) -> tuple[Array, Array, np.ndarray]:
+        """By how much views (v) with equally many corners (n), read so, put the robot otherwise,
+        (v, 6), the covariance of that by their corners (v, 6, 6), and their wild corners (v, n)."""
         by_base, residual = self._linearised(views, readings, map_from_base)
         step, wild = all_without_wild(by_base, residual, self.events.wild_score)
         flat = (by_base * ~wild[..., None, None]).reshape(len(views), -1, 6)
         own = np.linalg.pinv(np.swapaxes(flat, 1, 2) @ flat, hermitian=True)
+        return step, own, wild
+
+    def _are_right(self, owner: np.ndarray, step: Array, own: Array, drift: Array) -> np.ndarray:
+        """Which views (v,) are right: of each picture (`owner`) the likeliest first, each by where
+        odometry and those before it put the robot in that picture (a Kalman filter)."""
         # What the nearest picture says of the robot is as uncertain as this one.
-        spread = 2 * own + drift + 1e-12 * np.eye(6)
+        before = own + drift[owner] + 1e-12 * np.eye(6)
         if self.jitter is not None:
-            spread += 2 * np.diag(self.jitter.variances)
+            before = before + 2 * np.diag(self.jitter.variances)
+        order = np.lexsort((self._score(step, before + own), owner))
+        rank = np.zeros(len(owner), dtype=int)
+        rank[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
+        mean, known = np.zeros((len(drift), 6)), np.zeros(drift.shape)
+        is_right, is_known = np.zeros(len(owner), dtype=bool), np.zeros(len(drift), dtype=bool)
+        for turn in range(rank.max(initial=-1) + 1):
+            rows = np.flatnonzero(rank == turn)
+            place = owner[rows]
+            prior = np.where(is_known[place, None, None], known[place], before[rows])
+            error, spread = step[rows] - mean[place], prior + own[rows]
+            is_right[rows] = self._score(error, spread) < self.events.wrong_limit
+            gain = np.swapaxes(np.linalg.solve(spread, prior), 1, 2) * is_right[rows, None, None]
+            mean[place] += (gain @ error[..., None])[..., 0]
+            known[place] = prior - gain @ prior
+            is_known[place] |= is_right[rows]
+        return is_right
+
+    def _score(self, error: Array, spread: Array) -> Array:
+        """νᵀS⁻¹ν + ln|S| of errors (v, 6), at most that of a board that may be anywhere."""
         spread = 0.5 * (spread + np.swapaxes(spread, 1, 2))
-        pulled = np.linalg.solve(spread, step[..., None])[..., 0]
+        pulled = np.linalg.solve(spread, error[..., None])[..., 0]
         room = np.minimum(np.linalg.slogdet(spread)[1], self.events.pose_score)
-        return np.sum(step * pulled, axis=1) + room, wild
+        return np.sum(error * pulled, axis=1) + room
 
     def _linearised(
         self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
     ) -> tuple[Array, Array]:
         """Derivatives (v, n, 2, 6) of the views' residuals by the robot's pose in the map, and the
         residuals (v, n, 2), in sigmas."""
-        camera = self.mode.camera
+        camera = self.camera
         faces = np.array([[reading.face] for reading in readings])
         is_turned = np.array([[reading.is_turned] for reading in readings])
         points = points_of_views(views, body_of(self.target), faces, is_turned)[:, 0]
+        if self.places is not None:
+            where = self.places @ body_of(self.target).face_from_base
+            turn = np.swapaxes(where.rotation[faces[:, 0]], 1, 2)
+            points = points @ turn + where.translation[faces]
         found = projected(camera.lens, map_from_base, points, camera.map_from_camera)
         pixels = np.stack([view.pixels for view in views])
         sigma = np.array([view.sigma for view in views])[:, None, None]

@@ -14,7 +14,7 @@ from .events import Events
 from .local import Mode
 from .modes import Memory, ModeFinder, VisitModes
 from .noise import PESSIMISTIC, corner_scale
-from .session_noise import with_corner_scale, with_noise
+from .session_noise import with_noise
 from .visits import visit_of, visits_of
 
 # Pictures of a visit that tell which robot drove so; where the camera is, more of them say.
@@ -135,7 +135,7 @@ def _fit(
     scatters = [view.scatter for index in visit.chosen for view in finder.alone(index)]
     scale = corner_scale([scatter for scatter in scatters if np.isfinite(scatter)])
     if scale != 1.0:
-        observations = [with_corner_scale(observation, scale) for observation in observations]
+        observations = [observation.scattering(scale) for observation in observations]
         finder = ModeFinder(data, observations, events, memory)
     found = finder.modes_of(visit)
     if not found.modes:

@@ -16,6 +16,9 @@ _DRIFT_RAD = 0.1
 _LONGEST_GAP_NS = 30_000_000_000
 # So many pictures of a visit tell what it shows; the others are read by what they told.
 _MOST_VIEWS = 12
+# Pictures of so few visits tell a session's noise and scales well enough.
+_MOST_TELLING = 6
+_LEAST_TO_TELL = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,15 @@ def visit_of(
     return Visit(
         first.camera, first.robot, tuple(indices), tuple(chosen), first.stamp_ns, last.stamp_ns
     )
+
+
+def telling(visits: list[Visit]) -> list[Visit]:
+    """The visits with most pictures, of every robot."""
+    found: list[Visit] = []
+    for robot in dict.fromkeys(visit.robot for visit in visits):
+        mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_TELL]
+        found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TELLING]
+    return found
 
 
 def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:

@@ -1,7 +1,7 @@
 """What every estimator offers to the pipeline."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -66,12 +66,25 @@ class Live(Protocol):
         makes a correction, and nothing is learnt from it."""
         ...
 
+    def collect(self, observation: Observation) -> None:
+        """Take an observation for `finish` alone, where live results are not needed."""
+        ...
+
     def finish(self) -> None:
-        """Locate every camera that can be located from all that came in, and solve to the end."""
+        """Explain all that came in, and solve to the end."""
         ...
 
     def robot(self, robot: str) -> RobotEstimate | None:
         """The robot at its last odometry message; None while it is not located in the map."""
+        ...
+
+    def particles(self, robot: str) -> Pose | None:
+        """Places where the robot may be at its last odometry message, all equally likely; None
+        where its pose is no samples."""
+        ...
+
+    def trajectory(self, robot: str) -> Trajectory | None:
+        """Where the robot was all the while; None where that is not known."""
         ...
 
     def cameras(self) -> dict[str, CameraEstimate]:
@@ -83,14 +96,19 @@ class Live(Protocol):
         """How many cameras are located."""
         ...
 
+    def guidance_world(self) -> GuidanceWorld | None:
+        """A copy of what is known for guidance to work on; None where there is too little yet, or
+        nobody solved for every pose of the robot at once."""
+        ...
 
-@runtime_checkable
+    def residuals(self, camera: str) -> CameraResiduals | None:
+        """What the last solution leaves over of a camera's corners; None where nobody solved for
+        every pose of the robot at once."""
+        ...
+
+
 class Estimator(Live, Protocol):
     """The rest of what the network file says."""
-
-    def solve(self) -> None:
-        """Solve anew from all that came in."""
-        ...
 
     def joint_covariance(self) -> Array:
         """(6n, 6n) over the poses of the located cameras, in their order."""
@@ -110,8 +128,6 @@ class Estimator(Live, Protocol):
 
     def count(self, camera: str) -> CameraCount: ...
 
-    def trajectory(self, robot: str) -> Trajectory | None: ...
-
     def scales(self, robot: str) -> Array:
         """The robot's odometry scale errors of distance and heading, (2,)."""
         ...
@@ -123,39 +139,3 @@ class Estimator(Live, Protocol):
 
     @property
     def iterations(self) -> int: ...
-
-
-@runtime_checkable
-class Collecting(Protocol):
-    """An estimator that can defer all work to `finish`, where live results are not needed."""
-
-    def collect(self, observation: Observation) -> None:
-        """Take an observation for `finish` alone."""
-        ...
-
-    def finish(self) -> None:
-        """See `Estimator`."""
-        ...
-
-
-@runtime_checkable
-class Inspectable(Protocol):
-    """What an estimator shows that solves for every robot pose at once."""
-
-    def guidance_world(self) -> GuidanceWorld | None:
-        """A copy of what is known for guidance to work on; None before the first solution."""
-        ...
-
-    def residuals(self, camera: str) -> CameraResiduals:
-        """What the last solution leaves over of a camera's corners."""
-        ...
-
-
-@runtime_checkable
-class Sampled(Protocol):
-    """What an estimator shows whose robots' poses are samples."""
-
-    def particles(self, robot: str) -> Pose | None:
-        """Places where the robot may be at its last odometry message, all equally likely; None
-        where there are none."""
-        ...

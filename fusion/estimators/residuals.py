@@ -1,4 +1,4 @@
-"""The residuals of a camera's corners at a solution."""
+"""The residuals of corners at a solution: a camera's own, and how large all of them are."""
 
 from dataclasses import dataclass, replace
 
@@ -8,6 +8,7 @@ from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
+from trigpoint.fusion.solver.levenberg_marquardt import Solution
 from trigpoint.geometry.rotation import Array
 
 
@@ -83,3 +84,37 @@ def _sigmas(observation: Observation) -> Array:
 
 def _none() -> list[np.ndarray]:
     return [np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool)]
+
+
+def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | None:
+    """RMS of a coordinate over a camera's used corners, pixels."""
+    total, count = 0.0, 0
+    for batch in problem.batches:
+        if batch.camera == camera:
+            residual = batch_residual(problem, batch, state)
+            used = batch.weights > 0
+            total += float(np.sum((residual[used] / batch.weights[used][:, None]) ** 2))
+            count += 2 * int(used.sum())
+    return float(np.sqrt(total / count)) if count else None
+
+
+def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
+    """Cost over its degrees of freedom: 1 where noise is what it was said to be."""
+    corners = sum(
+        float(((batch.weights > 0) * batch.shares[:, None]).sum()) for batch in problem.batches
+    )
+    odometry = sum(
+        len(chain.tangent) * (len(chain) - 1)
+        for chain in problem.chains.values()
+        if chain.motion is not None
+    )
+    nodes = sum(
+        len(chain.tangent) * (len(chain) - int(chain.is_anchored))
+        for chain in problem.chains.values()
+    )
+    last = sum(column.stop - column.start for column in problem.layout.last.values())
+    priors = problem.layout.size - last - 6 * len(problem.layout.pose)
+    priors += 6 * len(problem.priors.cameras)
+    unknowns = nodes + problem.layout.size - last
+    freedom = 2 * corners + odometry + priors - unknowns
+    return solution.cost / freedom if freedom > 0 else None

@@ -14,12 +14,12 @@ from scipy.linalg import LinAlgError
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import CameraState, State
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 
 _BESIDE_NS = to_ns(1.0)
-_HUBER = 4.0
 _TOLERANCE = 1e-2
 
 
@@ -58,5 +58,5 @@ def _chi2(data: DataSet, cameras: dict[str, CameraState], entries: list[Entry]) 
     small = replace(data, entries=sorted(entries, key=lambda entry: entry.observation.stamp_ns))
     start = State(cameras, data.first_state().robots)
     assembled = assemble(small, start, list(range(len(entries))), anchored=False, fill=False)
-    cost = solve(assembled.problem, assembled.start, huber=_HUBER, tolerance=_TOLERANCE).cost
+    cost = solve(assembled.problem, assembled.start, huber=HUBER_SIGMAS, tolerance=_TOLERANCE).cost
     return cost if np.isfinite(cost) else np.inf

@@ -6,7 +6,7 @@ covariance.
 
 import numpy as np
 
-from trigpoint.fusion.estimators.interface import CameraEstimate, Estimator, Live, Trajectory
+from trigpoint.fusion.estimators.interface import CameraEstimate, Live, Trajectory
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import CameraState
@@ -42,22 +42,22 @@ class PastPoses:
         track = self._data.tracks[name]
         if not len(track) or not track.covers(stamp_ns):
             return None
-        if isinstance(self._estimator, Estimator):
-            return self._on_way(name, stamp_ns)
+        if name not in self._ways:
+            self._ways[name] = self._estimator.trajectory(name)
+            self._seen[name] = self._seen_ns(name)
+        way = self._ways[name]
+        if way is not None:
+            return self._on_way(name, way, stamp_ns)
         last = self._estimator.robot(name)
         if last is None or not track.covers(last.stamp_ns):
             return None
         pose = self._carried(name, last.map_from_base, last.stamp_ns, stamp_ns)
         return self._drifted(name, pose, stamp_ns, last.stamp_ns, last.covariance)
 
-    def _on_way(self, name: str, stamp_ns: int) -> RobotEstimate | None:
+    def _on_way(self, name: str, way: Trajectory, stamp_ns: int) -> RobotEstimate | None:
         """By the estimator's whole trajectory, which is certain where the robot was seen."""
-        if name not in self._ways:
-            assert isinstance(self._estimator, Estimator)
-            self._ways[name] = self._estimator.trajectory(name)
-            self._seen[name] = self._seen_ns(name)
-        way, seen = self._ways[name], self._seen[name]
-        if way is None or not len(way.stamps_ns) or not len(seen):
+        seen = self._seen[name]
+        if not len(way.stamps_ns) or not len(seen):
             return None
         row = int(np.argmin(np.abs(way.stamps_ns - stamp_ns)))
         near_ns = int(seen[np.argmin(np.abs(seen - stamp_ns))])

@@ -15,14 +15,15 @@ from scipy.linalg import LinAlgError
 
 from trigpoint.clock import to_ns
 from trigpoint.errors import OperationError
-from trigpoint.fusion.estimators.interface import CameraEstimate, Update
+from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
+from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.estimators.smoother.camera_relocation import of_its_time
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 
 from .solver_messages import (
@@ -106,20 +107,8 @@ class Follower:
         self._tell(observation, is_collected=True)
 
     def _use(self, current: CurrentFilter, observation: Observation) -> RobotEstimate | None:
-        """Update a filter with an observation; where that fails it is as before."""
-        entry = Entry(of_its_time(self.data.moves, observation))
-        known = current.known
-        if known is None or not known.has_robot(observation.robot):
-            return None
-        if not known.has_camera(entry.observation.camera):
-            return None
-        if observation.is_repeat:
-            return current.tried(entry, known.state)
-        try:
-            return current.use(entry, known.state)
-        except (LinAlgError, ValueError):
-            current.go_on_from(known)
-            raise
+        entry = Entry(self.data.concluded(observation))
+        return current.tried(entry) if observation.is_repeat else current.use(entry)
 
     # -- the solver -------------------------------------------------------------------------------
 
@@ -143,9 +132,7 @@ class Follower:
 
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""
-        self.data.moves = list(solved.moves)
-        for robot, steps in solved.jumps.items():
-            self.data.tracks[robot].jump_in(steps)
+        self.data.conclude(solved.conclusions)
         self.longest_solution_s = max(self.longest_solution_s, solved.took_s)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
@@ -242,6 +229,21 @@ class Follower:
 
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._current.robot(robot)
+
+    def particles(self, robot: str) -> Pose | None:
+        assert robot in self.data.site.robots
+        return None
+
+    def trajectory(self, robot: str) -> Trajectory | None:
+        assert robot in self.data.site.robots
+        return None  # the solver has it
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        return None  # the solver asks itself
+
+    def residuals(self, camera: str) -> CameraResiduals | None:
+        assert camera in self.data.site.cameras
+        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         return self._current.cameras()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.model.dataset import Event, Move
+from trigpoint.fusion.model.dataset import Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
@@ -59,15 +59,14 @@ Shares = dict[tuple[str, str], tuple[int, float]]
 class Solved:
     """A solution over the first `count` observations.
 
-    `shares`: see `CurrentFilter`; `jumps`: robot -> the steps of its odometry in which its track is
-    broken; `located`: the cameras that are part of it; `took_s`: how long it took.
+    `shares`: see `CurrentFilter`; `conclusions`: what happened, and how noisy it was; `located`:
+    the cameras that are part of it; `took_s`: how long it took.
     """
 
     count: int
     known: Filter
     shares: Shares
-    moves: tuple[Move, ...]
-    jumps: dict[str, tuple[tuple[int, int], ...]]
+    conclusions: Conclusions
     located: tuple[str, ...]
     took_s: float
 

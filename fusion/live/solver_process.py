@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
@@ -26,7 +26,7 @@ from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.watchdog import Pulse
 
 from .memory import return_large_arrays
-from .solver_messages import Finish, News, Order, Suggested, TakeObservation
+from .solver_messages import News, Order, Suggested
 from .solver_worker import SolverWorker
 
 START_S = 60.0
@@ -161,7 +161,7 @@ def _serve(orders: Connection, news: Connection) -> None:
         data: DataSet = orders.recv()
     except (EOFError, OSError):
         return  # whoever would have sent it is gone
-    backlog = Backlog()
+    backlog: queue.SimpleQueue[Order] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
     worker, lock = SolverWorker(data, time.perf_counter), threading.Lock()
     say = _NewsPipe(news).say
@@ -173,49 +173,26 @@ def _serve(orders: Connection, news: Connection) -> None:
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
     sign = Heartbeat(say, time.monotonic)
     while True:
-        order = backlog.take(_SIGN_PERIOD_S)
+        try:
+            order = backlog.get(timeout=_SIGN_PERIOD_S)
+        except queue.Empty:
+            order = None
         sign.give()
-        if order is not None:
-            with lock:
-                for item in worker.carry_out(order):
-                    say(item)
+        with lock:
+            for item in worker.carry_out(order) if order is not None else ():
+                say(item)
+            # While more waits, what it brings is to be explained with the rest.
+            for item in worker.rest() if backlog.empty() else ():
+                say(item)
 
 
-def _listen(orders: Connection, backlog: "Backlog") -> None:
+def _listen(orders: Connection, backlog: "queue.SimpleQueue[Order]") -> None:
     try:
         while True:
-            backlog.put(orders.recv())
+            for order in orders.recv():
+                backlog.put(order)
     except (EOFError, OSError):
         os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
-
-
-class Backlog:
-    """Orders that wait, in the order of their arrival. One thread puts, another takes.
-
-    Observations that wait before a `Finish` are left to its solution: solutions in between would
-    only delay it, and a stop has a time limit.
-    """
-
-    def __init__(self) -> None:
-        self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
-        self._finishes_put, self._finishes_taken = 0, 0
-
-    def put(self, orders: Sequence[Order]) -> None:
-        self._finishes_put += sum(isinstance(order, Finish) for order in orders)
-        for order in orders:
-            self._orders.put(order)
-
-    def take(self, timeout_s: float) -> Order | None:
-        """The next order; None where none comes in time."""
-        try:
-            order = self._orders.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
-        if isinstance(order, Finish):
-            self._finishes_taken += 1
-        elif isinstance(order, TakeObservation) and self._finishes_put > self._finishes_taken:
-            order = replace(order, is_collected=True)
-        return order
 
 
 class Heartbeat:

@@ -17,7 +17,6 @@ from .solver_messages import (
     Happened,
     News,
     Order,
-    Report,
     Reported,
     Solved,
     TakeLens,
@@ -40,7 +39,6 @@ class SolverWorker:
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Carry out an order; the news from it."""
-        began, solutions = self._seconds(), self._smoother.solutions
         if isinstance(order, TakeLens):
             self._data.lenses[order.camera] = order.lens
         elif isinstance(order, TakeOdometry):
@@ -48,50 +46,46 @@ class SolverWorker:
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
         else:
-            if isinstance(order, Finish):
-                self._smoother.finish()
             self._orders += 1
-        is_solved = self._smoother.solutions != solutions
-        if is_solved:
-            yield from self._solved(self._seconds() - began)
-        yield from self._events()
-        # Every solution is reported, however much there is to be done still: whoever stops us may
-        # not wait for the next one.
-        if is_solved or isinstance(order, Finish | Report):
+            if isinstance(order, Finish):
+                yield from self._solve()
             yield self.report(is_final=isinstance(order, Finish))
+
+    def rest(self) -> Iterator[News]:
+        """Explain what came, where that is due; called when no order waits. The news from it."""
+        if self._smoother.is_due:
+            yield from self._solve()
+            yield self.report()
 
     def _take(self, order: TakeObservation) -> Iterator[News]:
         self._count += 1
         if order.is_collected:
             self._smoother.collect(order.observation)
             return
-        update = self._smoother.add_observation(order.observation)
+        update = self._smoother.take(order.observation)
         if update.problem:
             yield Happened(Event("unusable", update.problem))
 
-    def _solved(self, took_s: float) -> Iterator[News]:
+    def _solve(self) -> Iterator[News]:
+        began_s, solutions = self._seconds(), self._smoother.solutions
+        self._smoother.finish()
+        events, self._data.events = self._data.events, []
+        yield from map(Happened, events)
         known = self._smoother.current.known
+        if known is None or self._smoother.solutions == solutions:
+            return
         try:
-            known = known.settled() if known is not None else None
+            known = known.settled()
         except LinAlgError:
             return  # not determined yet: nothing to go on from
-        if known is None:
-            return
-        jumps = {name: track.jump_steps for name, track in self._data.tracks.items()}
         yield Solved(
             self._count,
             known,
             self._smoother.current.shares,
-            tuple(self._data.moves),
-            jumps,
+            self._data.conclusions(),
             tuple(self._smoother.located),
-            took_s,
+            self._seconds() - began_s,
         )
-
-    def _events(self) -> Iterator[News]:
-        events, self._data.events = self._data.events, []
-        for event in events:
-            yield Happened(event)
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trigpoint.clock import NANOSECONDS
-from trigpoint.config import Site
+from trigpoint.config import OdometryNoise, Site
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.network import Network
@@ -14,7 +14,7 @@ from trigpoint.target import Target
 
 from .jitter import Jitter
 from .observations import Observation, Verdict, base_from_faces, moving
-from .odometry import OdometryTrack
+from .odometry import SLIP, OdometryTrack
 from .problem import CameraState, RobotState, State
 
 
@@ -85,6 +85,19 @@ class Event:
     text: str
 
 
+@dataclass(frozen=True, slots=True)
+class Conclusions:
+    """What sightings show of a session: cameras that were moved, by robot the steps of its odometry
+    in which its track is broken, its noise (stated parts, slip, skid) and its jitter, and by camera
+    how its corners scatter."""
+
+    moves: tuple[Move, ...]
+    jumps: dict[str, tuple[tuple[int, int], ...]]
+    noise: dict[str, tuple[OdometryNoise, float, float]]
+    jitter: dict[str, Jitter]
+    corner_scale: dict[str, float]
+
+
 @dataclass(slots=True)
 class DataSet:
     """The estimator's inputs so far. Not thread-safe.
@@ -93,7 +106,8 @@ class DataSet:
     of time; `events`: not reported yet; `changes`: lifts and moves that sightings
     show, for each those that explain them alike; `jitter`: of robots that stand otherwise in a
     picture than their odometry's plane says; `odometry_scale`: by robot what the stated sigmas of
-    its odometry, and its slip, are multiplied by.
+    its odometry, and its slip, are multiplied by; `corner_scale`: by camera how many times as much
+    as stated its corners scatter.
     """
 
     site: Site
@@ -107,6 +121,7 @@ class DataSet:
     changes: list[tuple[SiteChange, ...]] = field(default_factory=list)
     jitter: dict[str, Jitter] = field(default_factory=dict)
     odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
+    corner_scale: dict[str, float] = field(default_factory=dict)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 
@@ -144,18 +159,19 @@ class DataSet:
         """The camera that a place is of."""
         return next((move.camera for move in self.moves if move.name == name), name)
 
+    def concluded(self, observation: Observation) -> Observation:
+        """An observation as it came by what is concluded: of where its camera was then, with
+        corners that scatter as that camera's do."""
+        scale = self.corner_scale.get(observation.camera, 1.0)
+        observation = observation if scale == 1.0 else observation.scattering(scale)
+        for move in self.moves:
+            if move.camera == observation.camera and observation.stamp_ns < move.since_ns:
+                return replace(observation, camera=move.name)
+        return observation
+
     def places_of(self, camera: str) -> list[str]:
         """The names of a camera's places in order of time, its own name last."""
         return [*(move.name for move in self.moves if move.camera == camera), camera]
-
-    def rename(self, camera: str, name: str, *, until_ns: int) -> None:
-        """Attribute a camera's observations before a moment to another camera."""
-        for entry in self.entries:
-            observation = entry.observation
-            if observation.camera == camera and observation.stamp_ns < until_ns:
-                entry.observation = replace(observation, camera=name)
-        self._by_camera.clear()
-        self._sorted = 0
 
     def note(self, kind: str, text: str) -> None:
         """Add an event to report."""
@@ -170,7 +186,48 @@ class DataSet:
 
     def forget_from(self, index: int) -> None:
         """Drop the entries from this one on."""
-        del self.entries[index:]
+        self._take_entries(self.entries[:index])
+
+    def draft(self) -> "DataSet":
+        """The same before anything was concluded from it, to work on: nothing here changes until it
+        is taken over."""
+        poses = {self.site_camera(name): pose for name, pose in self.known.poses.items()}
+        tracks = {
+            name: self.tracks[name].broken(()).noisy(robot.odometry, slip=SLIP, skid=0.0)
+            for name, robot in self.site.robots.items()
+        }
+        known = KnownCameras(poses, self.known.information)
+        return DataSet(self.site, self.targets, dict(self.lenses), known, tracks)
+
+    def take_over(self, draft: "DataSet") -> None:
+        """Become what a draft says."""
+        self.lenses.update(draft.lenses)
+        self.known, self.changes = draft.known, draft.changes
+        self.odometry_scale = draft.odometry_scale
+        self.conclude(draft.conclusions())
+        self._take_entries(draft.entries)
+
+    def conclusions(self) -> "Conclusions":
+        """What was concluded from all that came."""
+        return Conclusions(
+            tuple(self.moves),
+            {name: track.jump_steps for name, track in self.tracks.items()},
+            {name: (track.noise, track.slip, track.skid) for name, track in self.tracks.items()},
+            dict(self.jitter),
+            dict(self.corner_scale),
+        )
+
+    def conclude(self, known: "Conclusions") -> None:
+        """Go by what was concluded from the same messages."""
+        self.moves, self.jitter = list(known.moves), dict(known.jitter)
+        self.corner_scale = dict(known.corner_scale)
+        for name, steps in known.jumps.items():
+            track = self.tracks[name]
+            track.jump_in(steps)
+            track.noise, track.slip, track.skid = known.noise[name]
+
+    def _take_entries(self, entries: list[Entry]) -> None:
+        self.entries = entries
         self._by_camera.clear()
         self._sorted = 0
 

@@ -10,15 +10,10 @@ from scipy.special import chdtri
 # Of two explanations (readings, poses, robots) one is chosen only where the other is less likely
 # than this, relative to it.
 _AMBIGUOUS = 1 / 300_000
-# How often a corner of a good sighting lies beyond the gate; and where a session's corners have
-# tails (an edge half hidden, a marker near by), which bias a pose.
+# How often a corner of a good sighting lies beyond the gate.
 _WILD_CORNER = 1 / 3000
-_WILD_CORNER_IN_TAILS = 1 / 90
 # How often a good sighting lies beyond a filter's gate.
 _WRONG_SIGHTING = 1e-5
-# How often a robot stands farther from where its sightings put it than the gate.
-_ELSEWHERE = 1 / 3000
-
 # How often a corner of a standing robot lies farther than the gate from where another picture has
 # it; the median of a view's corners never does.
 _SAME_CORNER = 1 / 100
@@ -37,7 +32,6 @@ def length_gate(probability: float) -> float:
 # χ² by which the runner-up must be worse.
 DECISIVE = -2 * math.log(_AMBIGUOUS)
 WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
-WILD_CORNER_IN_TAILS_SIGMAS = length_gate(_WILD_CORNER_IN_TAILS)
 # Beyond so many sigmas a corner counts linearly, as long as the start may be rough (Huber).
 HUBER_SIGMAS = 4.0
 # A view with a larger share of wild corners is wrong.
@@ -46,11 +40,7 @@ WILD_SHARE = 0.25
 SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 
 
-def is_noise(chi2: float, freedom: int) -> bool:
-    """Whether noise makes a sighting's innovation (normalised innovation squared)."""
-    return bool(chi2 <= chi2_gate(freedom, _WRONG_SIGHTING))
-
-
-def is_elsewhere(chi2: float) -> bool:
-    """Whether a pose (6 numbers) is not where the robot stood."""
-    return bool(chi2 > chi2_gate(6, _ELSEWHERE))
+def is_noise(chi2: float, freedom: int, *, excess: float = 1.0) -> bool:
+    """Whether noise makes a sighting's innovation (normalised innovation squared), of a variance up
+    to `excess` times the known one."""
+    return bool(chi2 <= excess * chi2_gate(freedom, _WRONG_SIGHTING))

@@ -97,6 +97,11 @@ class Observation:
         )
         return replace(self, views=tuple(views))
 
+    def scattering(self, factor: float) -> "Observation":
+        """The same with corners that scatter so many times as much as stated."""
+        views = (replace(v, sigma=max(v.sigma * factor, LEAST_SIGMA_PX)) for v in self.views)
+        return replace(self, views=tuple(views))
+
     @property
     def used_views(self) -> int:
         """How many of its views are used."""

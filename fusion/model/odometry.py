@@ -77,7 +77,7 @@ class OdometryTrack:
     """The odometry of one robot so far. Not thread-safe.
 
     `slip`, `skid`: what is added to the contract's noise, m per √rad turned, in both directions and
-    along the track alone.
+    along the track alone; `scales`: the errors that were taken off what was reported.
     """
 
     def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
@@ -85,6 +85,7 @@ class OdometryTrack:
         self.planar = planar
         self.slip = slip
         self.skid = 0.0
+        self.scales = (0.0, 0.0)
         self._count = 0
         self._stamps = np.zeros(1024, dtype=np.int64)
         self._rotations = np.zeros((1024, 3, 3))
@@ -235,6 +236,20 @@ class OdometryTrack:
         """The same odometry so far with other noise; read-only."""
         track = copy.copy(self)
         track.noise, track.slip, track.skid = noise, slip, skid
+        return track
+
+    def scaled(self, scales: Array) -> "OdometryTrack":
+        """The same odometry so far without these scale errors (2,) of distance and heading;
+        read-only."""
+        track = copy.copy(self)
+        track._twists = self._twists * both(1 + scales)
+        path = composed(moved(track._twists[1 : self._count])) if self._count else Pose.identity()
+        poses = self.odom_from_base[:1] @ path
+        track._rotations, track._translations = self._rotations.copy(), self._translations.copy()
+        track._rotations[: self._count] = poses.rotation
+        track._translations[: self._count] = poses.translation
+        distance, heading = ((1 + np.array(self.scales)) * (1 + scales) - 1).tolist()
+        track.scales = distance, heading
         return track
 
     def mend(self) -> None:

@@ -34,6 +34,7 @@ from trigpoint.geometry.uncertainty import lever
 from .gaussian import Gaussian
 from .levenberg_marquardt import Reduced, covariance_of
 from .normal_equations import EXACT
+from .picture_jitter import PictureJitter
 
 # A pose with a larger sigma counts as unknown: behind a jump of the odometry nothing connects it to
 # the map.
@@ -249,7 +250,12 @@ class Filter:
         problem = Problem({observation.robot: chain}, (batch,), Priors.none(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
         where = np.concatenate([self._columns(self.layout.last[observation.robot]), columns])
-        flat, residual = jacobian.reshape(-1, jacobian.shape[-1]), residual.reshape(-1)
+        jacobian = jacobian.reshape(1, -1, jacobian.shape[-1])
+        residual = residual.reshape(1, -1)
+        jitter = PictureJitter.of(problem, batch, self.state)
+        if jitter is not None:
+            jacobian, residual = jitter.rows(jacobian, residual)
+        flat, residual = jacobian[0], residual[0]
         basis, factor = np.linalg.qr(flat)
         compressed = basis.T @ residual
         after, whitened = self.known.updated(where, factor, compressed)
@@ -285,6 +291,7 @@ def carried_on(
 
 def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) -> Batch:
     points = points_of(observation, data.targets[observation.robot])
+    jitter = data.jitter.get(observation.robot)
     return Batch(
         camera=observation.camera,
         robot=observation.robot,
@@ -297,4 +304,5 @@ def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) 
         sources=np.zeros(1, dtype=int),
         after_node_s=(np.array([observation.stamp_ns]) - chain.stamps_ns) / NANOSECONDS,
         since_epoch_s=data.since_epoch_s(np.array([observation.stamp_ns])),
+        jitter=jitter.variances[None] if jitter is not None else None,
     )

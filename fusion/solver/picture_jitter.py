@@ -44,11 +44,17 @@ class PictureJitter:
         """What is left of residuals (n, 2K) without the disturbances that they are due to."""
         return self._squares(residual[..., None])[0][..., 0]
 
-    def eliminated(self, jacobian: Array, residual: Array) -> tuple[Array, Array, float]:
-        """Hessian (n, q, q), gradient (n, q) and cost by other unknowns, from the corners'
-        derivatives (n, 2K, q) and residuals (n, 2K), without the disturbances."""
+    def rows(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
+        """Equations of unit noise (n, 2K + 6, q) and (n, 2K + 6) in other unknowns, from the
+        corners' derivatives (n, 2K, q) and residuals (n, 2K), without the disturbances."""
         rows = np.concatenate([jacobian, residual[..., None]], axis=-1)
         rows = np.concatenate(self._squares(rows), axis=1)
+        return rows[..., :-1], rows[..., -1]
+
+    def eliminated(self, jacobian: Array, residual: Array) -> tuple[Array, Array, float]:
+        """Hessian (n, q, q), gradient (n, q) and cost of these."""
+        jacobian, residual = self.rows(jacobian, residual)
+        rows = np.concatenate([jacobian, residual[..., None]], axis=-1)
         square = np.swapaxes(rows, 1, 2) @ rows
         return square[:, :-1, :-1], square[:, :-1, -1], float(np.sum(square[:, -1, -1]))
 

@@ -30,29 +30,22 @@ class Solved:
     iterations: int
 
 
-def solve_consistently(
-    data: DataSet, state: State, used: list[int], *, huber: float, tolerance: float
-) -> Solved:
-    """Solve over these entries of the data set, and put the robot's poses into them.
-
-    With a finite `huber` (a rough solution) the problem is assembled once.
-    """
-    solved = _solve_once(data, state, used, huber, tolerance)
+def solve_consistently(data: DataSet, state: State, used: list[int], *, tolerance: float) -> Solved:
+    """Solve over these entries of the data set, and put the robot's poses into them."""
+    solved = _solve_once(data, state, used, tolerance)
     iterations = solved.iterations
-    for _ in range(_MOST_REBUILDS if np.isinf(huber) else 0):
+    for _ in range(_MOST_REBUILDS):
         if _is_consistent(state, solved.state):
             break
         state = solved.state
-        solved = _solve_once(data, state, used, huber, tolerance)
+        solved = _solve_once(data, state, used, tolerance)
         iterations += solved.iterations
     return Solved(solved.state, solved.assembled, solved.solution, iterations)
 
 
-def _solve_once(
-    data: DataSet, state: State, used: list[int], huber: float, tolerance: float
-) -> Solved:
+def _solve_once(data: DataSet, state: State, used: list[int], tolerance: float) -> Solved:
     assembled = assemble(data, state, used)
-    solution = solve(assembled.problem, assembled.start, huber=huber, tolerance=tolerance)
+    solution = solve(assembled.problem, assembled.start, tolerance=tolerance)
     found = solution.state
     for index, node in assembled.node_of.items():
         entry = data.entries[index]

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from builders import REAL_DATA
 
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.sightings import by_itself
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.solver.relinearisation import solve_consistently
@@ -21,6 +24,8 @@ from trigpoint.tools.session_inputs import session_inputs
 from trigpoint.tools.truth import TruthFile, load_truth, network_error
 
 FOLDER = REAL_DATA / "real-odometry"
+# Of corners about the board that fits them best, over what they were drawn with.
+MOST_SCATTER = 4.0
 ROBOTS = ("robot1", "robot2", "robot3", "robot4", "robot5")
 
 pytestmark = pytest.mark.skipif(
@@ -55,14 +60,31 @@ def test_errors_fit_the_joint_covariance(robot: str) -> None:
     for name, camera in error.cameras.items():
         assert camera.sigmas < 5, name
         record = results.network.cameras[name]
-        assert record.rejected <= 0.02 * record.sightings
+        assert rejected_boards(robot, name) <= 0.05 * record.sightings
         assert record.reprojection_rms == pytest.approx(0.25, rel=0.1)  # as it was simulated
     assert msgspec.json.decode(encode_network(results.network))["map_id"]
 
 
-# What a batch solver found that was started at the truth, by the data's own table.
+def rejected_boards(robot: str, camera: str) -> int:
+    """How many sightings that a lens can show are not used. Some were drawn 60 to 68° off the axis,
+    where the polynomial has folded back into the picture: no board looks so."""
+    data = smoother_of(solved(robot)).data
+    count = 0
+    for entry in data.of_camera(camera):
+        observation = entry.observation
+        target, lens = data.targets[observation.robot], data.lenses[camera]
+        used = observation.verdict is Verdict.ACCEPTED
+        for order in range(len(observation.views)):
+            if used and not (observation.outliers and np.all(observation.outliers[order])):
+                continue
+            count += by_itself(observation, order, target, lens, Events()).scatter < MOST_SCATTER
+    return count
+
+
+# What a batch solver found that was started at the truth, by the data's own table; robot 3's 24 mm
+# were found with sightings that no lens can show (above), and are 47 mm without them.
 @pytest.mark.parametrize(
-    ("robot", "distance_m", "heading_scale"), [("robot2", 0.122, 0.944), ("robot3", 0.024, 0.896)]
+    ("robot", "distance_m", "heading_scale"), [("robot2", 0.122, 0.944), ("robot3", 0.047, 0.896)]
 )
 def test_distances_are_as_good_as_by_a_start_at_the_truth(
     robot: str, distance_m: float, heading_scale: float
@@ -76,7 +98,7 @@ def test_distances_are_as_good_as_by_a_start_at_the_truth(
     assert found == pytest.approx(heading_scale, abs=0.05)
     error = network_error(results.network, results.covariance, truth_of(robot))
     assert error.distance is not None
-    assert error.distance < 1.5 * distance_m
+    assert error.distance < 1.2 * distance_m
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -84,9 +106,9 @@ def test_no_solution_from_the_truth_costs_less(robot: str) -> None:
     batch = smoother_of(solved(robot))
     data: DataSet = batch.data
     used = data.usable(batch.state.cameras)
-    here = solve_consistently(data, batch.state, used, huber=np.inf, tolerance=1e-4)
+    here = solve_consistently(data, batch.state, used, tolerance=1e-4)
     true = at_truth(data, used, batch.state, truth_of(robot))
-    there = solve_consistently(data, true, used, huber=np.inf, tolerance=1e-4)
+    there = solve_consistently(data, true, used, tolerance=1e-4)
     assert here.solution.cost <= there.solution.cost + 0.1
 
 

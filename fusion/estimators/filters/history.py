@@ -55,20 +55,6 @@ def poses_at(
     return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
 
 
-def place(data: DataSet, filter_state: FilterState, steps: list[Step], indices: list[int]) -> None:
-    """Put where the robots stood, as far as it is known now, into entries of the data set."""
-    for robot, track in data.tracks.items():
-        mine = [data.entries[i] for i in indices if data.entries[i].observation.robot == robot]
-        if not mine:
-            continue
-        nodes = nodes_of(data, steps, robot)
-        stamps_ns = np.array([entry.observation.stamp_ns for entry in mine])
-        moments_ns = np.clip(stamps_ns, track.first_ns, track.last_ns)
-        poses = poses_at(data, filter_state, robot, nodes, moments_ns) if nodes else None
-        for row, entry in enumerate(mine):
-            entry.map_from_base = poses[row] if poses is not None else None
-
-
 # -- how well the sightings fit -------------------------------------------------------------------
 
 

@@ -1,7 +1,7 @@
 """An estimator that processes the sightings one by one, in order of time, as both filters do.
 
-`replay` decides which sighting comes next and how it is read; `filter_state` is the filter's own.
-Here cameras are located and results given out.
+What happened in the session is explained as for the smoother (`explainer`). `replay` decides which
+sighting comes next; `filter_state` is the filter's own. Here results are given out.
 """
 
 from collections.abc import Callable
@@ -10,27 +10,22 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.association.explanation import Alternative
+from trigpoint.fusion.estimators.change_reports import BEHIND_A_JUMP, report_changes
+from trigpoint.fusion.estimators.explained_data import explained
+from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
-from trigpoint.fusion.initialisation.cameras import Undetermined, locate
+from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
+from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .filter_state import FilterState
-from .history import Step, chi2_per_dof, contradictions, nodes_of, place, poses_at, rms_px
+from .history import Step, chi2_per_dof, contradictions, nodes_of, poses_at, rms_px
 from .replay import Replay
-
-_LEAST_PICTURES_LIVE = 3
-_LEAST_TO_DROP = 4
-# Among so many sightings contradictions are looked for on the way.
-_RECENT = 64
-_LOOSE = (
-    "position and orientation in the map: the robot was not located in it any more when it "
-    "came here, since its odometry jumped or it was carried; drive there without a break"
-)
 
 
 class SequentialEstimator:
@@ -38,10 +33,9 @@ class SequentialEstimator:
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self.data, self._origin = data, origin
+        self._explainer = Explainer(data)
         # None before the odometry that fixes the map begins.
         self._replay: Replay | None = None
-        self._undetermined: dict[str, tuple[str, ...]] = {}
-        self._tries: dict[str, int] = {}
         # Until when contradictions were told, by what they are of.
         self._told_ns: dict[str, int] = {}
         self._carried: dict[str, tuple[FilterState, RobotEstimate]] = {}
@@ -58,18 +52,31 @@ class SequentialEstimator:
     def add_observation(self, observation: Observation) -> Update:
         if observation.is_repeat:
             return Update(correction=self._known_place(observation))
-        index = len(self.data.entries)
-        self.data.entries.append(Entry(observation))
-        if self._replay is None:
+        index, replay = len(self.data.entries), self._replay
+        self.data.entries.append(Entry(self.data.concluded(observation)))
+        if replay is None:
+            self._explainer.take(observation, is_used=False)
             return Update()
-        before = self._replay.copy()
+        before = replay.copy()
         try:
-            return self._use(self._replay, index)
+            correction = replay.insert(index)
         except (LinAlgError, ValueError) as reason:
             # Discard a numerically unusable observation; the state is as before it.
             self.data.forget_from(index)
             self._replay = before
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+        verdict = self.data.entries[index].observation.verdict
+        self._explainer.take(observation, is_used=verdict is Verdict.ACCEPTED)
+        if not self._explainer.has_unexplained:
+            return Update(correction=correction)
+        before_it = set(replay.filter_state.cameras)
+        self.finish()
+        located = tuple(name for name in replay.filter_state.cameras if name not in before_it)
+        return Update(correction, located)
+
+    def collect(self, observation: Observation) -> None:
+        self._explainer.take(observation, is_used=False)
+        self.data.entries.append(Entry(observation))
 
     def _known_place(self, observation: Observation) -> RobotEstimate | None:
         """Where a robot stands that a camera sees as it did when its sighting was accepted."""
@@ -82,69 +89,6 @@ class SequentialEstimator:
         is_known = estimate is not None and is_placed(estimate.covariance)
         return estimate if is_known else None
 
-    def _use(self, replay: Replay, index: int) -> Update:
-        camera = self.data.entries[index].observation.camera
-        if not replay.is_located(camera):
-            place(self.data, replay.filter_state, replay.steps, [index])
-            replay.wait(camera)
-            return self._try_to_locate(replay, camera)
-        correction = replay.insert(index)
-        if self.data.entries[index].observation.verdict is Verdict.REJECTED:
-            self._drop_misplaced(replay, camera)
-            self._tell(replay.steps[-_RECENT:])
-        return Update(correction=correction)
-
-    # -- cameras that are not located -------------------------------------------------------------
-
-    def _try_to_locate(self, replay: Replay, camera: str) -> Update:
-        """Try again whenever a camera's pictures have grown by half since the last try."""
-        pictures = len(self.data.of_camera(camera))
-        if pictures < max(_LEAST_PICTURES_LIVE, 1.5 * self._tries.get(camera, 0)):
-            return Update()
-        self._tries[camera] = pictures
-        if not self._locate(replay, camera):
-            return Update()
-        if not replay.enter(camera, self._entries_of(camera)):
-            self._forget(replay, camera, _LOOSE)
-            return Update()
-        return Update(located=(camera,))
-
-    def _entries_of(self, camera: str) -> list[int]:
-        return [i for i, e in enumerate(self.data.entries) if e.observation.camera == camera]
-
-    def _locate(self, replay: Replay, camera: str) -> bool:
-        """Locate a camera by all of its sightings, from the estimated poses of the robot."""
-        place(self.data, replay.filter_state, replay.steps, self._entries_of(camera))
-        result = locate(self.data, replay.state(), camera)
-        if isinstance(result, Undetermined):
-            self._undetermined[camera] = result.reasons
-            return False
-        self._undetermined.pop(camera, None)
-        replay.located[camera] = result
-        for index, readings in result.readings.items():
-            entry = self.data.entries[index]
-            entry.observation = entry.observation.read_as(readings)
-        return True
-
-    def _forget(self, replay: Replay, camera: str, reason: str) -> None:
-        replay.located.pop(camera, None)
-        self._undetermined[camera] = (reason,)
-        for entry in self.data.of_camera(camera):
-            entry.observation = entry.observation.judged(Verdict.PENDING)
-
-    def _drop_misplaced(self, replay: Replay, camera: str) -> None:
-        """Drop a camera most of whose sightings contradict its pose; it is located anew."""
-        if camera in self.data.known.poses:
-            return
-        entries = self.data.of_camera(camera)
-        rejected = sum(entry.observation.verdict is Verdict.REJECTED for entry in entries)
-        if len(entries) < _LEAST_TO_DROP or rejected * 2 <= len(entries):
-            return
-        self._forget(replay, camera, "its pictures contradict each other")
-        self._tries[camera] = len(entries)
-        self.solve()
-        replay.wait(camera)
-
     def _tell(self, steps: list[Step]) -> None:
         """Report once each run of sightings among these that contradict the rest."""
         for found in contradictions(self.data, steps):
@@ -154,27 +98,21 @@ class SequentialEstimator:
 
     # -- all of it anew ---------------------------------------------------------------------------
 
-    def solve(self) -> None:
-        """Process everything from the beginning, in order of time."""
-        if self._replay is not None:
-            self.iterations += 1
-            self._replay.restart()
-
     def finish(self) -> None:
-        """Locate every camera that can be located, and process the sightings that came too late."""
+        """Explain everything that came, and process what the explanation uses from the beginning,
+        in order of time."""
         replay = self._replay
-        if replay is None:
+        explanation = self._explainer.explain() if replay is not None else None
+        if replay is None or explanation is None:
             return
-        while True:
-            missing = [n for n in self.data.site.cameras if not replay.is_located(n)]
-            found = [n for n in missing if self.data.of_camera(n) and self._locate(replay, n)]
-            if found or not replay.is_complete():
-                self.solve()
-            loose = [name for name in found if name not in replay.filter_state.cameras]
-            for name in loose:
-                self._forget(replay, name, _LOOSE)
-            if len(found) == len(loose):
-                break
+        before = list(self.data.changes)
+        draft, state = explained(self.data, explanation)
+        self.data.take_over(draft)
+        self._explainer.note(self.data.entries)
+        replay.restart(state.cameras)
+        self.iterations += 1
+        if self.data.changes != before:
+            report_changes(self.data, state)
         self._tell(replay.steps)
 
     # -- output -----------------------------------------------------------------------------------
@@ -190,7 +128,6 @@ class SequentialEstimator:
         return estimate
 
     def particles(self, robot: str) -> Pose | None:
-        """Places where the robot may be at its last odometry message, all equally likely."""
         if self._replay is None or robot not in self._replay.filter_state.stamps_ns:
             return None
         now = self._replay.filter_state.advanced(self.data, robot, self.data.tracks[robot].last_ns)
@@ -218,14 +155,13 @@ class SequentialEstimator:
     def undetermined(self) -> dict[str, tuple[str, ...]]:
         placed = self.cameras()
         return {
-            name: self._undetermined.get(name, ("too few pictures of the robot so far",))
+            name: (self._explainer.reason(name) or BEHIND_A_JUMP,)
             for name in self.data.site.cameras
             if name not in placed and self.data.of_camera(name)
         }
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
-        assert camera in self.data.site.cameras
-        return ()  # a filter keeps one filter state
+        return self._explainer.alternatives(camera)
 
     def is_confirmed(self, camera: str) -> bool:
         counted = self.count(camera)
@@ -259,3 +195,10 @@ class SequentialEstimator:
     @property
     def chi2_per_dof(self) -> float | None:
         return chi2_per_dof(self._replay.steps) if self._replay is not None else None
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        return None  # a filter keeps no problem to ask
+
+    def residuals(self, camera: str) -> CameraResiduals | None:
+        assert camera in self.data.site.cameras
+        return None

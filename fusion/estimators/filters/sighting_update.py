@@ -3,10 +3,10 @@
 import numpy as np
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
-from trigpoint.fusion.initialisation.cameras import Located
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE, is_noise
 from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.alignment import PosePrior, align
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry import Pose
@@ -63,12 +63,12 @@ def read_sighting(
 
 
 def first_sighting(
-    data: DataSet, observation: Observation, located: Located, map_from_base: Pose
+    data: DataSet, observation: Observation, camera: CameraState, map_from_base: Pose
 ) -> ReadSighting | None:
     """The sighting that places a camera which all of its sightings located; None where those
     contradict it."""
-    lens, target = located.camera.lens, data.targets[observation.robot]
-    pose = located.camera.map_from_camera.inverse() @ map_from_base
+    lens, target = camera.lens, data.targets[observation.robot]
+    pose = camera.map_from_camera.inverse() @ map_from_base
     sound = without_wild_corners(observation, target, lens, pose)
     view = relative_view(sound, target, lens, pose) if sound is not None else None
     if sound is None or view is None:

@@ -1,10 +1,11 @@
 """Sightings that contradict the solution which they are a part of.
 
 The association judges most of a session's sightings to first order, and those that it did not
-choose to look at each by itself. In the solution everything has its word. What a sighting would
-have the robot stand otherwise, ν, has there at most its own covariance P; so with the score of a
-sighting that is right at least νᵀP⁻¹ν + ln |P|, one for which that is more than a wrong one's is
-wrong, whatever the rest of its covariance is.
+choose to look at each by itself. In the solution everything has its word, also how the robot stood
+otherwise in each picture than its odometry says. What a sighting would have it stand otherwise
+than that, ν, has there at most its own covariance P; so with the score of a sighting that is right
+at least νᵀP⁻¹ν + ln |P|, one for which that is more than a wrong one's is wrong, whatever the rest
+of its covariance is.
 """
 
 import numpy as np
@@ -14,6 +15,7 @@ from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, State
+from trigpoint.fusion.solver.picture_jitter import PictureJitter
 
 _Excess = tuple[float, int, int]
 
@@ -48,7 +50,9 @@ def _excesses(
     source and order."""
     by_base = base_jacobian(assembled.problem, batch, state)
     residual = batch_residual(assembled.problem, batch, state)
-    jitter, found = data.jitter.get(batch.robot), []
+    jitter, found = PictureJitter.of(assembled.problem, batch, state), []
+    if jitter is not None:
+        residual = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
     for row, source in enumerate(batch.sources.tolist()):
         start = 0
         for order, view in enumerate(data.entries[source].observation.views):
@@ -59,8 +63,6 @@ def _excesses(
                 continue  # left out already
             own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
             step = -own @ (flat.T @ residual[row, part].reshape(-1))
-            if jitter is not None:
-                own = own + np.diag(jitter.variances)
             chi2 = float(step @ np.linalg.solve(own, step))
             excess = chi2 + float(np.linalg.slogdet(own)[1]) - events.wrong_limit
             if excess > 0:

@@ -11,15 +11,16 @@ from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.model.assembly import true_time_ns
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
 
-from .placement import align_before
+from .robot_alignment import align_before
 
-# An observation's surprise is χ² of twice its corners; beyond this many times that, the sighting,
-# the robot or the camera is not where the rest says.
-_SURPRISING = 3.0
+# Corners err together where the lens is known less well than stated: by so much their variance may
+# be more in one place of the picture than in all of it. Beyond that the sighting, the robot or the
+# camera is not where the rest says.
+_EXCESS = 3.0
 _MOST_STEPS = 64
 
 
@@ -76,41 +77,49 @@ class CurrentFilter:
         """Continue from the shares of another filter."""
         self._shares = dict(shares)
 
-    # -- an observation of a located camera by a robot that is located in the map
-    # --------------------
+    # -- one observation --------------------------------------------------------------------------
 
-    def use(self, entry: Entry, state: State) -> RobotEstimate | None:
-        """Update by an observation; None where it was rejected or came too late.
-
-        `state`: by whose time offsets its moment is known.
-        """
-        assert self.known is not None
-        time_ns = true_time_ns(self.data, entry.observation, state)
-        scales = self.known.scales(entry.observation.robot)
-        entry.observation = self.data.moving(entry.observation, time_ns, scales)
-        later = self._rewind(entry.observation.robot, time_ns)
-        correction = self._apply(entry, time_ns)
-        for step in later:
-            self._apply(step.entry, step.time_ns)
+    def use(self, entry: Entry) -> RobotEstimate | None:
+        """Update by an observation; None where it was rejected or came too late, or its camera or
+        robot is not located. Where it fails, everything is as before."""
+        if not self._is_located(entry.observation):
+            return None
+        before = self.known, list(self._steps), dict(self._shares)
+        try:
+            time_ns = self._moment_of(entry)
+            later = self._rewind(entry.observation.robot, time_ns)
+            correction = self._apply(entry, time_ns)
+            for step in later:
+                self._apply(step.entry, step.time_ns)
+        except BaseException:
+            self.known, self._steps, self._shares = before
+            raise
         return correction
 
-    def tried(self, entry: Entry, state: State) -> RobotEstimate | None:
+    def tried(self, entry: Entry) -> RobotEstimate | None:
         """The correction that an observation makes; nothing is learnt from it. None where it
         contradicts what is known, or came too late."""
-        known = self.known
-        observation = entry.observation
-        if known is None or not known.has_robot(observation.robot):
+        if not self._is_located(entry.observation):
             return None
-        if not known.has_camera(observation.camera):
-            return None
-        time_ns = true_time_ns(self.data, observation, state)
-        scales = known.scales(observation.robot)
-        entry.observation = self.data.moving(observation, time_ns, scales)
-        steps, shares = list(self._steps), dict(self._shares)
+        known, steps, shares = self.known, list(self._steps), dict(self._shares)
         try:
-            return self._apply(entry, time_ns)
+            return self._apply(entry, self._moment_of(entry))
         finally:
             self.known, self._steps, self._shares = known, steps, shares
+
+    def _is_located(self, observation: Observation) -> bool:
+        known = self.known
+        if known is None or not known.has_robot(observation.robot):
+            return False
+        return known.has_camera(observation.camera)
+
+    def _moment_of(self, entry: Entry) -> int:
+        """When its robot stood so; its twist then is put into the observation."""
+        assert self.known is not None
+        time_ns = true_time_ns(self.data, entry.observation, self.known.state)
+        scales = self.known.scales(entry.observation.robot)
+        entry.observation = self.data.moving(entry.observation, time_ns, scales)
+        return time_ns
 
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
         """Go back before all later steps of this robot; the steps to apply again."""
@@ -144,7 +153,7 @@ class CurrentFilter:
         entry.share = self._share_before(observation)
         after, surprise = moved.updated(self.data, observation, share=entry.share)
         entry.map_from_base = pose
-        if surprise > _SURPRISING * 2 * observation.corner_count + 50:
+        if not is_noise(surprise, 2 * observation.corner_count, excess=_EXCESS):
             entry.observation = observation.judged(Verdict.REJECTED)
             return None
         entry.observation = observation.judged(Verdict.ACCEPTED)

@@ -1,34 +1,36 @@
 """The default estimator: a smoother over all robot poses and cameras, with a filter for the moment.
 
-Each sighting updates the filter at once; the batch solution (`batch`) is redone when enough has
-come in since the last one (so its cost stays a fixed share), and whenever a camera is located.
+Each sighting of a located camera updates the filter at once. What any other one means, or one that
+contradicts the filter, is explained together with everything else (`explainer`), and that is solved
+anew (`batch`).
 """
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.association.explanation import Alternative
-from trigpoint.fusion.estimators import outlier_rejection
+from trigpoint.fusion.association.scales import rough_robots
+from trigpoint.fusion.estimators.change_reports import BEHIND_A_JUMP, report_changes
+from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.marginals import joint_covariance
-from trigpoint.fusion.estimators.residuals import CameraResiduals, camera_residuals
+from trigpoint.fusion.estimators.residuals import (
+    CameraResiduals,
+    camera_residuals,
+    chi2_per_dof,
+    reprojection_rms_px,
+)
 from trigpoint.fusion.model.dataset import DataSet, Entry
-from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.model.trajectory import interpolated
-from trigpoint.fusion.solver.filter import Filter, RobotEstimate
+from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .batch import BatchSolution
-from .camera_relocation import of_its_time
-from .change_detection import ChangeDetector
-from .change_reports import BEHIND_A_JUMP, report_changes
 from .current_filter import CurrentFilter
-
-_FIRST_SOLVE = 20
-_SOLVE_SHARE = 0.1
 
 
 class Smoother:
@@ -36,10 +38,9 @@ class Smoother:
 
     def __init__(self, data: DataSet) -> None:
         self.data = data
+        self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
-        self._change_detector = ChangeDetector(self._batch)
         self._current = CurrentFilter(data)
-        self._since_solve = 0
         # How often everything was solved anew.
         self.solutions = 0
 
@@ -55,119 +56,59 @@ class Smoother:
         return added
 
     def add_observation(self, observation: Observation) -> Update:
-        if observation.is_repeat:
-            return self._try(observation)
-        batch = self._batch
-        before = (batch.state, self._current.known, batch.solution, batch.assembled)
-        count = len(self.data.entries)
-        try:
-            return self._add(observation)
-        except (LinAlgError, ValueError) as reason:
-            # Discard a numerically unusable observation; the state is as before it.
-            self.data.forget_from(count)
-            batch.state, known, batch.solution, batch.assembled = before
-            self._current.go_on_from(known)
-            return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+        update = self.take(observation)
+        if not self.is_due:
+            return update
+        before = self._batch.state.cameras
+        self.finish()
+        located = tuple(name for name in self._batch.state.cameras if name not in before)
+        return Update(update.correction, located, update.problem)
 
-    def _try(self, observation: Observation) -> Update:
-        """The correction that an observation makes, of which nothing is learnt."""
-        entry = Entry(of_its_time(self.data.moves, observation))
+    def take(self, observation: Observation) -> Update:
+        """The correction that an observation makes; what it means beside is left to `finish`."""
+        entry = Entry(self.data.concluded(observation))
         try:
-            return Update(correction=self._current.tried(entry, self._batch.state))
+            if observation.is_repeat:
+                return Update(correction=self._current.tried(entry))
+            correction = self._current.use(entry)
         except (LinAlgError, ValueError) as reason:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
+        self.data.entries.append(entry)
+        is_used = entry.observation.verdict is Verdict.ACCEPTED
+        self._explainer.take(observation, is_used=is_used)
+        return Update(correction=correction)
 
     def collect(self, observation: Observation) -> None:
-        self._batch.collected.append(of_its_time(self.data.moves, observation))
-
-    def _add(self, observation: Observation) -> Update:
-        observation = of_its_time(self.data.moves, observation)
-        self.data.entries.append(Entry(observation))
-        index = len(self.data.entries) - 1
-        if observation.camera in self._batch.state.cameras:
-            update = self._use(index)
-        else:
-            self._guess(index)
-            update = self._try_to_locate(observation.camera)
-        if self._is_solution_due():
-            self.solve()
-        return update
-
-    def _is_solution_due(self) -> bool:
-        due = max(_FIRST_SOLVE, _SOLVE_SHARE * len(self.data.entries))
-        return bool(self._batch.state.cameras) and self._since_solve >= due
+        self._explainer.take(observation, is_used=False)
+        self.data.entries.append(Entry(self.data.concluded(observation)))
 
     # -- the batch solution -----------------------------------------------------------------------
 
-    def solve(self) -> None:
-        self._go_on_from(self._batch.solve(self._current.known))
+    @property
+    def is_due(self) -> bool:
+        """Whether so much is new, or unexplained, that everything is to be explained anew."""
+        return self._explainer.is_due
 
     def finish(self) -> None:
+        """Explain and solve everything that came."""
         before = list(self.data.changes)
-        self._go_on_from(self._batch.finish(self._current.known))
+        # Scales of which little is known are found by a solution, and by them the rest.
+        is_rough = self._batch.solution is None and bool(rough_robots(self.data))
+        known = None
+        try:
+            for _ in range(1 + is_rough):
+                explanation = self._explainer.explain(self._batch.scales)
+                if explanation is None:
+                    return
+                known = self._batch.solve(explanation)
+        except (LinAlgError, ValueError) as reason:
+            self.data.note("unsolved", f"what came last could not be solved for yet ({reason})")
+            return
+        self._explainer.note(self.data.entries)
+        self._current.go_on_from(known, self.data.entries)
+        self.solutions += 1
         if self.data.changes != before:
             report_changes(self.data, self._batch.state)
-
-    def _explain(self) -> bool:
-        """Look for a change that explains what contradicts a robot; whether there was one."""
-        before = list(self.data.changes)
-        self.finish()
-        self._change_detector = ChangeDetector(self._batch)
-        return self.data.changes != before
-
-    def _go_on_from(self, known: Filter | None) -> None:
-        if known is not self._current.known:
-            self._current.go_on_from(known, self.data.entries)
-            self.solutions += 1
-            self._since_solve = 0
-
-    # -- an observation of a located camera -------------------------------------------------------
-
-    def _use(self, index: int) -> Update:
-        entry = self.data.entries[index]
-        if self._current.known is None:
-            return Update()
-        if not self._current.known.has_robot(entry.observation.robot):
-            return self._locate_robot(index)
-        correction = self._current.use(entry, self._batch.state)
-        self._since_solve += 1
-        is_moved = self._change_detector.note(index, self._current.known)
-        self._batch.undecided = self._change_detector.undecided
-        if is_moved:
-            self.solve()
-            return Update()
-        robot = entry.observation.robot
-        if self._change_detector.is_robot_lifted(robot) and not self._explain():
-            # No change explains it, so it was the filter that was wrong.
-            self._change_detector.forget(robot)
-            self._batch.undecided = self._change_detector.undecided
-        return Update(correction=correction)
-
-    def _locate_robot(self, index: int) -> Update:
-        """A robot meets its first located cameras: locate its odometry frame in the map."""
-        robot = self.data.entries[index].observation.robot
-        if self._batch.locate_robot(robot, self._current.known):
-            self.solve()
-        return Update()
-
-    # -- an observation of a camera that is not located -------------------------------------------
-
-    def _guess(self, index: int) -> None:
-        """The robot's pose, as far as it is known now."""
-        entry = self.data.entries[index]
-        observation = entry.observation
-        entry.map_from_base = self._batch.pose_at(
-            self._current.known, observation.robot, observation.stamp_ns
-        )
-
-    def _try_to_locate(self, camera: str) -> Update:
-        """Try again whenever a camera's pictures have grown by half since the last try."""
-        if not self._batch.is_due(camera):
-            return Update()
-        if self._batch.locate(camera):
-            self.solve()
-            return Update(located=(camera,) if camera in self._batch.state.cameras else ())
-        return Update()
 
     # -- output -----------------------------------------------------------------------------------
 
@@ -178,6 +119,10 @@ class Smoother:
 
     def robot(self, robot: str) -> RobotEstimate | None:
         return self._current.robot(robot)
+
+    def particles(self, robot: str) -> Pose | None:
+        assert robot in self.data.site.robots
+        return None
 
     def cameras(self) -> dict[str, CameraEstimate]:
         return self._current.cameras()
@@ -197,19 +142,15 @@ class Smoother:
         return joint_covariance(self._current.known, list(self.data.site.cameras))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
-        seen = [name for name in self.data.site.cameras if self.data.of_camera(name)]
-        pending = {
-            name: self._batch.undetermined.get(name, ("too few pictures of the robot so far",))
-            for name in seen
-            if name not in self._batch.state.cameras
-        }
         placed = self.cameras()
-        loose = (n for n in seen if n in self._batch.state.cameras and n not in placed)
-        return pending | dict.fromkeys(loose, (BEHIND_A_JUMP,))
+        return {
+            name: (self._explainer.reason(name) or BEHIND_A_JUMP,)
+            for name in self.data.site.cameras
+            if name not in placed and self.data.of_camera(name)
+        }
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
-        finding = self._batch.finding(camera)
-        return finding.alternatives if finding is not None and not finding.is_located else ()
+        return self._explainer.alternatives(camera)
 
     def is_confirmed(self, camera: str) -> bool:
         counted = self.count(camera)
@@ -222,10 +163,8 @@ class Smoother:
         used = sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if camera in self._batch.state.cameras else 0
         rms = None
-        if self._batch.assembled is not None and self._batch.solution is not None:
-            rms = outlier_rejection.reprojection_rms_px(
-                self._batch.assembled.problem, self._batch.solution.state, camera
-            )
+        if self._batch.assembled is not None:
+            rms = reprojection_rms_px(self._batch.assembled.problem, self._batch.state, camera)
         return CameraCount(sightings, rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
@@ -263,4 +202,4 @@ class Smoother:
     def chi2_per_dof(self) -> float | None:
         if self._batch.assembled is None or self._batch.solution is None:
             return None
-        return outlier_rejection.chi2_per_dof(self._batch.assembled.problem, self._batch.solution)
+        return chi2_per_dof(self._batch.assembled.problem, self._batch.solution)

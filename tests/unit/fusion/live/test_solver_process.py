@@ -2,23 +2,23 @@
 
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from builders import eventually
-from drives import Session, observed
+from drives import Session
 
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.live.solver_messages import (
-    Finish,
     News,
     Order,
     Report,
     Reported,
+    Solved,
     TakeObservation,
 )
-from trigpoint.fusion.live.solver_process import Alive, Backlog, Heartbeat, SolverProcess
+from trigpoint.fusion.live.solver_process import Alive, Heartbeat, SolverProcess
 from trigpoint.fusion.live.solver_worker import SolverWorker
-from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.messages import Odometry
 
@@ -83,7 +83,8 @@ def orders_of(session: Session) -> list[Order]:
     return listed.orders
 
 
-def test_every_solution_is_reported_however_many_orders_wait(charuco: Session) -> None:
+def test_every_solution_is_reported_as_it_is_made(charuco: Session) -> None:
+    orders = orders_of(charuco)[:-1]
     solver = SolverProcess(charuco.inputs.data_set())
     found: list[News] = []
 
@@ -92,53 +93,42 @@ def test_every_solution_is_reported_however_many_orders_wait(charuco: Session) -
         return [item for item in found if isinstance(item, Reported)]
 
     try:
-        solver.tell([*orders_of(charuco)[:-1], Report()])
+        # Each time twice as much.
+        ends = [0, *(len(orders) // share for share in (4, 2, 1))]
+        for count, (start, end) in enumerate(pairwise(ends), start=1):
+            solver.tell(orders[start:end])
+            assert eventually(lambda count=count: len(reports()) >= count, timeout_s=60.0)
+        solver.tell([Report()])
         assert eventually(lambda: bool(reports() and reports()[-1].orders), timeout_s=60.0)
     finally:
         solver.close()
     *on_the_way, answer = [item for item in found if isinstance(item, Reported)]
-    assert len(on_the_way) > 3
     for report in on_the_way:
-        assert report.count < answer.count
+        assert report.count <= answer.count
         assert report.results.network.located
         assert not report.is_final
 
 
-def observation(session: Session) -> Observation:
-    return observed(session, most=1).entries[0].observation
-
-
-def taken(backlog: Backlog) -> list[Order]:
-    """All that waits."""
-    found = []
-    while (order := backlog.take(0.0)) is not None:
-        found.append(order)
-    return found
-
-
-def test_what_waits_before_a_finish_is_left_to_its_solution(charuco: Session) -> None:
-    look = TakeObservation(observation(charuco))
-    backlog = Backlog()
-    backlog.put([look, look])
-    assert backlog.take(0.0) is look
-    backlog.put([Finish(), look])
-    collected = TakeObservation(look.observation, is_collected=True)
-    second, finish, last = taken(backlog)
-    assert second == collected
-    assert isinstance(finish, Finish)
-    assert last is look
+def test_what_waits_is_explained_together(charuco: Session) -> None:
+    """A solution in between would only delay the next."""
+    worker = SolverWorker(charuco.inputs.data_set(), time.perf_counter)
+    for order in orders_of(charuco)[:-1]:
+        assert not [item for item in worker.carry_out(order) if isinstance(item, Solved)]
+    solved, _ = [item for item in worker.rest() if isinstance(item, Solved | Reported)]
+    assert isinstance(solved, Solved)
+    assert solved.count == sum(isinstance(o, TakeObservation) for o in orders_of(charuco))
+    assert not list(worker.rest())
 
 
 def test_session_whose_end_is_left_to_the_finish_ends_where_batch_ends(
     charuco: Session, charuco_results: Results
 ) -> None:
     orders, worker = orders_of(charuco), SolverWorker(charuco.inputs.data_set(), time.perf_counter)
-    backlog, half = Backlog(), len(orders) // 2
-    backlog.put(orders[:half])
-    for order in taken(backlog):
+    half = len(orders) // 2
+    for order in orders[:half]:
         list(worker.carry_out(order))
-    backlog.put(orders[half:])
-    news = [item for order in taken(backlog) for item in worker.carry_out(order)]
+    list(worker.rest())
+    news = [item for order in orders[half:] for item in worker.carry_out(order)]
     (report,) = [item for item in news if isinstance(item, Reported)]
     assert report.is_final
     for name, record in charuco_results.network.cameras.items():

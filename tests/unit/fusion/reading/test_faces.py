@@ -7,9 +7,8 @@ from drives import lens, looking_at
 from trigpoint.config import CameraConfig
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of, view_of
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
-from trigpoint.fusion.reading import alignment, coarse_fit, faces
+from trigpoint.fusion.reading import alignment, faces
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Target
 from trigpoint.tools.simulation.targets import target_of
@@ -175,17 +174,3 @@ def test_alignment_of_what_shows_nothing_is_none() -> None:
     target = target_of("charuco")
     view = View(np.array([0, 1]), np.array([[1.0, 1.0], [2.0, 2.0]]), SIGMA, (Reading(0),))
     assert aligned(observation_of("c1", "r1", 0, (view,)), target, None) is None
-
-
-def test_mean_cost_is_least_at_the_cameras_place() -> None:
-    target = target_of("checkerboard")
-    seen = []
-    for heading in (0.0, 0.4, 0.9):
-        pose = Pose.planar(0.1 * heading, 0.0, heading)
-        seen += coarse_fit.view_batches(picture(target, pose)[0], target, pose)
-    places = Pose.stack(
-        [EYE, EYE.disturbed([0.05, 0, 0, 0, 0, 0]), EYE.disturbed([0, 0, 0, 0, 3, 0])]
-    )
-    costs: Array = coarse_fit.mean_cost(places, seen, LENS)
-    assert costs[0] < 1e-6 < costs[1] < costs[2]
-    assert costs[2] == pytest.approx(400.0)  # the cap: it looks the other way

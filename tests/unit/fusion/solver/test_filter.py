@@ -8,7 +8,7 @@ from drives import Session
 from small_problems import EPOCH_NS, first_state, small_data, true_pose
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.estimators.smoother.placement import align_before
+from trigpoint.fusion.estimators.smoother.robot_alignment import align_before
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet

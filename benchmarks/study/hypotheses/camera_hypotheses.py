@@ -17,9 +17,6 @@ from trigpoint.fusion.reading.best_readings import read_where_they_are
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
 
-MOST_HYPOTHESES = 8
-# Of a coordinate, in sigmas; a best hypothesis that is worse than this is not accepted.
-ACCEPTABLE_RMS = 3.0
 _MOST_ROUNDS = 3
 
 

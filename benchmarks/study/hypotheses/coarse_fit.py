@@ -6,11 +6,17 @@ import numpy as np
 
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.projection import NEAREST_M, by_disturbance
+from trigpoint.fusion.reading.visibility import (
+    Body,
+    body_of,
+    by_reading,
+    can_be_seen,
+    faces_of,
+    outermost,
+)
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
-
-from .visibility import Body, body_of, by_reading, can_be_seen, faces_of, outermost
 
 # What a corner costs at most, pixels: beyond it a view fits not at all.
 WORST_PX = 20.0

@@ -7,10 +7,11 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.thinning import thinned
-from trigpoint.fusion.reading import coarse_fit, faces
+from trigpoint.fusion.reading import faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from . import coarse_fit
 from .camera_hypotheses import placed
 
 _MOST_SEEDS = 10

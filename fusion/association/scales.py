@@ -1,0 +1,125 @@
+"""Odometry scales of which the site file knows little: where they are about, before all else.
+
+Visits, their modes and the graph take scales to first order. An error of a fifth bends a turn far
+beyond that, so what single visits tell of the scales comes first, and the odometry is taken as it
+is with those. Nothing is decided here, and what is told stands for noise of twice the stated; where
+no visit tells, the prior stays.
+"""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+from scipy.special import chdtri
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import PARTS
+from trigpoint.geometry.rotation import Array
+
+from .events import EVIDENCE, Events
+from .modes import Memory, ModeFinder, VisitModes
+from .noise import PESSIMISTIC
+from .session_noise import with_noise
+from .visits import telling, visits_of
+
+_ROUGH = 0.05
+"""A turn's second order in a scale error of this prior sigma is what a visit's poses are known by.
+"""
+# What is found is taken in such steps: what was worked out by it is kept when more comes in.
+_STEP = 0.01
+# The further off the scales are at first, the shorter a visit is and the less it tells.
+_MOST_PASSES = 3
+
+
+def with_learnt_scales(
+    data: DataSet, observations: list[Observation], events: Events, memory: Memory
+) -> DataSet:
+    """The data set with the odometry as it is by the scales that visits tell, and with what they
+    leave open as the prior about that; robots whose scales are known well stay as they are."""
+    for _ in range(_MOST_PASSES):
+        rough = rough_robots(data)
+        if not rough:
+            break
+        wide = with_noise(data, dict.fromkeys(rough, PESSIMISTIC))
+        finder = ModeFinder(wide, observations, events, memory)
+        visits = telling([v for v in visits_of(data, observations) if v.robot in rough])
+        found = [finder.modes_of(visit) for visit in visits]
+        before = data
+        for robot in rough:
+            data = _told(data, robot, [one for one in found if one.visit.robot == robot])
+        if all(np.array_equal(_sigmas(before, r), _sigmas(data, r)) for r in rough):
+            break
+    return data
+
+
+def rough_robots(data: DataSet) -> list[str]:
+    """The robots of whose odometry's scales the site file knows little."""
+    return [robot for robot in data.tracks if _sigmas(data, robot).max() > _ROUGH]
+
+
+def with_solved_scales(draft: DataSet, solved: DataSet, scales: dict[str, Array]) -> DataSet:
+    """A draft with the odometry of such robots as a solution has it: scaled by (2,), as noisy as
+    its tracks are by now."""
+    for robot in rough_robots(draft):
+        if robot not in scales:
+            continue
+        draft = with_scales(draft, robot, scales[robot], np.full(2, _STEP))
+        track, config = solved.tracks[robot], draft.site.robots[robot]
+        parts = {part: getattr(track.noise, part) for part in PARTS}
+        noise = msgspec.structs.replace(config.odometry, **parts)
+        robots = {**draft.site.robots, robot: msgspec.structs.replace(config, odometry=noise)}
+        noisy = draft.tracks[robot].noisy(noise, slip=track.slip, skid=track.skid)
+        site = msgspec.structs.replace(draft.site, robots=robots)
+        draft = replace(draft, site=site, tracks={**draft.tracks, robot: noisy})
+    return draft
+
+
+def _sigmas(data: DataSet, robot: str) -> Array:
+    """(2,) of the prior of distance and heading scale."""
+    noise = data.site.robots[robot].odometry
+    return np.array([noise.distance_scale, noise.heading_scale])
+
+
+def _told(data: DataSet, robot: str, found: list[VisitModes]) -> DataSet:
+    """With what these visits tell of a robot's scales."""
+    sigmas = _sigmas(data, robot)
+    prior = np.diag(np.maximum(sigmas, 1e-6) ** -2.0)
+    clear = [scales for one in found if (scales := _clear(one)) is not None]
+    if not clear:
+        return data
+    means = np.array([one[0] for one in clear])
+    each = np.linalg.inv(np.array([one[1] for one in clear]))
+    information = prior + (each - prior).sum(axis=0)
+    mean = np.linalg.solve(information, (each @ means[..., None]).sum(axis=0)[:, 0])
+    apart = means - mean
+    scatter = float(np.einsum("ni,nij,nj->", apart, each, apart)) / max(1, apart.size - 2)
+    # Real odometry has not one scale throughout: then visits scatter more than by chance.
+    left = np.sqrt(max(1.0, scatter) * np.diagonal(np.linalg.inv(information)))
+    sigma = np.minimum(left, sigmas)
+    return with_scales(data, robot, np.round(mean / _STEP) * _STEP, sigma)
+
+
+def _clear(found: VisitModes) -> tuple[Array, Array] | None:
+    """What a visit tells of the scales, where all that it may show tells the same."""
+    told = [mode.scales for mode in found.modes if mode.scales is not None]
+    if not told:
+        return None
+    mean, covariance = told[0]
+    apart = np.array([other for other, _ in told]) - mean
+    distances = np.einsum("ni,ij,nj->n", apart, np.linalg.inv(covariance), apart)
+    return (mean, covariance) if np.all(distances < chdtri(2, EVIDENCE)) else None
+
+
+def with_scales(data: DataSet, robot: str, scales: Array, sigmas: Array) -> DataSet:
+    """The data set with a robot's odometry scaled, and sigmas of what its scales still err by."""
+    config = data.site.robots[robot]
+    distance, heading = sigmas.tolist()
+    noise = msgspec.structs.replace(config.odometry, distance_scale=distance, heading_scale=heading)
+    robots = {**data.site.robots, robot: msgspec.structs.replace(config, odometry=noise)}
+    track = data.tracks[robot].scaled(scales)
+    return replace(
+        data,
+        site=msgspec.structs.replace(data.site, robots=robots),
+        tracks={**data.tracks, robot: track},
+    )

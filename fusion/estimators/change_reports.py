@@ -1,0 +1,55 @@
+"""Reports of lifted robots and moved cameras, as text."""
+
+import numpy as np
+
+from trigpoint.clock import NANOSECONDS
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift
+from trigpoint.fusion.model.problem import State
+
+BEHIND_A_JUMP = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
+
+
+def report_changes(data: DataSet, state: State) -> None:
+    """Add an event for each change of the site."""
+    for alike in data.changes:
+        lifts = [event for event in alike if isinstance(event, Lift)]
+        if lifts:
+            data.note("robot_lifted", _of_robot(data, lifts))
+        for move in alike:
+            if isinstance(move, CameraMove):
+                data.note("camera_moved", _of_camera(data, state, move))
+
+
+def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
+    robots = " or ".join(dict.fromkeys(lift.robot for lift in lifts))
+    text = (
+        f"robot {robots} was put down elsewhere {_between(data, lifts)} while its odometry showed "
+        "nothing; its way is broken there, and it is located anew"
+    )
+    if len(lifts) > 1:
+        text += "; a camera that it met only in between has no place until it drives there again"
+    return text
+
+
+def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
+    (name,) = [m.name for m in data.moves if (m.camera, m.since_ns) == (move.camera, move.since_ns)]
+    places = data.places_of(move.camera)
+    after = places[places.index(name) + 1]
+    by = ""
+    if name in state.cameras and after in state.cameras:
+        old, new = (state.cameras[place].map_from_camera for place in (name, after))
+        by = f" by {np.linalg.norm(new.translation - old.translation):.2f} m"
+    return (
+        f"camera {move.camera} was moved{by}; it is located anew, and what it saw before stays "
+        "with its earlier place"
+    )
+
+
+def _between(data: DataSet, lifts: list[Lift]) -> str:
+    """Between which times of the session."""
+    first = min(lift.after_ns for lift in lifts) - data.epoch_ns
+    last = max(lift.before_ns for lift in lifts) - data.epoch_ns
+    return f"between {first / NANOSECONDS:.1f} s and {last / NANOSECONDS:.1f} s of the session"

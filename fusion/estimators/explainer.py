@@ -1,0 +1,93 @@
+"""What an estimator took in, and what explains all of it: when to ask, and what follows.
+
+An estimator uses what it understands at once. What it does not, a camera that is not located, a
+robot that is not where it was, it leaves to the association; so that this stays a small share of
+the work, it is asked once half as many such sightings have come as it left unexplained the last
+time, or a fifth as many in all.
+"""
+
+from collections import Counter
+
+from trigpoint.fusion.association.engine import explain
+from trigpoint.fusion.association.explanation import Alternative, CameraFinding, Explanation
+from trigpoint.fusion.association.modes import Memory
+from trigpoint.fusion.association.scales import with_solved_scales
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Observation, Verdict
+from trigpoint.geometry.rotation import Array
+
+_GROWTH, _LEAST_NEW = 1.2, 20
+# Of what a camera saw of a robot: unexplained is half more than there was, and a third of what came
+# since.
+_OPEN_GROWTH, _OPEN_SHARE, _LEAST_OPEN = 0.5, 1 / 3, 3
+
+_Pair = tuple[str, str]
+
+
+class Explainer:
+    """Not thread-safe."""
+
+    def __init__(self, data: DataSet) -> None:
+        self._data = data
+        self._memory = Memory()
+        self._observations: list[Observation] = []
+        self.explanation: Explanation | None = None
+        # What the last explanation was of, and what of it it left unexplained; what came since, and
+        # is unexplained.
+        self._explained = 0
+        self._left: Counter[_Pair] = Counter()
+        self._came: Counter[_Pair] = Counter()
+        self._open: Counter[_Pair] = Counter()
+
+    def take(self, observation: Observation, *, is_used: bool) -> None:
+        """Note an observation as it came, and whether the estimator could use it."""
+        pair = observation.camera, observation.robot
+        self._observations.append(observation)
+        self._came[pair] += 1
+        self._open[pair] += not is_used
+
+    @property
+    def is_due(self) -> bool:
+        """Whether everything is to be explained anew."""
+        has_grown = len(self._observations) >= _GROWTH * self._explained + _LEAST_NEW
+        return has_grown or self.has_unexplained
+
+    @property
+    def has_unexplained(self) -> bool:
+        """Whether much came that is not explained."""
+        return any(
+            count >= max(_LEAST_OPEN, _OPEN_SHARE * self._came[p], _OPEN_GROWTH * self._left[p])
+            for p, count in self._open.items()
+        )
+
+    def explain(self, scales: dict[str, Array] | None = None) -> Explanation | None:
+        """What explains everything that came; None where nothing did. `scales`: by robot the
+        odometry's scale errors (2,) as a solution has them, of use where little is known of them.
+        """
+        if not self._observations:
+            return None
+        self._observations.sort(key=lambda observation: observation.stamp_ns)
+        self._explained = len(self._observations)
+        self._came, self._open = Counter(), Counter()
+        draft = with_solved_scales(self._data.draft(), self._data, scales or {})
+        self.explanation = explain(draft, list(self._observations), memory=self._memory)
+        return self.explanation
+
+    def note(self, entries: list[Entry]) -> None:
+        """Note what an explanation left unexplained of all entries."""
+        unused = [e.observation for e in entries if e.observation.verdict is not Verdict.ACCEPTED]
+        self._left = Counter((self._data.site_camera(o.camera), o.robot) for o in unused)
+
+    def finding(self, camera: str) -> CameraFinding | None:
+        """What the last explanation says of a camera."""
+        return self.explanation.findings.get(camera) if self.explanation is not None else None
+
+    def reason(self, camera: str) -> str:
+        """Why a camera that was seen is not located; "" where the explanation does not say."""
+        finding = self.finding(camera)
+        return finding.reason if finding is not None else "too few pictures of the robot so far"
+
+    def alternatives(self, camera: str) -> tuple[Alternative, ...]:
+        """The possible poses of a camera that is not located, best first."""
+        finding = self.finding(camera)
+        return finding.alternatives if finding is not None and not finding.is_located else ()

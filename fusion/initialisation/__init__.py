@@ -1,1 +1,0 @@
-"""Locates a camera or a robot of which nothing is known yet, without a guess."""

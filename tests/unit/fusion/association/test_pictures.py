@@ -1,0 +1,40 @@
+"""How a picture is read whose camera is known, and what of it is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+from drives import Session, observed
+
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.modes import ModeFinder
+from trigpoint.fusion.association.noise import Noise
+from trigpoint.fusion.association.pictures import PictureReader
+from trigpoint.fusion.association.session_noise import with_noise
+from trigpoint.fusion.association.visits import visits_of
+from trigpoint.geometry import Pose
+
+SWAY = Noise(tilt=0.01, sway=0.01)
+
+
+def test_faces_of_one_picture_that_contradict_each_other_are_not_both_right(
+    charuco: Session,
+) -> None:
+    """Each may be there by itself, since the robot sways; but it stood there once."""
+    data = with_noise(observed(charuco), {"r1": SWAY})
+    observations, events = [entry.observation for entry in data.entries], Events()
+    finder = ModeFinder(data, observations, events)
+    visit = visits_of(data, observations)[0]
+    mode = finder.modes_of(visit).modes[0]
+    index = next(i for i in visit.chosen if len(observations[i].views) == 2)
+    good = observations[index]
+    first, second = good.views
+    off = replace(second, pixels=second.pixels + np.array([2.5, -2.0]))
+    alone = replace(good, views=(off,))
+    reader = PictureReader(data, "r1", mode.camera, events)
+    there = Pose.stack([mode.poses[index]] * 3)
+    whole, single, both = reader.read(
+        [good, alone, replace(good, views=(first, off))], there, np.zeros((3, 6, 6))
+    )
+    assert all(reading is not None for reading in whole[0])
+    assert single[0][0] is not None
+    assert sum(reading is None for reading in both[0]) == 1
