@@ -47,6 +47,11 @@ class Explainer:
         self._open[pair] += not is_used
 
     @property
+    def has_new(self) -> bool:
+        """Whether anything came since the last explanation."""
+        return len(self._observations) > self._explained
+
+    @property
     def is_due(self) -> bool:
         """Whether everything is to be explained anew."""
         has_grown = len(self._observations) >= _GROWTH * self._explained + _LEAST_NEW
@@ -60,12 +65,9 @@ class Explainer:
             for p, count in self._open.items()
         )
 
-    def explain(self, scales: dict[str, Array] | None = None) -> Explanation | None:
-        """What explains everything that came; None where nothing did. `scales`: by robot the
-        odometry's scale errors (2,) as a solution has them, of use where little is known of them.
-        """
-        if not self._observations:
-            return None
+    def explain(self, scales: dict[str, Array] | None = None) -> Explanation:
+        """What explains everything that came. `scales`: by robot the odometry's scale errors (2,)
+        as a solution has them, of use where little is known of them."""
         self._observations.sort(key=lambda observation: observation.stamp_ns)
         self._explained = len(self._observations)
         self._came, self._open = Counter(), Counter()

@@ -100,13 +100,12 @@ class SequentialEstimator:
 
     def finish(self) -> None:
         """Explain everything that came, and process what the explanation uses from the beginning,
-        in order of time."""
+        in order of time; where that is not done yet."""
         replay = self._replay
-        explanation = self._explainer.explain() if replay is not None else None
-        if replay is None or explanation is None:
+        if replay is None or not self._explainer.has_new:
             return
         before = list(self.data.changes)
-        draft, state = explained(self.data, explanation)
+        draft, state = explained(self.data, self._explainer.explain())
         self.data.take_over(draft)
         self._explainer.note(self.data.entries)
         replay.restart(state.cameras)

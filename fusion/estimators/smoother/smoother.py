@@ -90,17 +90,16 @@ class Smoother:
         return self._explainer.is_due
 
     def finish(self) -> None:
-        """Explain and solve everything that came."""
+        """Explain and solve everything that came, where that is not done yet."""
+        if not self._explainer.has_new:
+            return
         before = list(self.data.changes)
         # Scales of which little is known are found by a solution, and by them the rest.
         is_rough = self._batch.solution is None and bool(rough_robots(self.data))
         known = None
         try:
             for _ in range(1 + is_rough):
-                explanation = self._explainer.explain(self._batch.scales)
-                if explanation is None:
-                    return
-                known = self._batch.solve(explanation)
+                known = self._batch.solve(self._explainer.explain(self._batch.scales))
         except (LinAlgError, ValueError) as reason:
             self.data.note("unsolved", f"what came last could not be solved for yet ({reason})")
             return

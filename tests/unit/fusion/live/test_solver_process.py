@@ -10,6 +10,7 @@ from drives import Session
 
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.live.solver_messages import (
+    Finish,
     News,
     Order,
     Report,
@@ -118,6 +119,10 @@ def test_what_waits_is_explained_together(charuco: Session) -> None:
     assert isinstance(solved, Solved)
     assert solved.count == sum(isinstance(o, TakeObservation) for o in orders_of(charuco))
     assert not list(worker.rest())
+    # Nothing came since: a stop need not wait for the same solution once more.
+    (report,) = worker.carry_out(Finish())
+    assert isinstance(report, Reported)
+    assert report.is_final
 
 
 def test_session_whose_end_is_left_to_the_finish_ends_where_batch_ends(
