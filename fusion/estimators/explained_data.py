@@ -1,11 +1,18 @@
 """Applies an explanation to a data set, for the solution to take as given."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from trigpoint.fusion.association.explanation import Explanation, Read
+from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.association.session_noise import with_noise
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, KnownCameras, Lift, Move
-from trigpoint.fusion.model.observations import Observation, Verdict, observation_of
+from trigpoint.fusion.model.observations import (
+    Observation,
+    Reading,
+    Verdict,
+    observation_of,
+)
 from trigpoint.fusion.model.problem import State
 
 
@@ -28,7 +35,7 @@ def explained(data: DataSet, explanation: Explanation) -> tuple[DataSet, State]:
         name = names[observation.camera, read.place]
         fresh = observation_of(name, observation.robot, observation.stamp_ns, observation.views)
         if name in cameras:
-            fresh = _read(fresh, read)
+            fresh = as_read(fresh, read.readings, read.wild)
         draft.entries.append(Entry(fresh, read.map_from_base))
     return draft, State(state.cameras | cameras, state.robots)
 
@@ -58,17 +65,17 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
     return names
 
 
-def _read(observation: Observation, read: Read) -> Observation:
-    """An observation as the explanation reads it."""
-    if all(reading is None for reading in read.readings):
+def as_read(
+    observation: Observation, readings: Sequence[Reading | None], wild: Sequence[np.ndarray]
+) -> Observation:
+    """An observation by its views' readings, None where one is wrong, and their wild corners."""
+    if all(reading is None for reading in readings):
         return observation.judged(Verdict.REJECTED)
-    chosen = tuple(
-        reading if reading is not None else view.readings[0]
-        for reading, view in zip(read.readings, observation.views, strict=True)
-    )
+    views = zip(readings, observation.views, strict=True)
+    chosen = tuple(reading or view.readings[0] for reading, view in views)
     outliers = tuple(
-        wild if reading is not None else np.ones_like(wild)
-        for reading, wild in zip(read.readings, read.wild, strict=True)
+        flags if reading is not None else np.ones_like(flags)
+        for reading, flags in zip(readings, wild, strict=True)
     )
     done = observation.read_as(chosen).judged(Verdict.ACCEPTED)
-    return done.with_outliers(outliers) if any(np.any(wild) for wild in outliers) else done
+    return done.with_outliers(outliers) if any(np.any(flags) for flags in outliers) else done

@@ -12,9 +12,9 @@ import numpy as np
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Read
 from trigpoint.fusion.association.pictures import PictureReader
+from trigpoint.fusion.estimators.explained_data import as_read
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
-from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
@@ -57,25 +57,13 @@ def _read_again(
     if not rows:
         return False
     observations = [entries[row].observation for row in rows]
+    read = reader.read(observations, poses[rows], drift[rows])
     changed = False
-    for row, (readings, wild) in zip(
-        rows, reader.read(observations, poses[rows], drift[rows]), strict=True
-    ):
+    for row, (readings, wild) in zip(rows, read, strict=True):
         entry = entries[row]
-        before = entry.observation.used_views
-        if sum(reading is not None for reading in readings) <= before:
-            continue
-        chosen = tuple(
-            reading if reading is not None else view.readings[0]
-            for reading, view in zip(readings, entry.observation.views, strict=True)
-        )
-        outliers = tuple(
-            flags if reading is not None else np.ones_like(flags)
-            for reading, flags in zip(readings, wild, strict=True)
-        )
-        entry.observation = entry.observation.read_as(chosen).judged(Verdict.ACCEPTED)
-        entry.observation = entry.observation.with_outliers(outliers)
-        entry.map_from_base, changed = poses[row], True
+        if sum(reading is not None for reading in readings) > entry.observation.used_views:
+            entry.observation = as_read(entry.observation, readings, wild)
+            entry.map_from_base, changed = poses[row], True
     return changed
 
 
@@ -92,8 +80,7 @@ def _there(
     drift = np.zeros((len(every), 6, 6))
     if len(every) > 1:
         drift[1:] = np.cumsum(track.motion(every, chain.scales).covariance, axis=0)
-    after = np.clip(np.searchsorted(nodes, moments), 1, max(len(nodes) - 1, 1))
-    after = np.minimum(after, len(nodes) - 1)
+    after = np.minimum(np.searchsorted(nodes, moments), len(nodes) - 1)
     before = np.maximum(after - 1, 0)
     is_before = np.abs(nodes[before] - moments) <= np.abs(nodes[after] - moments)
     nearest = nodes[np.where(is_before, before, after)]
