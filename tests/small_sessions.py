@@ -17,6 +17,9 @@ from benchmarks.compositions.room import Camera, cameras_of
 from benchmarks.compositions.session import Composition
 from benchmarks.compositions.views import Carrier, Picture, faces_in_sight, pictures_of
 from trigpoint.config import Site, parse_site
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry.rotation import wrap
 from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.target import Target
@@ -204,3 +207,15 @@ def _displaced(picture: Picture, recipe: Recipe, view: int) -> Picture:
     pixels = (first.sighting.pixels + by).astype(np.float32)
     wrong = replace(first, sighting=replace(first.sighting, pixels=pixels), is_displaced=True)
     return replace(picture, faces=(wrong, *others))
+
+
+def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
+    """What fusion knows of such a session once all of it came in, before it is explained."""
+    session = small_session(shape)
+    pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
+    for node, message in session.messages:
+        pipeline.push(node, message)
+        pipeline.advance()
+    pipeline.finish()
+    data = pipeline._data  # pyright: ignore[reportPrivateUsage]
+    return data, [entry.observation for entry in data.entries]

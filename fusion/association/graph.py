@@ -20,7 +20,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
-from .local import Mode
+from .mode import Mode
 from .modes import VisitModes, odometry_poses
 
 _SCALE_STEP = 0.01

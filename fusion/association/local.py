@@ -2,7 +2,7 @@
 pictures and the odometry between them allow."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -10,15 +10,12 @@ from scipy.linalg import LinAlgError
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
-from trigpoint.fusion.model.observations import Observation, Reading, Verdict
+from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
-from trigpoint.fusion.reading.best_readings import read_where_they_are
-from trigpoint.fusion.reading.faces import readings_rms_px
-from trigpoint.fusion.reading.visibility import body_of
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 from .budget import Budget
@@ -26,65 +23,16 @@ from .events import Events
 from .innovation import Corners, Stood, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
+from .mode import Mode
 from .sightings import wild_corners
 from .system import System
+from .trial import Trial
 
 _MOST_ROUNDS = 10
 _PATIENCE = 2
 # What a step may still promise of χ²: far below what any decision rests on.
 _TOLERANCE = 0.03
 _MOST_STEPS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """One place of a camera by one visit.
-
-    `map_from_camera`: in the frame in which odometry puts the robot (the first picture's pose is
-    exactly odometry's); `camera`: with lens and clock; `information`: of `columns` unknowns, pose
-    (6), then lens and clock where they are estimated, their priors included, of which `prior` is
-    ln |information|; `score`: of what is not in them; `readings`: by index, None for a wrong
-    sighting; `wild`: by index, each view's wild corners; `poses`: where the robot stood; `scales`:
-    (2,) and their covariance, and `faces`: base_from_face of all, each where they are estimated.
-    """
-
-    camera: CameraState
-    information: Array
-    prior: float
-    score: float
-    readings: dict[int, tuple[Reading | None, ...]]
-    wild: dict[int, tuple[np.ndarray, ...]]
-    poses: dict[int, Pose]
-    scales: tuple[Array, Array] | None = None
-    faces: Pose | None = None
-
-    @property
-    def map_from_camera(self) -> Pose:
-        return self.camera.map_from_camera
-
-    @property
-    def evidence(self) -> float:
-        """The score with the camera's own unknowns integrated out."""
-        return self.score + float(np.linalg.slogdet(self.information)[1]) - self.prior
-
-    @property
-    def wrong(self) -> int:
-        """How many sightings are wrong by it."""
-        return sum(reading is None for row in self.readings.values() for reading in row)
-
-
-@dataclass(slots=True)
-class _Trial:
-    """How each picture is read at the moment, and which of its views are taken to be wrong;
-    `hidden`: those that no reading can show, what they would be to first order means nothing;
-    `faces`: base_from_face of all as last solved, where they are estimated."""
-
-    wrong: dict[int, list[bool]]
-    poses: dict[int, Pose]
-    readings: dict[int, list[Reading]] = field(default_factory=dict)
-    wild: dict[int, list[np.ndarray]] = field(default_factory=dict)
-    hidden: set[tuple[int, int]] = field(default_factory=set)
-    faces: Pose | None = None
 
 
 class LocalProblem:
@@ -122,11 +70,11 @@ class LocalProblem:
         ones than this it is given up once it had time to take them back.
         """
         first = {index: list(row) for index, row in (wrong or {}).items()}
-        trial = _Trial(first, dict(self.poses))
+        trial = Trial(first, dict(self.poses))
         camera, seen = start, set[tuple[object, ...]]()
         for round_ in range(_MOST_ROUNDS):
-            self._read(trial, camera)
-            if all(all(row) for row in trial.wrong.values()):
+            trial.read(self.observations, self.target, camera)
+            if trial.is_all_wrong:
                 return None
             is_first = round_ == 0
             solved = self._solved(trial, camera, huber=HUBER_SIGMAS if is_first else np.inf)
@@ -135,56 +83,17 @@ class LocalProblem:
             camera = solved[1].cameras[self.camera]
             self._move(trial, *solved)
             self._judge(trial, *solved, is_robust=is_first)
-            count = sum(sum(row) for row in trial.wrong.values())
-            if most_wrong is not None and round_ >= _PATIENCE and count > most_wrong:
+            if most_wrong is not None and round_ >= _PATIENCE and trial.wrong_count > most_wrong:
                 return None
-            now = _signature(trial)
-            if now in seen:
+            if trial.signature in seen:
                 break
-            seen.add(now)
+            seen.add(trial.signature)
         return self._mode(trial, camera)
 
-    # -- how pictures are read --------------------------------------------------------------------
-
-    def _read(self, trial: _Trial, camera: CameraState) -> None:
-        """Read each view as it fits best where robot and camera are thought to be."""
-        trial.hidden.clear()
-        seen = self.observations.items()
-        stood = Pose.stack([trial.poses[index] for index in self.observations])
-        camera_from_base = camera.map_from_camera.inverse() @ stood
-        observations = list(self.observations.values())
-        if trial.faces is None:
-            read = read_where_they_are(observations, self.target, camera.lens, camera_from_base)
-        else:
-            read = self._read_by(trial.faces, camera.lens, camera_from_base)
-        for (index, observation), (readings, rms) in zip(seen, read, strict=True):
-            trial.readings[index] = list(readings)
-            hidden = [not np.isfinite(each) for each in rms]
-            trial.hidden.update((index, order) for order in np.flatnonzero(hidden).tolist())
-            before = trial.wrong.get(index, hidden)
-            trial.wrong[index] = [a or b for a, b in zip(before, hidden, strict=True)]
-            if index not in trial.wild:
-                trial.wild[index] = [np.zeros(len(v.corners), bool) for v in observation.views]
-
-    def _read_by(
-        self, faces: Pose, lens: CameraModel, camera_from_base: Pose
-    ) -> list[tuple[tuple[Reading, ...], list[float]]]:
-        """Of each observation the readings that fit best with the faces as they are by now, and
-        their RMS (pixels)."""
-        found = []
-        shift = faces @ body_of(self.target).face_from_base
-        for row, observation in enumerate(self.observations.values()):
-            readings, least = [], []
-            for view in observation.views:
-                each = readings_rms_px(view, self.target, lens, camera_from_base[row] @ shift)
-                rms = [float(each[r.face, order]) for order, r in enumerate(view.readings)]
-                readings.append(view.readings[int(np.argmin(rms))])
-                least.append(min(rms))
-            found.append((tuple(readings), least))
-        return found
+    # -- the solution -----------------------------------------------------------------------------
 
     def _solved(
-        self, trial: _Trial, camera: CameraState, *, huber: float
+        self, trial: Trial, camera: CameraState, *, huber: float
     ) -> tuple[Assembled, State] | None:
         assembled = self._assembled(trial, camera)
         try:
@@ -202,7 +111,7 @@ class LocalProblem:
             return None
         return assembled, solution.state
 
-    def _assembled(self, trial: _Trial, camera: CameraState) -> Assembled:
+    def _assembled(self, trial: Trial, camera: CameraState) -> Assembled:
         entries = []
         for index, observation in self.observations.items():
             outliers = tuple(
@@ -216,7 +125,7 @@ class LocalProblem:
         state = State({self.camera: camera}, self.data.first_state().robots)
         return assemble(small, state, list(range(len(entries))), anchored=False, fill=False)
 
-    def _move(self, trial: _Trial, assembled: Assembled, state: State) -> None:
+    def _move(self, trial: Trial, assembled: Assembled, state: State) -> None:
         nodes = state.robots[self.robot].map_from_base
         indices = list(self.observations)
         for order, node in assembled.node_of.items():
@@ -226,7 +135,7 @@ class LocalProblem:
 
     # -- what is wrong ----------------------------------------------------------------------------
 
-    def _judge(self, trial: _Trial, assembled: Assembled, state: State, *, is_robust: bool) -> None:
+    def _judge(self, trial: Trial, assembled: Assembled, state: State, *, is_robust: bool) -> None:
         """Say which corners are wild, and which sightings would better be wrong, or right.
 
         `is_robust`: the state is a robust minimum, at which only the worst is sure to be wrong.
@@ -311,7 +220,7 @@ class LocalProblem:
         }
         wrong = {index: [r is None for r in row] for index, row in mode.readings.items()}
         wild = {index: list(row) for index, row in mode.wild.items()}
-        assembled = self._assembled(_Trial(wrong, dict(mode.poses), readings, wild), mode.camera)
+        assembled = self._assembled(Trial(wrong, dict(mode.poses), readings, wild), mode.camera)
         (batch,) = assembled.problem.batches
         return linearised(
             self.data, assembled, batch, [(row, None) for row in range(len(batch.nodes))]
@@ -320,8 +229,8 @@ class LocalProblem:
     def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
         """Which sightings are wrong, likeliest first, by everything about a mode to first order:
         those that one after the other would never be found, since several agree by chance."""
-        trial = _Trial({}, dict(mode.poses))
-        self._read(trial, mode.camera)
+        trial = Trial({}, dict(mode.poses))
+        trial.read(self.observations, self.target, mode.camera)
         assembled = self._assembled(trial, mode.camera)
         (batch,) = assembled.problem.batches
         shown = [each for each in self._parts() if not trial.wrong[each[1]][each[2]]]
@@ -353,9 +262,9 @@ class LocalProblem:
 
     # -- the result -------------------------------------------------------------------------------
 
-    def _mode(self, trial: _Trial, camera: CameraState) -> Mode | None:
+    def _mode(self, trial: Trial, camera: CameraState) -> Mode | None:
         solved = self._solved(trial, camera, huber=np.inf)
-        if solved is None or all(all(row) for row in trial.wrong.values()):
+        if solved is None or trial.is_all_wrong:
             return None
         assembled, state = solved
         self._move(trial, assembled, state)
@@ -401,7 +310,7 @@ class LocalProblem:
         free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
         return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
 
-    def _left_out_score(self, trial: _Trial) -> float:
+    def _left_out_score(self, trial: Trial) -> float:
         score = 0.0
         for index, observation in self.observations.items():
             for order in range(len(observation.views)):
@@ -423,11 +332,3 @@ def _stood(
     used = (batch.weights > 0)[..., None]
     by_state = (jacobian * used[..., None]).reshape(len(residual), -1, jacobian.shape[-1])
     return Stood.of(jitter, by_state, (residual * used).reshape(len(residual), -1))
-
-
-def _signature(trial: _Trial) -> tuple[object, ...]:
-    return (
-        tuple((index, tuple(row)) for index, row in trial.readings.items()),
-        tuple(tuple(row) for row in trial.wrong.values()),
-        tuple(wild.tobytes() for row in trial.wild.values() for wild in row),
-    )

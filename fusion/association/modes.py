@@ -16,7 +16,8 @@ from trigpoint.geometry.rotation import Array
 from .budget import Budget
 from .consensus import MOST_SEEDS, Start, drift_between, starts_of
 from .events import Events, window
-from .local import LocalProblem, Mode
+from .local import LocalProblem
+from .mode import Mode
 from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
@@ -149,7 +150,7 @@ class ModeFinder:
         track = self.data.tracks[visit.robot]
         jitter = self.data.jitter.get(visit.robot)
         sigmas = tuple(v.sigma for i in visit.chosen for v in self.observations[i].views)
-        noise = track.noise, track.scales, track.slip, jitter
+        noise = track.noise, track.scales, track.slip, track.skid, jitter
         return visit, sigmas, noise, self.data.lenses[visit.camera]
 
     def _modes_of(self, visit: Visit) -> VisitModes:

@@ -11,7 +11,7 @@ from trigpoint.geometry import Pose
 
 from .budget import Budget
 from .events import Events
-from .local import Mode
+from .mode import Mode
 from .modes import Memory, ModeFinder, VisitModes
 from .noise import PESSIMISTIC, corner_scale
 from .session_noise import with_noise

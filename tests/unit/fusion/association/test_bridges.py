@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_sessions import Shape, small_session
+from small_sessions import Shape, data_of
 
 from trigpoint.fusion.association.bridges import tied_twice
 from trigpoint.fusion.association.engine import explain
@@ -11,9 +11,6 @@ from trigpoint.fusion.association.graph import Graph, Tie, Variant
 from trigpoint.fusion.association.minimum import placed
 from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.visits import visit_of
-from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.pipeline import Inputs, Pipeline
 
 
 def graph_of(shape: Shape) -> Graph:
@@ -22,18 +19,6 @@ def graph_of(shape: Shape) -> Graph:
     finder = ModeFinder(data, observations, Events())
     visits = [finder.modes_of(visit_of(observations, [i])) for i in range(len(observations))]
     return Graph(data, visits, Events())
-
-
-def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
-    session = small_session(shape)
-    inputs = Inputs(session.site, {"r1": session.target})
-    pipeline = Pipeline(inputs, is_live=False)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        pipeline.advance()
-    pipeline.finish()
-    data = pipeline._data  # pyright: ignore[reportPrivateUsage]
-    return data, [entry.observation for entry in data.entries]
 
 
 def test_loop_that_closes_ties_everything_on_it_and_nothing_after() -> None:

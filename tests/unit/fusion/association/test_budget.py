@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from small_sessions import Shape, small_session
+from small_sessions import Shape, data_of
 
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.pipeline import Inputs, Pipeline
 
 Came = tuple[DataSet, list[Observation]]
 
@@ -17,14 +16,7 @@ Came = tuple[DataSet, list[Observation]]
 @pytest.fixture(scope="module")
 def came() -> Came:
     """Two cameras that were met twice, one by one."""
-    session = small_session(Shape(8, (0, 1, 0, 1), is_alike=False, is_near=True))
-    pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        pipeline.advance()
-    pipeline.finish()
-    data = pipeline._data  # pyright: ignore[reportPrivateUsage]
-    return data, [entry.observation for entry in data.entries]
+    return data_of(Shape(8, (0, 1, 0, 1), is_alike=False, is_near=True))
 
 
 def within(came: Came, allowed: float) -> tuple[Explanation, Budget]:

@@ -1,0 +1,253 @@
+"""What all worlds of a session say together, each camera held against the one rule of evidence."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.problem import CameraState
+from trigpoint.geometry import Pose
+
+from .events import window
+from .evidence import alternatives_of
+from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
+from .mode import Mode
+from .world import World
+
+# Where a place is known less well than this, m, nothing ties it to the map.
+_LOOSE_M = 2.0
+_LIKE = (
+    "position and orientation: cameras at {} m fit alike; drive past it again, where it sees the "
+    "robot from elsewhere"
+)
+_NOTHING = "its pictures contradict each other and the odometry"
+_FEW = "no picture of it shows enough of a face to place it"
+_LOST = (
+    "position and orientation in the map: the robot was put down elsewhere, or its odometry "
+    "jumped, on its way here from the other cameras; drive there without a break"
+)
+_LOOSE = (
+    "position and orientation in the map: a robot was carried or a camera moved in this session, "
+    "and nothing shows that the robot was not on its way here; drive from here past a camera that "
+    "it met before"
+)
+_LATE = (
+    "position and orientation in the map: not decided in time, since too much may have happened in "
+    "this session; record it in several shorter ones"
+)
+
+
+class Outcome:
+    """What all worlds say together; how pictures are read is the best one's word."""
+
+    def __init__(
+        self,
+        worlds: list[World],
+        observations: list[Observation],
+        corner_scale: dict[str, float],
+    ) -> None:
+        self.worlds, self.observations, self.corner_scale = worlds, observations, corner_scale
+        self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.noise.score)
+        self.chosen = self.best.hypotheses[0]
+        self.data = self.best.data
+        self.loose = self._loose()
+        self.undecided = {camera for world in worlds for camera in world.undecided}
+
+    def _loose(self) -> set[str]:
+        """Cameras that hang on a gap in which the robot may have been carried once more."""
+        least = self.chosen.score + self.best.noise.score
+        limit = least + window() - self.best.events.event_score
+        found = [each for world in self.worlds for each in world.loose() if each[0] < limit]
+        return {camera for _, cameras in found for camera in cameras}
+
+    def explanation(self) -> Explanation:
+        seen = dict.fromkeys(v.visit.camera for v in self.best.visits)
+        findings = {camera: self._finding(camera) for camera in seen}
+        places = self._places(findings)
+        return Explanation(
+            observations=tuple(self.observations),
+            reads=tuple(self._reads()),
+            findings=findings,
+            places=places,
+            lifts=tuple(self._lifts()),
+            moves=tuple(self._moves()),
+            noise=self.best.noise.by_robot,
+            corner_scale=self.corner_scale,
+        )
+
+    def _finding(self, camera: str) -> CameraFinding:
+        if camera in self.undecided:
+            return CameraFinding(camera, (), 0, _LATE)
+        alternatives = alternatives_of(
+            place for world in self.worlds for place in world.places(camera, None)
+        )
+        rests_on = self._rests_on(camera)
+        if not alternatives:
+            mine = [v for v in self.best.visits if v.visit.camera == camera]
+            reason = _NOTHING if any(v.modes for v in mine) else _FEW
+            return CameraFinding(camera, (), 0, reason)
+        if len(alternatives) > 1:
+            return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
+        if np.sqrt(np.trace(next(iter(alternatives)).covariance[:3, :3])) > _LOOSE_M:
+            return CameraFinding(camera, (), rests_on, _LOST)
+        if camera in self.loose:
+            return CameraFinding(camera, alternatives, rests_on, _LOOSE)
+        return CameraFinding(camera, alternatives, rests_on)
+
+    def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
+        """Every place, also earlier ones, that is one place."""
+        found = {}
+        for n in [*self.chosen.ties, *self.chosen.open]:
+            camera = self.best.visits[n].visit.camera
+            place = self.chosen.place_of(n)
+            assert place is not None
+            if camera in self.undecided:
+                continue
+            last = self._last_place(camera)
+            if place == last:
+                if findings[camera].is_located:
+                    found[camera, place] = self._state(
+                        camera, place, findings[camera].alternatives[0].map_from_camera
+                    )
+                continue
+            alike = alternatives_of(p for world in self.worlds for p in world.places(camera, place))
+            is_tied = alike and np.sqrt(np.trace(alike[0].covariance[:3, :3])) < _LOOSE_M
+            if len(alike) == 1 and is_tied:
+                found[camera, place] = self._state(camera, place, alike[0].map_from_camera)
+        return found
+
+    def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
+        """A camera there, with the lens and clock that the most telling visit gives it."""
+        modes = [
+            v.modes[self._mode_of(n)]
+            for n, v in enumerate(self.best.visits)
+            if v.visit.camera == camera and self.chosen.place_of(n) == place
+        ]
+        telling = max(modes, key=lambda mode: float(np.linalg.slogdet(mode.information)[1]))
+        return replace(telling.camera, map_from_camera=pose)
+
+    def _last_place(self, camera: str) -> int:
+        return max(
+            (
+                place
+                for n in [*self.chosen.ties, *self.chosen.open]
+                if self.best.visits[n].visit.camera == camera
+                and (place := self.chosen.place_of(n)) is not None
+            ),
+            default=0,
+        )
+
+    def _rests_on(self, camera: str) -> int:
+        """How many right sightings show a camera at its last place."""
+        last, count = self._last_place(camera), 0
+        for n, v in enumerate(self.best.visits):
+            if v.visit.camera == camera and self.chosen.place_of(n) == last:
+                mode = v.modes[self._mode_of(n)]
+                read = sum(r is not None for row in mode.readings.values() for r in row)
+                rest = sum(len(self.observations[i].views) for i in v.visit.indices) - sum(
+                    len(row) for row in mode.readings.values()
+                )
+                count += read + rest
+        return count
+
+    def _mode_of(self, number: int) -> int:
+        """The mode by which a visit is read."""
+        if number in self.chosen.ties:
+            return self.chosen.ties[number].mode
+        modes = self.best.visits[number].modes
+        return int(np.argmin([mode.evidence for mode in modes]))
+
+    # -- how pictures are read --------------------------------------------------------------------
+
+    def _reads(self) -> list[Read]:
+        reads: dict[int, Read] = {}
+        for number, found in enumerate(self.best.visits):
+            place = self.chosen.place_of(number)
+            if place is None:
+                last = self._last_place(found.visit.camera)
+                reads |= {index: self._wrong(index, last) for index in found.visit.indices}
+            else:
+                mode = found.modes[self._mode_of(number)]
+                reads |= self._read_by(number, self.best.finder.completed(found.visit, mode), place)
+        return [reads[index] for index in range(len(self.observations))]
+
+    def _wrong(self, index: int, place: int) -> Read:
+        views = self.observations[index].views
+        wild = tuple(np.zeros(len(view.corners), bool) for view in views)
+        return Read((None,) * len(views), wild, None, place)
+
+    def _read_by(self, number: int, mode: Mode, place: int) -> dict[int, Read]:
+        assert self.chosen.placed is not None
+        visit = self.best.visits[number].visit
+        node = self.best.graph.node_of[number]
+        start = self.best.graph.paths[visit.robot].odometry[node]
+        map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ start.inverse()
+        return {
+            index: Read(
+                mode.readings[index],
+                mode.wild[index],
+                map_from_odom @ mode.poses[index],
+                place,
+                index not in visit.chosen,
+            )
+            for index in visit.indices
+        }
+
+    # -- what happened ----------------------------------------------------------------------------
+
+    def _lifts(self) -> list[Lifted]:
+        near = [
+            h
+            for h in self.best.hypotheses
+            if h.score < self.chosen.score + window() and len(h.breaks) == len(self.chosen.breaks)
+        ]
+        found = []
+        for robot, gap in sorted(self.chosen.breaks):
+            others = {g for h in near for r, g in h.breaks if r == robot} - {
+                g for r, g in self.chosen.breaks if r == robot
+            }
+            span = self._span(robot, gap)
+            found.append(
+                Lifted(robot, *span, tuple(self._span(robot, other) for other in sorted(others)))
+            )
+        return found
+
+    def _span(self, robot: str, gap: int) -> tuple[int, int]:
+        """From the last picture before a gap between two nodes to the first after it."""
+        stamps = self.best.graph.paths[robot].stamps_ns
+        after = [
+            v.visit.until_ns
+            for n, v in enumerate(self.best.visits)
+            if v.visit.robot == robot and self.best.graph.node_of[n] <= gap
+        ]
+        before = int(stamps[gap + 1])
+        # A visit that goes on where others begin anew has nothing in it that says when.
+        return max([int(stamps[gap]), *(until for until in after if until < before)]), before
+
+    def _moves(self) -> list[Moved]:
+        found = []
+        for camera in dict.fromkeys(v.visit.camera for v in self.best.visits):
+            numbers = [
+                n
+                for n in sorted([*self.chosen.ties, *self.chosen.open])
+                if self.best.visits[n].visit.camera == camera
+            ]
+            first = self.best.visits[numbers[0]].visit.stamp_ns if numbers else 0
+            if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere before all of it
+                found.append(Moved(camera, first, first))
+            for earlier, later in pairwise(numbers):
+                if self.chosen.place_of(earlier) != self.chosen.place_of(later):
+                    until, since = self.best.visits[earlier].visit, self.best.visits[later].visit
+                    found.append(Moved(camera, until.until_ns, since.stamp_ns))
+        return found
+
+
+def _fit_alike(alternatives: tuple[Alternative, ...]) -> str:
+    places = [
+        "({:.2f}, {:.2f}, {:.2f})".format(*place.map_from_camera.translation)
+        for place in alternatives
+    ]
+    if len(places) > 4:
+        places = [*places[:3], f"{len(places) - 3} more places"]
+    return _LIKE.format(f"{', '.join(places[:-1])} and {places[-1]}")

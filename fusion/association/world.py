@@ -1,0 +1,152 @@
+"""One world: everything that may explain a session where its noise is known.
+
+It searches the joint explanations and verifies the best one from its end backwards: for each
+camera, where else could it be, given all the others?
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
+
+from .agreement import seen_by
+from .bridges import tied_twice
+from .events import Events, window
+from .evidence import Place
+from .graph import Graph, Variant
+from .learning import SessionNoise
+from .modes import Memory, ModeFinder
+from .search import Hypothesis, Search
+from .session_noise import with_noise
+from .visits import visits_of
+
+
+class World:
+    """Everything that may explain the session where its noise is this.
+
+    `undecided`: the cameras for which the budget did not suffice to look at everything else.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        observations: list[Observation],
+        events: Events,
+        noise: SessionNoise,
+        memory: Memory,
+    ) -> None:
+        self.observations, self.noise, self.events = observations, noise, events
+        self.data = data = with_noise(data, noise.by_robot)
+        self.finder = finder = ModeFinder(data, observations, events, memory)
+        found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
+        self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
+        self.graph = Graph(data, self.visits, events)
+        self.budget = memory.budget
+        self.search = Search(self.graph, events, self.budget)
+        numbers = range(len(self.visits))
+        self.hypotheses = self.search.explained(self.search.beginning(), numbers)
+        self.undecided = {v.visit.camera for v in self.visits} if self.budget.is_spent else set()
+        self._verify()
+
+    def _verify(self) -> None:
+        """For the best explanation, camera by camera: everything else that its visits may be. Where
+        that is not done to the end, it is done for none that was met but once."""
+        best = self.hypotheses[0]
+        known = {_signature(hypothesis) for hypothesis in self.hypotheses}
+        cameras = dict.fromkeys(v.visit.camera for v in self.visits)
+        verified = set[str]()
+        for camera in cameras:
+            mine = [n for n, v in enumerate(self.visits) if v.visit.camera == camera]
+            if len(mine) < 2:
+                continue
+            rest = self._without(best, set(mine))
+            if rest is None:
+                continue
+            found = self.search.explained(rest, mine)
+            if self.budget.is_spent:
+                self.undecided |= cameras.keys() - verified
+                break
+            verified.add(camera)
+            for hypothesis in found:
+                if _signature(hypothesis) not in known:
+                    known.add(_signature(hypothesis))
+                    self.hypotheses.append(hypothesis)
+        self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
+
+    def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
+        """An explanation of everything but these visits."""
+        ties = {n: tie for n, tie in hypothesis.ties.items() if n not in numbers}
+        rest = replace(
+            hypothesis,
+            open={n: place for n, place in hypothesis.open.items() if n not in numbers},
+            nothing=hypothesis.nothing - numbers,
+        )
+        found = self.search.placed([(rest, Variant(ties, hypothesis.breaks))])
+        return found[0] if found else None
+
+    def loose(self) -> list[tuple[float, set[str]]]:
+        """For each explanation in which something happened: its score, and the cameras whose last
+        places would be elsewhere if the robot had been carried once more, unseen."""
+        found = []
+        for hypothesis in self.hypotheses:
+            if hypothesis.score > self.hypotheses[0].score + window():
+                break
+            if not self.search.happened(hypothesis):
+                continue
+            ties, opened = hypothesis.ties, hypothesis.open
+            tied = tied_twice(self.graph, ties, opened, hypothesis.breaks)
+            last: dict[str, int] = {}
+            for number in [*ties, *opened]:
+                camera, place = self.visits[number].visit.camera, hypothesis.place_of(number)
+                assert place is not None
+                last[camera] = max(last.get(camera, 0), place)
+            loose = {camera for camera, place in last.items() if (camera, place) not in tied}
+            found.append((hypothesis.score + self.noise.score, loose))
+        return found
+
+    def places(self, camera: str, number: int | None) -> list[Place]:
+        """Where each explanation puts a camera; `number`: at which of its places, None: at last."""
+        found = []
+        for hypothesis in self.hypotheses:
+            if hypothesis.score > self.hypotheses[0].score + 2 * window():
+                continue
+            found += self._places_by(hypothesis, camera, number)
+        return found
+
+    def _places_by(self, hypothesis: Hypothesis, camera: str, number: int | None) -> list[Place]:
+        assert hypothesis.placed is not None
+        score = hypothesis.score + self.noise.score
+        mine = {
+            n: place
+            for n in [*hypothesis.ties, *hypothesis.open]
+            if self.visits[n].visit.camera == camera
+            and (place := hypothesis.place_of(n)) is not None
+        }
+        wanted = max(mine.values(), default=0) if number is None else number
+        there = [n for n, place in mine.items() if place == wanted]
+        if not there:
+            return []
+        placed = hypothesis.placed
+        if there[0] in hypothesis.ties:
+            key = camera, wanted
+            covariance = placed.covariance(placed.layout.places[key])
+            return [Place(placed.places[key], covariance, score)]
+        seen = seen_by(self.graph, placed, there[0])
+        shared = placed.covariance(seen.rows)
+        covariance = seen.by_unknowns @ shared @ np.swapaxes(seen.by_unknowns, 1, 2) + seen.own
+        least = float(seen.evidence.min())
+        return [
+            Place(seen.pose[mode], covariance[mode], score + float(evidence) - least)
+            for mode, evidence in enumerate(seen.evidence)
+        ]
+
+
+def _signature(hypothesis: Hypothesis) -> tuple[object, ...]:
+    return (
+        tuple(sorted((n, t.mode, t.place) for n, t in hypothesis.ties.items())),
+        tuple(sorted(hypothesis.open.items())),
+        hypothesis.nothing,
+        hypothesis.breaks,
+    )
