@@ -27,7 +27,8 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .filter_state import Innovation, ReadSighting
 from .particle_resampling import effective_sample_size, largest_share, normalised
-from .particles import PARTICLES, Particles, mean_pose, transposed
+from .particles import PARTICLES, Particles, transposed
+from .pose_samples import PoseSamples
 from .relative_pose import RelativeView, relative_view
 from .sequential import SequentialEstimator
 
@@ -45,20 +46,49 @@ def particle_filter(data: DataSet) -> SequentialEstimator:
 @dataclass(frozen=True, slots=True)
 class _Terms:
     """A sighting in each of n particles: residual (n, k) of unit noise; its derivative (n, k, m) by
-    the robot, its companion if it has one, and the camera; their covariance (n, m, m) together,
-    and the innovation's (n, k, k)."""
+    the robot, its companion if it has one, and the camera; and the inverse of its covariance
+    (n, k, k)."""
 
     residual: Array
     jacobian: Array
-    covariance: Array
-    total: Array
+    information: Array
 
     @property
     def log_likelihood(self) -> Array:
         """(n,), up to a constant."""
-        solved = np.linalg.solve(self.total, self.residual[..., None])[..., 0]
-        _, log_determinant = np.linalg.slogdet(self.total)
-        return -0.5 * (np.sum(self.residual * solved, axis=1) + log_determinant)
+        solved = (self.information @ self.residual[..., None])[..., 0]
+        _, log_determinant = np.linalg.slogdet(self.information)
+        return -0.5 * (np.sum(self.residual * solved, axis=1) - log_determinant)
+
+
+@dataclass(frozen=True, slots=True)
+class _Relative:
+    """camera_from_base (n) in each particle; its derivative (n, 6, m) by the robot, its companion
+    if it has one, and the camera; their covariance (n, m, m) together, and its own (n, 6, 6)."""
+
+    camera_from_base: Pose
+    jacobian: Array
+    covariance: Array
+    spread: Array
+
+    def expected(self, camera_from_base: Pose) -> tuple[Array, Array]:
+        """Mean (6,) and covariance (6, 6) of the disturbance of a pose, of all particles."""
+        apart = self.camera_from_base.difference(camera_from_base)
+        return apart.mean(axis=0), np.cov(apart.T, bias=True) + self.spread.mean(axis=0)
+
+    def terms(self, view: RelativeView) -> _Terms:
+        """How far a sighting is from each particle."""
+        apart = self.camera_from_base.difference(view.camera_from_base)
+        total = view.root @ self.spread @ view.root.T + np.eye(len(view.residual))
+        residual = view.residual + apart @ view.root.T
+        return _Terms(residual, view.root @ self.jacobian, np.linalg.inv(total))
+
+    def innovation_chi2(self, view: RelativeView) -> float:
+        """χ² of the innovation, for all particles together as one Gaussian."""
+        mean, covariance = self.expected(view.camera_from_base)
+        residual = view.residual + view.root @ mean
+        total = view.root @ covariance @ view.root.T + np.eye(len(residual))
+        return float(residual @ np.linalg.solve(total, residual))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +115,8 @@ class ParticleFilterState(Particles):
         drawn = random.standard_normal((PARTICLES, len(joint))) @ np.linalg.cholesky(joint).T
         places = {}
         for index, (name, pose) in enumerate(data.known.poses.items()):
-            places[name] = pose.repeated(PARTICLES).disturbed(drawn[:, 6 * index : 6 * index + 6])
+            samples = pose.repeated(PARTICLES).disturbed(drawn[:, 6 * index : 6 * index + 6])
+            places[name] = PoseSamples.of(samples)
         return replace(
             self,
             draws=self.draws + 1,
@@ -103,11 +134,11 @@ class ParticleFilterState(Particles):
         mean_scales = self.scales(robot)
         moments_ns = np.array([self.stamps_ns[robot], stamp_ns])
         motion = data.tracks[robot].motion(moments_ns, mean_scales)
-        step = odometry_step(self.poses[robot], motion)
+        step = odometry_step(self.poses[robot].poses, motion)
         tangent = self.tangents[robot]
-        free = np.ix_(range(PARTICLES), tangent, tangent)
-        noise = (step.by_motion @ motion.covariance[0] @ transposed(step.by_motion))[free]
-        by_start = step.by_start[free]
+        by_motion = step.by_motion[:, tangent]
+        noise = by_motion @ motion.covariance[0] @ transposed(by_motion)
+        by_start = step.by_start[:, tangent][..., tangent]
         end = step.end
         if robot in self.scale_errors:
             apart = self.scale_errors[robot] - mean_scales
@@ -115,7 +146,7 @@ class ParticleFilterState(Particles):
         return replace(
             self,
             stamps_ns=self.stamps_ns | {robot: stamp_ns},
-            poses=self.poses | {robot: end},
+            poses=self.poses | {robot: PoseSamples.of(end)},
             spreads=self.spreads
             | {robot: by_start @ self.spreads[robot] @ transposed(by_start) + noise},
             crossed={n: by_start @ c if n == robot else c for n, c in self.crossed.items()},
@@ -133,15 +164,17 @@ class ParticleFilterState(Particles):
         if sighting.places_robot:
             stamp_ns = sighting.observation.stamp_ns
             filter_state = filter_state.with_robot(data, robot, sighting.map_from_base, stamp_ns)
-        view = filter_state._linearised(data, sighting)
+        relative = filter_state._relative(robot, camera)
+        view = filter_state._linearised(data, sighting, relative)
         if view is None:
             return None
-        chi2 = filter_state._innovation_chi2(view, robot, camera)
+        chi2 = relative.innovation_chi2(view)
         freedom = len(view.residual) - (
             len(filter_state.tangents[robot]) if sighting.places_robot else 0
         )
-        filter_state = filter_state._weighted(view, robot, camera)._improved(view, robot, camera)
-        after = filter_state._view(data, sighting, filter_state._relative(robot, camera))
+        filter_state = filter_state._conditioned(view, relative, robot, camera)
+        camera_from_map = filter_state.places[camera].mean.inverse()
+        after = filter_state._view(data, sighting, camera_from_map @ filter_state.poses[robot].mean)
         rms_px = after.rms_px if after is not None else view.rms_px
         total = chi2 + view.left_over
         return filter_state, Innovation(chi2, freedom, total, freedom + view.freedom, rms_px)
@@ -157,13 +190,14 @@ class ParticleFilterState(Particles):
         if view is None or not view.determines_pose:
             return None
         filter_state = self.with_drawn([robot])
-        pose = filter_state.poses[robot]
+        pose = filter_state.poses[robot].poses
         place = pose @ camera_from_base.inverse()
         by_camera, _ = relative_jacobians(place, pose)
         inverse = np.linalg.inv(view.root @ by_camera)
         filter_state = replace(
             filter_state,
-            places=filter_state.places | {name: place.disturbed(-inverse @ view.residual)},
+            places=filter_state.places
+            | {name: PoseSamples.of(place.disturbed(-inverse @ view.residual))},
             covariances=filter_state.covariances | {name: inverse @ transposed(inverse)},
             lenses=filter_state.lenses | {name: camera.lens},
             companions=filter_state.companions | {robot: name},
@@ -172,10 +206,17 @@ class ParticleFilterState(Particles):
         )
         return filter_state, Innovation(0.0, 0, view.left_over, view.freedom, view.rms_px)
 
-    def _relative(self, robot: str, camera: str) -> Pose:
-        """camera_from_base by the mean camera and robot."""
-        map_from_camera = mean_pose(self.places[camera])
-        return map_from_camera.inverse() @ mean_pose(self.poses[robot])
+    def _relative(self, robot: str, camera: str) -> _Relative:
+        """A camera's view of the robot in each particle."""
+        place, pose = self.places[camera].poses, self.poses[robot].poses
+        by_camera, by_base = relative_jacobians(place, pose)
+        group = self._group(robot, camera)
+        parts = [by_base[..., self.tangents[robot]]]
+        parts += [np.zeros((PARTICLES, 6, 6))] * (len(group) - 1)
+        jacobian = np.concatenate([*parts, by_camera], axis=-1)
+        covariance = self.together(robot, group)
+        spread = jacobian @ covariance @ transposed(jacobian)
+        return _Relative(place.inverse() @ pose, jacobian, covariance, spread)
 
     def _view(
         self, data: DataSet, sighting: ReadSighting, camera_from_base: Pose
@@ -184,15 +225,16 @@ class ParticleFilterState(Particles):
         lens = self.lenses[observation.camera]
         return relative_view(observation, data.targets[observation.robot], lens, camera_from_base)
 
-    def _linearised(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
+    def _linearised(
+        self, data: DataSet, sighting: ReadSighting, relative: _Relative
+    ) -> RelativeView | None:
         """The sighting about the camera_from_base that it and the particles say together."""
-        robot, camera = sighting.observation.robot, sighting.observation.camera
-        place = mean_pose(self.places[camera])
+        place = self.places[sighting.observation.camera].mean
         view = self._view(data, sighting, place.inverse() @ sighting.map_from_base)
         for _ in range(_MOST_LINEARISATIONS - 1):
             if view is None or len(view.root) < 6:
                 return None
-            mean, covariance = self._expected(view, robot, camera)
+            mean, covariance = relative.expected(view.camera_from_base)
             # d = mean + e, |residual + root d|² + eᵀ covariance⁻¹ e is least at:
             gain = covariance @ view.root.T
             gain = gain @ np.linalg.inv(view.root @ gain + np.eye(len(view.root)))
@@ -200,65 +242,42 @@ class ParticleFilterState(Particles):
             view = self._view(data, sighting, view.camera_from_base.disturbed(best))
         return view
 
-    def _expected(self, view: RelativeView, robot: str, camera: str) -> tuple[Array, Array]:
-        """Mean (6,) and covariance (6, 6) of the disturbance of the view's camera_from_base."""
-        place, pose = self.places[camera], self.poses[robot]
-        apart = (place.inverse() @ pose).difference(view.camera_from_base)
-        mean, covariance = apart.mean(axis=0), np.cov(apart.T, bias=True)
-        jacobian = self._jacobian(np.eye(6), robot, camera)
-        within = jacobian @ self.together(robot, self._group(robot, camera))
-        within = within @ transposed(jacobian)
-        return mean, covariance + within.mean(axis=0)
-
     def _group(self, robot: str, camera: str) -> list[str]:
         """The cameras that a sighting moves in a particle: the robot's companion and this one."""
         companion = self.companions.get(robot)
         return [camera] if companion in (None, camera) else [companion, camera]
 
-    def _jacobian(self, root: Array, robot: str, camera: str) -> Array:
-        """root · camera_from_base's disturbance by the robot's and the group's, (n, k, m)."""
-        by_camera, by_base = relative_jacobians(self.places[camera], self.poses[robot])
-        parts = [root @ by_base[..., self.tangents[robot]]]
-        parts += [np.zeros((PARTICLES, len(root), 6))] * (len(self._group(robot, camera)) - 1)
-        return np.concatenate([*parts, root @ by_camera], axis=-1)
-
-    def _innovation_chi2(self, view: RelativeView, robot: str, camera: str) -> float:
-        """χ² of the innovation, for all particles together as one Gaussian."""
-        mean, covariance = self._expected(view, robot, camera)
-        residual = view.residual + view.root @ mean
-        total = view.root @ covariance @ view.root.T + np.eye(len(residual))
-        return float(residual @ np.linalg.solve(total, residual))
-
-    def _terms(self, view: RelativeView, robot: str, camera: str) -> _Terms:
-        relative = self.places[camera].inverse() @ self.poses[robot]
-        apart = relative.difference(view.camera_from_base)
-        jacobian = self._jacobian(view.root, robot, camera)
-        covariance = self.together(robot, self._group(robot, camera))
-        total = jacobian @ covariance @ transposed(jacobian) + np.eye(len(view.residual))
-        return _Terms(view.residual + apart @ view.root.T, jacobian, covariance, total)
-
-    def _weighted(self, view: RelativeView, robot: str, camera: str) -> "ParticleFilterState":
-        """Particles by how well they expect the sighting, in shares that keep half effective."""
-        filter_state, left = self, 1.0
+    def _conditioned(
+        self, view: RelativeView, relative: _Relative, robot: str, camera: str
+    ) -> "ParticleFilterState":
+        """Particles by how well they expect the sighting, in shares that keep half effective, and
+        improved by it."""
+        filter_state, terms, left = self, relative.terms(view), 1.0
         for _ in range(_MOST_SHARES):
-            terms = filter_state._terms(view, robot, camera)
             log_likelihood = terms.log_likelihood
             share = largest_share(log_likelihood, left)
             weights = normalised(share * log_likelihood)
             if effective_sample_size(weights) < _ALIKE * PARTICLES:
                 filter_state = filter_state.resampled(terms.residual, weights)
+                relative = filter_state._relative(robot, camera)
+                terms = relative.terms(view)
             left -= share
             if left <= 0:
-                return filter_state
+                return filter_state._improved(relative, terms, robot, camera)
         raise ValueError("no particle is near what is seen")
 
-    def _improved(self, view: RelativeView, robot: str, camera: str) -> "ParticleFilterState":
+    def _improved(
+        self, relative: _Relative, terms: _Terms, robot: str, camera: str
+    ) -> "ParticleFilterState":
         """Each particle's Gaussians by the sighting; where another camera saw the robot before,
         its pose is drawn, after which the two know nothing of each other."""
-        terms, group = self._terms(view, robot, camera), self._group(robot, camera)
-        gain = terms.covariance @ transposed(terms.jacobian) @ np.linalg.inv(terms.total)
+        covariance, jacobian = relative.covariance, terms.jacobian
+        gain = covariance @ transposed(jacobian) @ terms.information
         step = -(gain @ terms.residual[..., None])[..., 0]
-        keep = np.eye(gain.shape[1]) - gain @ terms.jacobian
-        better = keep @ terms.covariance @ transposed(keep) + gain @ transposed(gain)
-        filter_state = self.moved(robot, group, step, better)
-        return filter_state.drawn_from(robot, group, better) if len(group) > 1 else filter_state
+        # Joseph's form, (I - G J) P (I - G J)ᵀ + G Gᵀ, by products of narrow matrices alone.
+        kept = covariance - gain @ (jacobian @ covariance)
+        better = kept + (gain - kept @ transposed(jacobian)) @ transposed(gain)
+        group = self._group(robot, camera)
+        if len(group) > 1:
+            return self.drawn_from(robot, group, step, better)
+        return self.moved(robot, group, [step], better)

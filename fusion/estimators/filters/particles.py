@@ -15,10 +15,13 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
 from .particle_resampling import independent_draws, resampled
+from .pose_samples import PoseSamples
 
 PARTICLES = 2000
 _UNKNOWN_VARIANCE = 100.0**2  # m² and rad²: where a robot is that nothing ties to the map
 _SHOWN = 500
+# Of the largest variance of a covariance: less is rounding.
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +38,11 @@ class Particles:
     draws: int
     stamps_ns: dict[str, int]
     tangents: dict[str, list[int]]
-    poses: dict[str, Pose]
+    poses: dict[str, PoseSamples]
     spreads: dict[str, Array]
     companions: dict[str, str]
     crossed: dict[str, Array]
-    places: dict[str, Pose]
+    places: dict[str, PoseSamples]
     covariances: dict[str, Array]
     lenses: dict[str, CameraModel]
     scale_errors: dict[str, Array]
@@ -52,12 +55,12 @@ class Particles:
         return tuple(self.places)
 
     def camera(self, camera: str) -> CameraState:
-        return CameraState(mean_pose(self.places[camera]), self.lenses[camera])
+        return CameraState(self.places[camera].mean, self.lenses[camera])
 
     def estimate(self, camera: str) -> CameraEstimate:
         lens = self.lenses[camera]
         return CameraEstimate(
-            mean_pose(self.places[camera]),
+            self.places[camera].mean,
             self.joint_covariance([camera]),
             lens,
             np.zeros(len(lens.parameters)),
@@ -67,12 +70,11 @@ class Particles:
 
     def robot(self, robot: str) -> RobotEstimate:
         tangent = self.tangents[robot]
-        mean = mean_pose(self.poses[robot])
-        apart = self.poses[robot].difference(mean)[:, tangent]
+        apart = self.poses[robot].errors[:, tangent]
         covariance = np.cov(apart.T, bias=True) + self.spreads[robot].mean(axis=0)
         full = np.zeros((6, 6))
         full[np.ix_(tangent, tangent)] = covariance
-        return RobotEstimate(self.stamps_ns[robot], mean, full)
+        return RobotEstimate(self.stamps_ns[robot], self.poses[robot].mean, full)
 
     def scales(self, robot: str) -> Array:
         if robot not in self.scale_errors:
@@ -81,8 +83,7 @@ class Particles:
 
     def joint_covariance(self, cameras: list[str]) -> Array:
         """Between the particles and, on the diagonal, within them."""
-        means = [mean_pose(self.places[name]) for name in cameras]
-        errors = [self.places[n].difference(m) for n, m in zip(cameras, means, strict=True)]
+        errors = [self.places[name].errors for name in cameras]
         joint = np.cov(np.concatenate(errors, axis=1).T, bias=True)
         for index, name in enumerate(cameras):
             rows = slice(6 * index, 6 * index + 6)
@@ -95,8 +96,9 @@ class Particles:
         tangent = self.tangents[robot]
         drawn = np.zeros((_SHOWN, 6))
         draws = random.standard_normal((_SHOWN, len(tangent)))
-        drawn[:, tangent] = stretched(draws, self.spreads[robot][chosen])
-        return self.poses[robot][chosen].disturbed(drawn)
+        root, _ = roots(self.spreads[robot][chosen])
+        drawn[:, tangent] = (root @ draws[..., None])[..., 0]
+        return self.poses[robot].poses[chosen].disturbed(drawn)
 
     # -- changes -----------------------------------------------------------------------------------
 
@@ -110,7 +112,7 @@ class Particles:
             self,
             stamps_ns=self.stamps_ns | {robot: stamp_ns},
             tangents=self.tangents | {robot: tangent},
-            poses=self.poses | {robot: map_from_base.repeated(PARTICLES)},
+            poses=self.poses | {robot: PoseSamples.of(map_from_base.repeated(PARTICLES))},
             spreads=self.spreads | {robot: wide},
         )
         noise = data.site.robots[robot].odometry
@@ -127,9 +129,9 @@ class Particles:
         for robot in robots:
             companion = filter_state.companions.get(robot)
             names = [companion] if companion is not None else []
-            filter_state = filter_state.drawn_from(
-                robot, names, filter_state.together(robot, names)
-            )
+            covariance = filter_state.together(robot, names)
+            none = np.zeros(covariance.shape[:2])
+            filter_state = filter_state.drawn_from(robot, names, none, covariance)
         return filter_state
 
     def together(self, robot: str, cameras: list[str]) -> Array:
@@ -145,45 +147,42 @@ class Particles:
                 whole[:, rows, :d] = transposed(self.crossed[robot])
         return whole
 
-    def drawn_from(self, robot: str, cameras: list[str], covariance: Array) -> Self:
-        """The robot's pose drawn, and the cameras moved with it, by their covariance together."""
+    def drawn_from(self, robot: str, cameras: list[str], step: Array, covariance: Array) -> Self:
+        """The robot's pose drawn, and the cameras moved with it, by their mean steps (n, m) and
+        their covariance (n, m, m) together."""
         d = len(self.tangents[robot])
-        own, others = covariance[:, :d, :d], covariance[:, d:, :d]
-        gain = others @ np.linalg.pinv(own, rcond=1e-12, hermitian=True)
-        drawn = self._drawn(own)
-        follows = (gain @ drawn[..., None])[..., 0]
-        left = covariance[:, d:, d:] - gain @ transposed(others)
+        others = covariance[:, d:, :d]
+        root, inverse = roots(covariance[:, :d, :d])
+        gain = others @ inverse
+        errors = np.concatenate([*self.errors(), step], axis=1)
+        draws = independent_draws(errors, d, self.random())
+        drawn = root @ draws[..., None]
+        apart = np.concatenate([drawn, gain @ drawn], axis=1)[..., 0]
         whole = np.zeros_like(covariance)
-        whole[:, d:, d:] = left
-        step = np.concatenate([drawn, follows], axis=1)
+        whole[:, d:, d:] = covariance[:, d:, d:] - gain @ transposed(others)
         filter_state = replace(self, draws=self.draws + 1)
-        return filter_state.moved(robot, cameras, step, whole)
+        return filter_state.moved(robot, cameras, [step, apart], whole)
 
-    def _drawn(self, covariances: Array) -> Array:
-        """A normal draw (n, d) from each covariance (n, d, d), independent of all that is drawn."""
-        errors = np.concatenate(self.errors()[2], axis=1)
-        draws = independent_draws(errors, covariances.shape[-1], self.random())
-        return stretched(draws, covariances)
-
-    def moved(self, robot: str, cameras: list[str], step: Array, covariance: Array) -> Self:
-        """A robot and cameras moved by steps (n, m) of theirs, with their covariance (n, m, m)
-        then; the last camera goes with the robot from now on."""
+    def moved(self, robot: str, cameras: list[str], steps: list[Array], covariance: Array) -> Self:
+        """A robot and cameras moved by steps (n, m) of theirs, one after the other, with their
+        covariance (n, m, m) then; the last camera goes with the robot from now on."""
         tangent = self.tangents[robot]
         d = len(tangent)
-        disturbance = np.zeros((PARTICLES, 6))
-        disturbance[:, tangent] = step[:, :d]
+        disturbances = [np.zeros((PARTICLES, 6)) for _ in steps]
+        for disturbance, step in zip(disturbances, steps, strict=True):
+            disturbance[:, tangent] = step[:, :d]
         places, covariances = dict(self.places), dict(self.covariances)
         companions, crossed = dict(self.companions), dict(self.crossed)
         companions.pop(robot, None)
         crossed.pop(robot, None)
         for index, name in enumerate(cameras):
             rows = slice(d + 6 * index, d + 6 * index + 6)
-            places[name] = places[name].disturbed(step[:, rows])
+            places[name] = places[name].disturbed([step[:, rows] for step in steps])
             covariances[name] = symmetric(covariance[:, rows, rows])
             companions[robot], crossed[robot] = name, covariance[:, :d, rows]
         return replace(
             self,
-            poses=self.poses | {robot: self.poses[robot].disturbed(disturbance)},
+            poses=self.poses | {robot: self.poses[robot].disturbed(disturbances)},
             spreads=self.spreads | {robot: symmetric(covariance[:, :d, :d])},
             companions=companions,
             crossed=crossed,
@@ -191,34 +190,30 @@ class Particles:
             covariances=covariances,
         )
 
-    def errors(self) -> tuple[dict[str, Pose], dict[str, Pose], list[Array]]:
-        """Mean robots and cameras, and each particle's disturbances of them, by part (n, …)."""
-        robots = {name: mean_pose(pose) for name, pose in self.poses.items()}
-        cameras = {name: mean_pose(place) for name, place in self.places.items()}
-        parts = [self.poses[n].difference(m)[:, self.tangents[n]] for n, m in robots.items()]
-        parts += [self.places[n].difference(m) for n, m in cameras.items()]
-        return robots, cameras, [*parts, *self.scale_errors.values()]
+    def errors(self) -> list[Array]:
+        """Each particle's disturbances of the robots and the cameras, and its scale errors, by part
+        (n, …)."""
+        parts = [poses.disturbances[:, self.tangents[name]] for name, poses in self.poses.items()]
+        parts += [places.disturbances for places in self.places.values()]
+        return [*parts, *self.scale_errors.values()]
 
     def resampled(self, shown: Array, weights: Array) -> Self:
         """Equally likely particles in place of weighted ones."""
-        robots, cameras, parts = self.errors()
+        parts = self.errors()
         errors = np.concatenate(parts, axis=1)
         drawn, indices = resampled(errors, shown, weights, self.random())
         split = iter(np.split(drawn, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1))
         poses = {}
-        for name, mean in robots.items():
+        for name, samples in self.poses.items():
             disturbance = np.zeros((PARTICLES, 6))
             disturbance[:, self.tangents[name]] = next(split)
-            poses[name] = mean.repeated(PARTICLES).disturbed(disturbance)
+            poses[name] = samples.redrawn(disturbance)
         return replace(
             self,
             draws=self.draws + 1,
             poses=poses,
             spreads={name: spread[indices] for name, spread in self.spreads.items()},
-            places={
-                name: mean.repeated(PARTICLES).disturbed(next(split))
-                for name, mean in cameras.items()
-            },
+            places={name: samples.redrawn(next(split)) for name, samples in self.places.items()},
             covariances={name: c[indices] for name, c in self.covariances.items()},
             crossed={name: c[indices] for name, c in self.crossed.items()},
             scale_errors={name: next(split) for name in self.scale_errors},
@@ -235,19 +230,15 @@ class Particles:
         )
 
 
-def mean_pose(poses: Pose) -> Pose:
-    """The pose from which the disturbances to all of them add up to nothing."""
-    mean = poses[0]
-    for _ in range(2):
-        mean = mean.disturbed(poses.difference(mean).mean(axis=0))
-    return mean
-
-
-def stretched(draws: Array, covariances: Array) -> Array:
-    """Standard normal draws (n, d) to covariances (n, d, d), which may be nothing."""
+def roots(covariances: Array) -> tuple[Array, Array]:
+    """Square roots (n, d, d) of covariances (n, d, d), and their inverses without the directions in
+    which they are nothing."""
     values, vectors = np.linalg.eigh(covariances)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]) @ transposed(vectors)
-    return (root @ draws[..., None])[..., 0]
+    values = np.maximum(values, 0.0)
+    some = values > _NOTHING * values[:, -1:]
+    inverse = np.where(some, 1 / np.where(some, values, 1.0), 0.0)
+    back = transposed(vectors)
+    return vectors * np.sqrt(values)[:, None] @ back, vectors * inverse[:, None] @ back
 
 
 def transposed(matrices: Array) -> Array:
