@@ -36,7 +36,7 @@ def explain(
     data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
     data = with_learnt_scales(data, observations, events, memory)
     corner_scale, noises = learnt_noise(data, observations, events, memory)
-    seen = [o.scattering(corner_scale[o.camera]) for o in observations]
+    seen = [memory.scattering(o, corner_scale[o.camera]) for o in observations]
     worlds = [World(data, seen, events, each, memory) for each in noises]
     memory.forget_unused()
     return Outcome(worlds, seen, corner_scale).explanation()

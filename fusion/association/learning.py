@@ -36,14 +36,14 @@ def learnt_noise(
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)
     common = corner_scale(list(scales.values()))
-    seen = [o.scattering(scales.get(o.camera, common)) for o in observations]
+    seen = [memory.scattering(o, scales.get(o.camera, common)) for o in observations]
     finder = ModeFinder(wide, seen, events, memory)
     found = [finder.modes_of(visit) for visit in telling(visits_of(data, observations))]
     lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
     relensed = replace(data, lenses=data.lenses | lenses)
     scales |= _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
     scales = {o.camera: scales.get(o.camera, common) for o in observations}
-    seen = [observation.scattering(scales[observation.camera]) for observation in observations]
+    seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
         if not modes.modes:

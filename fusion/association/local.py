@@ -3,6 +3,7 @@ pictures and the odometry between them allow."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -11,9 +12,13 @@ from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Verdict
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian
+from trigpoint.fusion.model.prediction import (
+    base_jacobian,
+    batch_jacobians,
+    batch_residual,
+)
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
-from trigpoint.fusion.solver.levenberg_marquardt import solve
+from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -71,7 +76,7 @@ class LocalProblem:
         """
         first = {index: list(row) for index, row in (wrong or {}).items()}
         trial = Trial(first, dict(self.poses))
-        camera, seen = start, set[tuple[object, ...]]()
+        camera, seen, settled = start, set[tuple[object, ...]](), None
         for round_ in range(_MOST_ROUNDS):
             trial.read(self.observations, self.target, camera)
             if trial.is_all_wrong:
@@ -80,24 +85,24 @@ class LocalProblem:
             solved = self._solved(trial, camera, huber=HUBER_SIGMAS if is_first else np.inf)
             if solved is None:
                 return None
-            camera = solved[1].cameras[self.camera]
-            self._move(trial, *solved)
-            self._judge(trial, *solved, is_robust=is_first)
+            camera, read = solved.state.cameras[self.camera], trial.signature
+            self._move(trial, solved)
+            self._judge(trial, solved, is_robust=is_first)
             if most_wrong is not None and round_ >= _PATIENCE and trial.wrong_count > most_wrong:
                 return None
-            if trial.signature in seen:
+            signature = trial.signature
+            settled = solved if signature == read and not is_first else None
+            if signature in seen:
                 break
-            seen.add(trial.signature)
-        return self._mode(trial, camera)
+            seen.add(signature)
+        return self._mode(trial, settled or self._solved(trial, camera, huber=np.inf))
 
     # -- the solution -----------------------------------------------------------------------------
 
-    def _solved(
-        self, trial: Trial, camera: CameraState, *, huber: float
-    ) -> tuple[Assembled, State] | None:
+    def _solved(self, trial: Trial, camera: CameraState, *, huber: float) -> "_Solved | None":
         assembled = self._assembled(trial, camera)
         try:
-            solution = solve(
+            found = minimise(
                 assembled.problem,
                 assembled.start,
                 huber=huber,
@@ -106,10 +111,10 @@ class LocalProblem:
             )
         except LinAlgError:
             return None  # it went where nothing is determined
-        self.budget.spend_solving(steps=solution.iterations, corners=self._corners)
-        if not np.isfinite(solution.cost):
+        self.budget.spend_solving(steps=found.iterations, corners=self._corners)
+        if not np.isfinite(found.equations.cost):
             return None
-        return assembled, solution.state
+        return _Solved(assembled, found, is_robust=np.isfinite(huber))
 
     def _assembled(self, trial: Trial, camera: CameraState) -> Assembled:
         entries = []
@@ -125,29 +130,29 @@ class LocalProblem:
         state = State({self.camera: camera}, self.data.first_state().robots)
         return assemble(small, state, list(range(len(entries))), anchored=False, fill=False)
 
-    def _move(self, trial: Trial, assembled: Assembled, state: State) -> None:
-        nodes = state.robots[self.robot].map_from_base
+    def _move(self, trial: Trial, solved: "_Solved") -> None:
+        robot = solved.state.robots[self.robot]
         indices = list(self.observations)
-        for order, node in assembled.node_of.items():
-            trial.poses[indices[order]] = nodes[node]
-        if assembled.problem.priors.faces:
-            trial.faces = state.robots[self.robot].base_from_face
+        for order, node in solved.assembled.node_of.items():
+            trial.poses[indices[order]] = robot.map_from_base[node]
+        if solved.assembled.problem.priors.faces:
+            trial.faces = robot.base_from_face
 
     # -- what is wrong ----------------------------------------------------------------------------
 
-    def _judge(self, trial: Trial, assembled: Assembled, state: State, *, is_robust: bool) -> None:
+    def _judge(self, trial: Trial, solved: "_Solved", *, is_robust: bool) -> None:
         """Say which corners are wild, and which sightings would better be wrong, or right.
 
         `is_robust`: the state is a robust minimum, at which only the worst is sure to be wrong.
         """
         try:
-            system = System.of(assembled.problem, state)
+            system = solved.system
         except LinAlgError:
             return
+        assembled, state = solved.assembled, solved.state
         (batch,) = assembled.problem.batches
         whole = replace(batch, weights=self._weights(batch))
-        jacobian, residual, columns = batch_jacobian(assembled.problem, whole, state)
-        by_base = base_jacobian(assembled.problem, whole, state)
+        jacobian, residual, columns, by_base = batch_jacobians(assembled.problem, whole, state)
         dense = system.dense_row + columns
         rows = [
             np.concatenate([system.node_rows(self.robot, int(node)), dense]) for node in batch.nodes
@@ -252,7 +257,7 @@ class LocalProblem:
         """A batch without the corners that each sighting by itself shows to be wild."""
         whole = replace(batch, weights=self._weights(batch))
         state = assembled.start
-        _, residual, _ = batch_jacobian(assembled.problem, whole, state)
+        residual = batch_residual(assembled.problem, whole, state)
         by_base = base_jacobian(assembled.problem, whole, state)
         weights = whole.weights.copy()
         wild = self._wild(by_base, residual)
@@ -262,15 +267,13 @@ class LocalProblem:
 
     # -- the result -------------------------------------------------------------------------------
 
-    def _mode(self, trial: Trial, camera: CameraState) -> Mode | None:
-        solved = self._solved(trial, camera, huber=np.inf)
+    def _mode(self, trial: Trial, solved: "_Solved | None") -> Mode | None:
         if solved is None or trial.is_all_wrong:
             return None
-        assembled, state = solved
-        self._move(trial, assembled, state)
-        problem = assembled.problem
+        self._move(trial, solved)
+        assembled, state, problem = solved.assembled, solved.state, solved.assembled.problem
         try:
-            system = System.of(problem, state)
+            system = solved.system
         except LinAlgError:
             return None
         rows = system.dense_row + np.array(unknowns_of(problem, self.camera))
@@ -319,6 +322,20 @@ class LocalProblem:
                 else:
                     score += self.events.wild_score * int(trial.wild[index][order].sum())
         return score
+
+
+class _Solved:
+    """A visit at a minimum; `state`: there; a robust one's equations are those of the robust
+    cost, and of no use for what is known there."""
+
+    def __init__(self, assembled: Assembled, found: Minimum, *, is_robust: bool) -> None:
+        self.assembled, self.state = assembled, found.state
+        self._equations = None if is_robust else found.equations
+
+    @cached_property
+    def system(self) -> System:
+        """Raise LinAlgError where something is not determined."""
+        return System.of(self.assembled.problem, self.state, self._equations)
 
 
 def _stood(

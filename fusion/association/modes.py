@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation, Reading
+from trigpoint.fusion.model.observations import Observation, Reading, View
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.faces import candidates, is_same_pose
-from trigpoint.geometry import Pose
+from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .budget import Budget
@@ -43,13 +43,29 @@ class VisitModes:
 
 class Memory:
     """What was found of visits, kept from one search to the next: most visits of a session that
-    grows stay what they were; `budget`: for what is not. Not thread-safe."""
+    grows stay what they were; `budget`: for what is not; `alone`: by view and lens what each view
+    says by itself. Not thread-safe."""
 
-    def __init__(self, budget: Budget | None = None) -> None:
+    def __init__(
+        self,
+        budget: Budget | None = None,
+        alone: dict[tuple[View, CameraModel], Alone] | None = None,
+    ) -> None:
         self.budget = budget if budget is not None else Budget()
         self._kept: dict[tuple[object, ...], VisitModes] = {}
         self._used: dict[tuple[object, ...], VisitModes] = {}
-        self.alone: dict[tuple[object, ...], Alone] = {}
+        self.alone = alone if alone is not None else {}
+        self._scattering: dict[tuple[str, str, int], tuple[Observation, float, Observation]] = {}
+
+    def scattering(self, observation: Observation, factor: float) -> Observation:
+        """`Observation.scattering`, the same object each time: what is known of its views is."""
+        if factor == 1.0:
+            return observation
+        key = observation.camera, observation.robot, observation.stamp_ns
+        known = self._scattering.get(key)
+        if known is None or known[0] is not observation or known[1] != factor:
+            known = self._scattering[key] = observation, factor, observation.scattering(factor)
+        return known[2]
 
     def get(self, key: tuple[object, ...]) -> VisitModes | None:
         """What was found, and is still asked for."""
@@ -97,11 +113,9 @@ class ModeFinder:
     def _by_itself(self, index: int, order: int) -> Alone:
         observation = self.observations[index]
         target, lens = self.data.targets[observation.robot], self.data.lenses[observation.camera]
-        sigma = observation.views[order].sigma
-        key = observation.camera, observation.robot, observation.stamp_ns, order, sigma, lens
+        key = observation.views[order], lens
         if key not in self.memory.alone:
-            found = by_itself(observation, order, target, lens, self.events)
-            self.memory.alone[key] = found
+            self.memory.alone[key] = by_itself(*key, target, self.events)
         return self.memory.alone[key]
 
     def parts_of(self, visit: Visit, *, most: int = _MOST_SPLITS) -> list[VisitModes]:

@@ -9,7 +9,6 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.geometry import Pose
 
-from .budget import Budget
 from .events import Events
 from .mode import Mode
 from .modes import Memory, ModeFinder, VisitModes
@@ -88,13 +87,16 @@ def fits(
     camera: str,
     pictures: Sequence[Picture],
     events: Events,
-    budget: Budget | None = None,
+    memory: Memory | None = None,
 ) -> dict[str, RobotFit]:
     """How each robot that may be in them explains the pictures of a visit, in order of time; those
     that do at all, within the budget. A robot whose odometry does not cover a picture is not in
-    it."""
-    noisy, memory = _noisy(data, pictures), Memory(budget)
-    found = {r: _fit(noisy, camera, r, pictures, events, memory) for r in _robots(pictures)}
+    it. `memory`: with the budget, and what is known of single views.
+    """
+    noisy, known = _noisy(data, pictures), memory or Memory()
+    # A visit's modes are known by its pictures' numbers, which are these pictures' own.
+    own = Memory(known.budget, known.alone)
+    found = {r: _fit(noisy, camera, r, pictures, events, own) for r in _robots(pictures)}
     return {robot: fit for robot, fit in found.items() if fit is not None}
 
 

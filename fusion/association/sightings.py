@@ -61,11 +61,8 @@ def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
     return replace(observation, views=tuple(kept), outliers=())
 
 
-def by_itself(
-    observation: Observation, order: int, target: Target, lens: CameraModel, events: Events
-) -> Alone:
+def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> Alone:
     """One view's own fit; where no board fits at all, it is wrong and tells nothing."""
-    view = observation.views[order]
     reading = view.readings[0]  # every other one shows the same board
     face = target.faces[reading.face]
     points = face_points(face, view.corners, is_turned=reading.is_turned)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from trigpoint.fusion.model.problem import Problem, State
-from trigpoint.fusion.solver.normal_equations import EXACT, linearise
+from trigpoint.fusion.solver.normal_equations import EXACT, NormalEquations, linearise
 from trigpoint.geometry.rotation import Array
 
 
@@ -25,9 +25,12 @@ class System:
     dense_row: int
 
     @classmethod
-    def of(cls, problem: Problem, state: State) -> "System":
-        """Raise LinAlgError where something is not determined."""
-        equations = linearise(problem, state)
+    def of(
+        cls, problem: Problem, state: State, equations: NormalEquations | None = None
+    ) -> "System":
+        """Raise LinAlgError where something is not determined. `equations`: at the state, where
+        they are known."""
+        equations = equations or linearise(problem, state)
         sizes = {name: equations.chains[name].gradient.size for name in problem.chains}
         dense_row = sum(sizes.values())
         total = dense_row + problem.layout.size

@@ -57,6 +57,11 @@ class Intake:
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
         self._order = 0
+        # Robots with equal targets are seen alike: by each the first one of them.
+        self._twins = {
+            robot: next(twin for twin, other in targets.items() if other == target)
+            for robot, target in targets.items()
+        }
         # A picture shows each face of each robot once at most.
         self._most_faces = sum(len(target.faces) for target in targets.values())
         # By how much true time may be ahead of a camera's stamp.
@@ -116,7 +121,11 @@ class Intake:
         for face in message.faces:
             robots = self._robots_of(face)
             if len(robots) > 1 and self._shared is not None:
-                by_robot = {robot: view_of(self._targets[robot], face, eye) for robot in robots}
+                by_twin = {
+                    twin: view_of(self._targets[twin], face, eye)
+                    for twin in {self._twins[robot] for robot in robots}
+                }
+                by_robot = {robot: by_twin[self._twins[robot]] for robot in robots}
                 possible = {robot: view for robot, view in by_robot.items() if view is not None}
                 if possible:
                     shared.append(possible)

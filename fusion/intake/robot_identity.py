@@ -16,6 +16,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events, window
+from trigpoint.fusion.association.modes import Memory
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.estimators.interface import Live
 from trigpoint.fusion.model.dataset import DataSet, Entry
@@ -61,6 +62,7 @@ class RobotIdentification:
     def __init__(self, data: DataSet, budget: Budget | None = None) -> None:
         self._data, self._events = data, Events(data.site.fusion.priors)
         self._own_budget, self._budget = budget, budget or Budget()
+        self._memory = Memory(self._budget)
         self._open: dict[str, list[Picture]] = {}
         self._closed: list[tuple[str, list[Picture]]] = []
         self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)
@@ -228,6 +230,7 @@ class RobotIdentification:
         """The observations of a visit by their robots; a face that may be another's is left out."""
         visit = sorted(visit, key=lambda picture: picture.stamp_ns)
         found: list[Observation] = []
+        self._memory.alone.clear()
         for run in runs(self._data, camera, visit):
             left = run
             for look in range(_MOST_LOOKS):
@@ -263,7 +266,7 @@ class RobotIdentification:
             right = every[robot].right(rest)
             own, left = _split(camera, robot, right, rest)
             shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
-            if self._is_clear(camera, robot, every, shown):
+            if self._is_clear(camera, robot, every, shown, of=rest):
                 found += own
             else:
                 unclear += shown
@@ -281,16 +284,22 @@ class RobotIdentification:
         return (max(every, key=lambda robot: every[robot].gain), every) if every else None
 
     def _is_clear(
-        self, camera: str, robot: str, every: dict[str, RobotFit], shown: list[Picture]
+        self,
+        camera: str,
+        robot: str,
+        every: dict[str, RobotFit],
+        shown: list[Picture],
+        *,
+        of: list[Picture],
     ) -> bool:
         """Whether no other robot explains nearly as well what of a visit is `shown` to be this
         robot's by its best fit. None does that explains the whole visit no better."""
         if _leads(robot, every):
             return True
-        return _leads(robot, self._fits(camera, shown))
+        return shown != of and _leads(robot, self._fits(camera, shown))
 
     def _fits(self, camera: str, pictures: list[Picture]) -> dict[str, RobotFit]:
-        return fits(self._data, camera, pictures, self._events, self._budget)
+        return fits(self._data, camera, pictures, self._events, self._memory)
 
     def _leave_out(
         self, camera: str, unclear: list[Picture], rest: list[Picture], *, is_worth: bool

@@ -9,6 +9,7 @@ Of a target that several robots carry, any of them may be seen. How they drive t
 what looks alike is another look after any of them has moved; what does not is a new standstill.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ import numpy as np
 from trigpoint.fusion.model.gates import SAME_CORNER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, View
 from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.geometry.rotation import Array
 
 from .admission import Budget
 
@@ -97,31 +99,47 @@ class Standstills:
         return track.is_still(*sorted(stamps_ns.tolist()))
 
 
+_Rows = np.ndarray | slice
+
+
 def _shows(view: View, other: View) -> bool:
     """Whether two views can be compared: of one face, with corners in common."""
+    return _common(view, other) is not None
+
+
+def _common(view: View, other: View) -> tuple[_Rows, _Rows] | None:
+    """Where each of two views has the corners that both have; None where they cannot be
+    compared."""
     if view.readings != other.readings:
-        return False
-    return len(_common(view, other)[0]) >= min(_LEAST_CORNERS, len(view.corners))
-
-
-def _common(view: View, other: View) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of two views has the corners that both have."""
-    if np.array_equal(view.corners, other.corners):
-        rows = np.arange(len(view.corners))
-        return rows, rows
-    return np.intersect1d(view.corners, other.corners, return_indices=True)[1:]
+        return None
+    least = min(_LEAST_CORNERS, len(view.corners))
+    if view.corners.tobytes() == other.corners.tobytes():
+        return slice(None), slice(None)
+    _, mine, theirs = np.intersect1d(view.corners, other.corners, return_indices=True)
+    return (mine, theirs) if len(mine) >= least else None
 
 
 def _is_alike(view: View, others: Iterable[View]) -> bool:
     """Whether a view shows its face at the same place as one of the others."""
-    return any(_shows(view, other) and _is_at_one_place(view, other) for other in others)
+    return any(_is_at_one_place(view, other) for other in others)
 
 
 def _is_at_one_place(view: View, other: View) -> bool:
-    mine, theirs = _common(view, other)
+    common = _common(view, other)
+    if common is None:
+        return False
+    mine, theirs = common
     pixels = [view.pixels[mine]]
     if any(reading.is_turned for reading in view.readings):
         pixels.append(pixels[0][::-1])  # it may be read from either end
     most = SAME_CORNER_SIGMAS * max(view.sigma, other.sigma)
-    apart = (np.linalg.norm(p - other.pixels[theirs], axis=1) for p in pixels)
-    return any(float(np.median(lengths)) <= most for lengths in apart)
+    return any(_middle(each - other.pixels[theirs]) <= most for each in pixels)
+
+
+def _middle(apart: Array) -> float:
+    """The median length of (n, 2), by a quarter of what numpy's own takes for so few."""
+    squares = np.sort(apart[:, 0] ** 2 + apart[:, 1] ** 2)
+    half = len(squares) // 2
+    if len(squares) % 2:
+        return math.sqrt(squares[half])
+    return 0.5 * (math.sqrt(squares[half - 1]) + math.sqrt(squares[half]))

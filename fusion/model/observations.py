@@ -99,6 +99,8 @@ class Observation:
 
     def scattering(self, factor: float) -> "Observation":
         """The same with corners that scatter so many times as much as stated."""
+        if factor == 1.0:
+            return self
         views = (replace(v, sigma=max(v.sigma * factor, LEAST_SIGMA_PX)) for v in self.views)
         return replace(self, views=tuple(views))
 

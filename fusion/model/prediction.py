@@ -31,9 +31,24 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     Residual = (projection - pixel)/sigma. The first d columns are the node's; the dense ones begin
     with the camera's pose.
     """
+    return _jacobian(problem, batch, state, _scene(problem, batch, state))[:3]
+
+
+def batch_jacobians(
+    problem: Problem, batch: Batch, state: State
+) -> tuple[Array, Array, np.ndarray, Array]:
+    """`batch_jacobian` and `base_jacobian` of one batch."""
+    scene = _scene(problem, batch, state)
+    jacobian, residual, columns, by_map = _jacobian(problem, batch, state, scene)
+    return jacobian, residual, columns, by_disturbance(by_map, scene.in_seen_axes)
+
+
+def _jacobian(
+    problem: Problem, batch: Batch, state: State, scene: "_Scene"
+) -> tuple[Array, Array, np.ndarray, Array]:
+    """`batch_jacobian`, and the derivative (n, K, 2, 3) by a corner in the map's axes."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain, layout = problem.chains[batch.robot], problem.layout
-    scene = _scene(problem, batch, state)
     weights = batch.weights[..., None]
     parts: list[Array] = []
     columns = [layout.pose[batch.camera]]
@@ -68,6 +83,7 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
         np.concatenate([by_node, by_camera, *parts], axis=-1),
         residual,
         np.concatenate([every[column] for column in columns]),
+        by_map,
     )
 
 
@@ -149,17 +165,16 @@ def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int
     residual = (earlier.inverse() @ later).difference(motion.earlier_from_later)
     turn = residual[:, 3:]
     by_earlier, by_later = relative_jacobians(earlier, later)
-    turning = np.linalg.solve(so3.left_jacobian(turn), by_later[:, 3:, 3:])
+    inverse = np.linalg.inv(so3.left_jacobian(turn))
+    turning = inverse @ by_later[:, 3:, 3:]
     by_earlier[:, 3:, 3:], by_later[:, 3:, 3:] = -turning, turning
     by_scale = -motion.by_scale
-    by_scale[:, 3:] = np.linalg.solve(so3.left_jacobian(-turn), by_scale[:, 3:])
-    residual = residual[:, tangent]
+    by_scale[:, 3:] = np.swapaxes(inverse, 1, 2) @ by_scale[:, 3:]  # J_l(-r) = J_l(r)ᵀ
     free = np.ix_(range(len(residual)), tangent, tangent)
-    root = np.linalg.cholesky(motion.covariance[free])
-    solve = np.linalg.solve
+    whitening = np.linalg.inv(np.linalg.cholesky(motion.covariance[free]))
     return OdometryTerms(
-        solve(root, residual[..., None])[..., 0],
-        solve(root, by_earlier[free]),
-        solve(root, by_later[free]),
-        solve(root, by_scale[:, tangent]),
+        (whitening @ residual[:, tangent, None])[..., 0],
+        whitening @ by_earlier[free],
+        whitening @ by_later[free],
+        whitening @ by_scale[:, tangent],
     )

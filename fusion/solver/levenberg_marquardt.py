@@ -65,6 +65,28 @@ def solve(
 
     Ends when a step promises to lower the cost, which is in units of χ², by less than `tolerance`.
     """
+    found = minimise(
+        problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations
+    )
+    reduced = reduce(problem, found.equations)
+    cost = found.equations.cost
+    return Solution(found.state, reduced, cost, found.iterations, found.has_converged)
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """A state of least cost, and the normal equations there."""
+
+    state: State
+    equations: NormalEquations
+    iterations: int
+    has_converged: bool
+
+
+def minimise(
+    problem: Problem, start: State, *, huber: float, tolerance: float, most_iterations: int
+) -> Minimum:
+    """`solve` without the elimination at the end."""
     state, damping = start, _DAMPING_START
     equations = linearise(problem, state, huber=huber)
     iterations, has_converged = 0, False
@@ -85,8 +107,7 @@ def solve(
             damping = max(damping / 30, _DAMPING_START)
         else:
             damping = max(damping * 30, 1e-6)
-    reduced = reduce(problem, equations)
-    return Solution(state, reduced, equations.cost, iterations, has_converged)
+    return Minimum(state, equations, iterations, has_converged)
 
 
 def reduce(problem: Problem, equations: NormalEquations) -> Reduced:

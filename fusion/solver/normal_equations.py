@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
+from trigpoint.fusion.model.prediction import batch_jacobian, batch_jacobians, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem, RobotState, State, inner_nodes
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -138,8 +138,11 @@ def has_each_once(rows: np.ndarray) -> bool:
 def _add_batch(
     equations: NormalEquations, problem: Problem, batch: Batch, state: State, huber: float
 ) -> None:
-    jacobian, residual, columns = batch_jacobian(problem, batch, state)
-    jitter = PictureJitter.of(problem, batch, state)
+    if batch.jitter is None:
+        jitter, (jacobian, residual, columns) = None, batch_jacobian(problem, batch, state)
+    else:
+        jacobian, residual, columns, by_base = batch_jacobians(problem, batch, state)
+        jitter = PictureJitter.by(by_base.reshape(len(by_base), -1, 6), batch.jitter)
     left = residual
     if jitter is not None:
         left = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)

@@ -81,10 +81,10 @@ def rejected_boards(robot: str, camera: str) -> int:
         observation = entry.observation
         target, lens = data.targets[observation.robot], data.lenses[camera]
         used = observation.verdict is Verdict.ACCEPTED
-        for order in range(len(observation.views)):
+        for order, view in enumerate(observation.views):
             if used and not (observation.outliers and np.all(observation.outliers[order])):
                 continue
-            count += by_itself(observation, order, target, lens, Events()).scatter < MOST_SCATTER
+            count += by_itself(view, lens, target, Events()).scatter < MOST_SCATTER
     return count
 
 

@@ -13,8 +13,10 @@ import numpy as np
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, State
+from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 
 _Excess = tuple[float, int, int]
@@ -53,18 +55,33 @@ def _excesses(
     jitter, found = PictureJitter.of(assembled.problem, batch, state), []
     if jitter is not None:
         residual = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
-    for row, source in enumerate(batch.sources.tolist()):
-        start = 0
-        for order, view in enumerate(data.entries[source].observation.views):
-            part = slice(start, start + len(view.corners))
-            start = part.stop
-            flat = by_base[row, part].reshape(-1, 6)
-            if not np.any(flat):
-                continue  # left out already
-            own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
-            step = -own @ (flat.T @ residual[row, part].reshape(-1))
-            chi2 = float(step @ np.linalg.solve(own, step))
-            excess = chi2 + float(np.linalg.slogdet(own)[1]) - events.wrong_limit
-            if excess > 0:
-                found.append((excess, source, order))
+    shown = [
+        (row, source, order, part)
+        for row, source in enumerate(batch.sources.tolist())
+        for order, part in _parts(data.entries[source].observation)
+        if np.any(by_base[row, part])  # it is not left out already
+    ]
+    for rows in groups_of([part.stop - part.start for *_, part in shown]):
+        mine = [shown[each] for each in rows.tolist()]
+        flat = np.stack([by_base[row, part] for row, _, _, part in mine])
+        flat = flat.reshape(len(mine), -1, 6)
+        left = np.stack([residual[row, part].reshape(-1, 1) for row, _, _, part in mine])
+        turned = np.swapaxes(flat, 1, 2)
+        information = turned @ flat + np.diag(1 / events.room_variances)
+        pull = turned @ left
+        chi2 = np.sum(pull * np.linalg.solve(information, pull), axis=(1, 2))
+        excess = chi2 - np.linalg.slogdet(information)[1] - events.wrong_limit
+        found += [
+            (float(excess[each]), mine[each][1], mine[each][2])
+            for each in np.flatnonzero(excess > 0).tolist()
+        ]
     return found
+
+
+def _parts(observation: Observation) -> list[tuple[int, slice]]:
+    """Each view's order, and where its corners are."""
+    ends = np.cumsum([len(view.corners) for view in observation.views]).tolist()
+    starts = [0, *ends[:-1]]
+    return [
+        (order, slice(*ends_of)) for order, ends_of in enumerate(zip(starts, ends, strict=True))
+    ]
