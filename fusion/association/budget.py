@@ -17,15 +17,29 @@ from trigpoint.fusion.model.odometry import OdometryTrack
 # Twice what `calibrate` is meant to take: ten seconds, and a tenth of the session.
 _AT_LEAST = 20e6
 _A_SECOND = 0.2e6
-# As measured. Of a solution: a step, a corner in it, a number of a dense factor's arithmetic.
-_STEP = 1500.0
-_CORNER = 3.0
-_NUMBER = 0.0015
+# Of it where robots look alike: for telling them apart, and for all else.
+ALIKE_SHARE = 0.5
+# As measured. Of a visit's solution: a step, and a corner in it; assembling it and judging what is
+# wrong by it are as much as so many steps.
+_STEP = 1200.0
+_CORNER = 1.2
+_AROUND = 3
+# Of where hypotheses put everything: one of them, and a number of a dense factor's arithmetic.
+_PLACED = 8000.0
+_NUMBER = 0.0004
 # Of starts: a way to read a sighting by itself, and a pair of those.
 _WAY = 1000.0
 _PAIR = 6.0
-# Of filters: a number of a covariance, of all filters together.
+# Of filters: a part, and a number of a covariance, of all filters together.
+_PART = 1500.0
 _FILTERED = 0.12
+# Of a view that is looked at by itself; and of any that is read where its visit says, and solved
+# for in the end.
+_VIEW = 2500.0
+_READ = 300.0
+# Of a likelihood of noise: one of a visit, and a number of its factor's arithmetic.
+_LIKELIHOOD = 200.0
+_LEARNT = 0.0003
 
 
 @dataclass(slots=True)
@@ -36,21 +50,37 @@ class Budget:
     spent: float = 0.0
 
     @classmethod
-    def of(cls, tracks: Iterable[OdometryTrack]) -> Self:
-        """What a session may take that is as long as its robots' odometry."""
+    def of(cls, tracks: Iterable[OdometryTrack], *, share: float = 1.0) -> Self:
+        """What a session may take that is as long as its robots' odometry, or a share of it."""
         ends = [(track.first_ns, track.last_ns) for track in tracks if len(track)]
         if not ends:
-            return cls(_AT_LEAST)
+            return cls(share * _AT_LEAST)
         first, last = min(first for first, _ in ends), max(last for _, last in ends)
-        return cls(_AT_LEAST + _A_SECOND * to_seconds(last - first))
+        return cls(share * (_AT_LEAST + _A_SECOND * to_seconds(last - first)))
 
     @property
     def is_spent(self) -> bool:
         return self.spent >= self.allowed
 
-    def spend_solving(self, *, steps: int, corners: int = 0, unknowns: int = 0) -> None:
-        """Note a solution in so many steps."""
-        self.spent += steps * (_STEP + _CORNER * corners + _NUMBER * unknowns**3)
+    def spend_reading(self, *, views: int) -> None:
+        """Note what grows with the pictures alone: all of them read, and solved for."""
+        self.spent += _READ * views
+
+    def spend_looking(self) -> None:
+        """Note a view that is looked at by itself."""
+        self.spent += _VIEW
+
+    def spend_learning(self, *, unknowns: int) -> None:
+        """Note a likelihood of noise by a visit."""
+        self.spent += _LIKELIHOOD + _LEARNT * unknowns**3
+
+    def spend_solving(self, *, steps: int, corners: int) -> None:
+        """Note a visit's solution in so many steps."""
+        self.spent += (steps + _AROUND) * (_STEP + _CORNER * corners)
+
+    def spend_placing(self, *, unknowns: int) -> None:
+        """Note a hypothesis that is placed."""
+        self.spent += _PLACED + _NUMBER * unknowns**3
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
         """Note a search for starts among so many ways to read sightings."""
@@ -58,4 +88,4 @@ class Budget:
 
     def spend_filtering(self, *, parts: int, unknowns: int) -> None:
         """Note filters over so many parts."""
-        self.spent += parts * (_STEP + _FILTERED * unknowns**2)
+        self.spent += parts * (_PART + _FILTERED * unknowns**2)

@@ -14,7 +14,7 @@ import numpy as np
 
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.observations import Observation, base_from_faces
 from trigpoint.fusion.model.projection import by_disturbance
 from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
@@ -178,10 +178,9 @@ def _covariances(
         by = own @ (transposed @ spread)
         covariance = covariance + by @ np.swapaxes(by, 1, 2)
     shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
+    arms_m = np.linalg.norm(base_from_faces(target).translation, axis=-1)
     for row, candidate in enumerate(found):
-        arm_m = float(
-            np.linalg.norm(target.faces[candidate.readings[0].face].base_from_face.translation)
-        )
+        arm_m = float(arms_m[candidate.readings[0].face])
         variances = np.repeat([shift**2 + (turn * arm_m) ** 2, turn**2], 3)
         covariance[row] += np.diag(variances + _LEAST_VARIANCE)
     return covariance

@@ -52,7 +52,7 @@ def learnt_noise(
         pictures = {index: seen[index] for index in visit.chosen}
         odometry, mode = finder.odometry(visit), modes.modes[0]
         unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
-        more = LocalProblem(wide, pictures, odometry, unscored, events).mode_near(
+        more = LocalProblem(wide, pictures, odometry, unscored, events, memory.budget).mode_near(
             mode.camera, wrong_by(mode)
         )
         if more is None:
@@ -61,7 +61,7 @@ def learnt_noise(
         if residuals is not None:
             by_robot.setdefault(visit.robot, []).append(residuals)
     learnt = {
-        robot: learn(residuals, planar=data.tracks[robot].planar)
+        robot: learn(residuals, memory.budget, planar=data.tracks[robot].planar)
         for robot, residuals in by_robot.items()
     }
     known = {robot: noise for robot, noise in learnt.items() if noise is not None}
@@ -92,6 +92,8 @@ def _corner_scales(
     scatters: dict[str, list[float]] = {}
     for index, observation in enumerate(observations):
         mine = scatters.setdefault(observation.camera, [])
+        if memory.budget.is_spent:
+            break
         if observation.camera in cameras and len(mine) < _MOST_SCATTERS:
             mine += [a.scatter for a in finder.alone(index) if np.isfinite(a.scatter)]
     return {name: corner_scale(mine) for name, mine in scatters.items() if mine}

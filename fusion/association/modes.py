@@ -115,6 +115,7 @@ class ModeFinder:
         target, lens = self.data.targets[observation.robot], self.data.lenses[observation.camera]
         key = observation.views[order], lens
         if key not in self.memory.alone:
+            self.memory.budget.spend_looking()
             self.memory.alone[key] = by_itself(*key, target, self.events)
         return self.memory.alone[key]
 

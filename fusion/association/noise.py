@@ -22,6 +22,7 @@ from scipy.special import chdtri
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.geometry.rotation import Array
 
+from .budget import Budget
 from .linear import Linear
 
 # One session in a thousand, of noise as stated, thinks otherwise.
@@ -139,28 +140,34 @@ def _floor(visit: Linear, jitter: Jitter) -> tuple[Array, Array]:
     return by_floor.reshape(len(place), 6, -1), np.kron(information, np.eye(2) / jitter.tilt**2)
 
 
-def learn(visits: list[Linear], *, planar: bool = True) -> Noise | None:
-    """The noise that these visits show; None where they are too few to show any. A robot in space
-    may stand anyhow by what it drives: None too, unless its noise is clearly not as stated."""
+def learn(
+    visits: list[Linear], budget: Budget | None = None, *, planar: bool = True
+) -> Noise | None:
+    """The noise that these visits show; None where they are too few to show any, or the budget is
+    spent. A robot in space may stand anyhow by what it drives: None too, unless its noise is
+    clearly not as stated."""
+    budget = budget if budget is not None else Budget()
     freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
-    if freedom < _LEAST_FREEDOM:
+    if freedom < _LEAST_FREEDOM or budget.is_spent:
         return None
     if not planar:
-        stated = _likeliest(visits, STATED)
-        other = _likeliest(visits, STATED, (*_JITTER, *_ODOMETRY))
+        stated = _likeliest(visits, budget, STATED)
+        other = _likeliest(visits, budget, STATED, (*_JITTER, *_ODOMETRY))
         if stated[1] - other[1] < chdtri(4, _SIGNIFICANCE):
             return None
         return Noise(*map(in_steps, astuple(other[0])))
     # How the robot tilts and rises shows whatever odometry says: that is left free here, so that
     # what its model lacks is not taken for a target that sways.
     loose = Noise(odometry=_FREE, slip=_FREE)
-    jittery = min((_likeliest(visits, loose, free) for free in (_JITTER, _FLOOR)), key=_cost)
-    steady = _likeliest(visits, loose)
+    jittery = min(
+        (_likeliest(visits, budget, loose, free) for free in (_JITTER, _FLOOR)), key=_cost
+    )
+    steady = _likeliest(visits, budget, loose)
     if steady[1] - jittery[1] < chdtri(2, _SIGNIFICANCE):
         jittery = steady
     start = replace(jittery[0], odometry=1.0, slip=1.0)
-    stated = _likeliest(visits, start)
-    other = _likeliest(visits, start, _ODOMETRY)
+    stated = _likeliest(visits, budget, start)
+    other = _likeliest(visits, budget, start, _ODOMETRY)
     found = other[0] if stated[1] - other[1] > chdtri(2, _SIGNIFICANCE) else start
     return Noise(*map(in_steps, astuple(found)))
 
@@ -174,7 +181,7 @@ _LEAST_FREEDOM = 24
 
 
 def _likeliest(
-    visits: list[Linear], base: Noise, free: tuple[str, ...] = ()
+    visits: list[Linear], budget: Budget, base: Noise, free: tuple[str, ...] = ()
 ) -> tuple[Noise, float]:
     """The noise of greatest posterior with these parts of `base` free, and -2 ln of it."""
     parts = [_PARTS[name] for name in free]
@@ -190,6 +197,8 @@ def _likeliest(
         prior += (math.log(noise.slip) / _LOG_SLIP) ** 2
         if noise.length > 0:
             prior += (math.log(noise.length / _LENGTH) / _LOG_LENGTH) ** 2
+        for visit in visits:
+            budget.spend_learning(unknowns=visit.by_unknowns.shape[2] + 2 * len(visit.places))
         return sum(misfit(visit, noise) for visit in visits) + prior
 
     start = np.array([part.start for part in parts])

@@ -102,7 +102,7 @@ class Search:
         found = placed(self.graph, variants)
         for minimum in found:
             unknowns = minimum.layout.size if minimum is not None else 0
-            self.budget.spend_solving(steps=1, unknowns=unknowns)
+            self.budget.spend_placing(unknowns=unknowns)
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.association.budget import Budget
+from trigpoint.fusion.association.budget import ALIKE_SHARE, Budget
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.modes import Memory
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
@@ -81,7 +81,7 @@ class RobotIdentification:
         and the quicker they tell: whoever has the time asks at the end alone."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
         if self._own_budget is None:
-            self._budget.allowed = Budget.of(tracks).allowed
+            self._budget.allowed = Budget.of(tracks, share=ALIKE_SHARE).allowed
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
             is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns

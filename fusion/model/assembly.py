@@ -125,6 +125,7 @@ def _chain(
         scales=scales,
         planar=track.planar,
         is_anchored=is_first or not anchored,
+        twists=track.twists_about(stamps),
     )
     return _BuiltChain(chain, _start_poses(len(stamps), motion, guesses), node_of)
 

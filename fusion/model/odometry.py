@@ -55,6 +55,9 @@ LONGEST_GAP_S = 1.0
 _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
 _GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
+ABOUT_S = 2e-3
+"""How a robot moves about a moment, within so many seconds: less than between messages, and more
+than what an estimate of a camera's clock still changes by when all else is known."""
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
 # Of a standstill so many messages are kept one by one (20 s at 50 Hz); the later ones are a single
 # step without motion, whose end moves on.
@@ -314,6 +317,21 @@ class OdometryTrack:
         # A stretch this short may be scaled as a whole.
         way = moved(np.concatenate([shift, turn], axis=1) * both(1 + scales))
         return way, self._twists[end] * both(1 + scales) / period_s[:, None]
+
+    def twists_about(self, stamps_ns: np.ndarray) -> Array:
+        """The twists (n, 6) of a robot about moments (n,), in its base frame, from `ABOUT_S` before
+        to as much after them, without a jump."""
+        around = to_ns(ABOUT_S)
+        before, after = stamps_ns - around, stamps_ns + around
+        pieces = self.pieces(stamps_ns)
+        before = np.where(self.pieces(before) == pieces, before, stamps_ns)
+        after = np.where(self.pieces(after) == pieces, after, stamps_ns)
+        after = np.maximum(after, before + 1)
+        seconds = (after - before) / NANOSECONDS
+        way, _ = self.carried(before, seconds, np.zeros(2))
+        turn = so3.log(way.rotation)
+        shift = np.linalg.solve(so3.left_jacobian(turn), way.translation[..., None])[..., 0]
+        return np.concatenate([shift, turn], axis=1) / seconds[:, None]
 
     def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
         """odom_from_base at a time after the message before each row, with the row's twist."""

@@ -123,7 +123,7 @@ def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
     if batch.camera in problem.layout.time_offset:
         # True time = stamp - offset: the sighting is of the robot that much further on its way.
         after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
-        moved, twist = chain.track.carried(chain.stamps_ns[batch.nodes], after_s, chain.scales)
+        moved, twist = chain.carried(batch.nodes, after_s)
         seen = node @ moved
     in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
     arm = in_seen_axes

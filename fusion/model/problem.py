@@ -21,7 +21,8 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-from .odometry import PLANAR, SPATIAL, Motion, OdometryTrack
+from .motion import both, moved
+from .odometry import ABOUT_S, PLANAR, SPATIAL, Motion, OdometryTrack
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ class Chain:
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
-    computed; `track`: the odometry behind it.
+    computed; `track`: the odometry behind it; `twists` (n, 6): how the robot moves about each node.
     """
 
     robot: str
@@ -71,6 +72,7 @@ class Chain:
     scales: Array
     planar: bool
     is_anchored: bool
+    twists: Array | None = None
 
     @classmethod
     def unlinked(
@@ -87,6 +89,16 @@ class Chain:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def carried(self, nodes: np.ndarray, seconds: Array) -> tuple[Pose, Array]:
+        """How the robot moves on from nodes (n,) during seconds (n,): `OdometryTrack.carried`, or,
+        where that is little, as it moves about each node. That has a derivative also where odometry
+        changes from one message to the next, just when a camera triggered with it sees the robot.
+        """
+        if self.twists is None or np.abs(seconds).max(initial=0.0) >= ABOUT_S:
+            return self.track.carried(self.stamps_ns[nodes], seconds, self.scales)
+        twists = self.twists[nodes] * both(1 + self.scales)
+        return moved(twists * seconds[:, None]), twists
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise
-from trigpoint.fusion.model.odometry import Added, Motion, OdometryTrack
+from trigpoint.fusion.model.odometry import ABOUT_S, Added, Motion, OdometryTrack
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
@@ -318,6 +318,27 @@ def test_robot_goes_on_as_it_did_beyond_the_odometrys_ends_and_across_a_jump() -
     seconds = np.array([-1.0, 1.0, 1.0]) * PERIOD_NS / 1e9
     moved, _ = track.carried(stamps_ns, seconds, np.zeros(2))
     np.testing.assert_allclose(moved.translation[:, 0], [-0.02, 0.03, 0.02], atol=1e-12)
+
+
+def test_twist_about_a_moment_goes_over_from_one_message_to_the_next() -> None:
+    """A camera that is triggered with the odometry sees the robot just where its twist jumps."""
+    track = track_of(way(9, planar=False), planar=False)
+    around = 4 + np.array([-2.0, -0.5, 0.0, 0.5, 2.0]) * to_ns(ABOUT_S) / PERIOD_NS
+    found = track.twists_about(moments(*around))
+    _, (before, _, after) = track.carried(moments(3.5, 4, 4.5), np.zeros(3), NO_SCALES)
+    np.testing.assert_allclose(found[[0, -1]], [before, after], atol=1e-6)
+    for share, twist in zip((0.25, 0.5, 0.75), found[1:4], strict=True):
+        np.testing.assert_allclose(twist, before + share * (after - before), atol=2e-3)
+
+
+def test_twist_about_a_moment_says_nothing_of_a_jump_beside_it() -> None:
+    poses = way(9, planar=False)
+    far = Pose(poses.rotation, poses.translation + np.where(np.arange(9)[:, None] > 4, 50.0, 0.0))
+    track = track_of(poses[:5], planar=False)
+    assert track.add(5 * PERIOD_NS, far[5]) is Added.JUMP
+    assert track.add(6 * PERIOD_NS, far[6]) is Added.TAKEN
+    beside = track.twists_about(moments(4 - 1e-3, 6 - 1e-3))
+    assert np.abs(beside).max() < 5.0
 
 
 def test_track_covers_its_first_to_its_last_message() -> None:
