@@ -24,8 +24,10 @@ ALIKE_SHARE = 0.5
 _STEP = 1200.0
 _CORNER = 1.2
 _AROUND = 3
-# Of where hypotheses put everything: one of them, and a number of a dense factor's arithmetic.
-_PLACED = 8000.0
+# Of where hypotheses put everything: those of one layout together, each of them, and a number of a
+# dense factor's arithmetic.
+_LAYOUT = 8000.0
+_PLACED = 300.0
 _NUMBER = 0.0004
 # Of starts: a way to read a sighting by itself, and a pair of those.
 _WAY = 1000.0
@@ -78,9 +80,10 @@ class Budget:
         """Note a visit's solution in so many steps."""
         self.spent += (steps + _AROUND) * (_STEP + _CORNER * corners)
 
-    def spend_placing(self, *, unknowns: int) -> None:
-        """Note a hypothesis that is placed."""
-        self.spent += _PLACED + _NUMBER * unknowns**3
+    def spend_placing(self, *, layouts: int, unknowns: Iterable[int]) -> None:
+        """Note hypotheses that are placed, of so many layouts; `unknowns`: of each."""
+        self.spent += _LAYOUT * layouts
+        self.spent += sum(_PLACED + _NUMBER * count**3 for count in unknowns)
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
         """Note a search for starts among so many ways to read sightings."""

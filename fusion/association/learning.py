@@ -10,7 +10,7 @@ from trigpoint.fusion.model.observations import Observation
 from .events import Events
 from .linear import Linear
 from .local import LocalProblem
-from .modes import Memory, ModeFinder, wrong_by
+from .modes import Memory, ModeFinder, VisitModes, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
 from .session_noise import with_noise
 from .visits import Visit, telling, visits_of
@@ -44,6 +44,33 @@ def learnt_noise(
     scales |= _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
     scales = {o.camera: scales.get(o.camera, common) for o in observations}
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
+    visits = [_with_neighbours(each.visit) for each in found if each.modes]
+    told = [[seen[index].views for index in visit.chosen] for visit in visits]
+    key = [finder.key(each.visit) for each in found], told
+    if memory.learnt[0] == key:
+        learnt = memory.learnt[1]
+    else:
+        learnt = _learnt(data, wide, seen, found, finder, memory)
+        if not memory.budget.is_spent:
+            memory.learnt = key, learnt
+    known = {robot: noise for robot, noise in learnt.items() if noise is not None}
+    if len(known) == len(data.site.robots):
+        return scales, [SessionNoise(known)]
+    score = events.noise_score if common == 1.0 else 0.0
+    stated, otherwise = (dict.fromkeys(data.site.robots, n) | known for n in (STATED, PESSIMISTIC))
+    return scales, [SessionNoise(stated), SessionNoise(otherwise, score)]
+
+
+def _learnt(
+    data: DataSet,
+    wide: DataSet,
+    seen: list[Observation],
+    found: list[VisitModes],
+    finder: ModeFinder,
+    memory: Memory,
+) -> dict[str, Noise | None]:
+    """The noise of each robot by what visits show, whose modes are `found`."""
+    events = finder.events
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
         if not modes.modes:
@@ -60,16 +87,10 @@ def learnt_noise(
         residuals = LocalProblem(data, pictures, odometry, {}, events).residuals(more)
         if residuals is not None:
             by_robot.setdefault(visit.robot, []).append(residuals)
-    learnt = {
+    return {
         robot: learn(residuals, memory.budget, planar=data.tracks[robot].planar)
         for robot, residuals in by_robot.items()
     }
-    known = {robot: noise for robot, noise in learnt.items() if noise is not None}
-    if len(known) == len(data.site.robots):
-        return scales, [SessionNoise(known)]
-    score = events.noise_score if common == 1.0 else 0.0
-    stated, otherwise = (dict.fromkeys(data.site.robots, n) | known for n in (STATED, PESSIMISTIC))
-    return scales, [SessionNoise(stated), SessionNoise(otherwise, score)]
 
 
 def _with_neighbours(visit: Visit) -> Visit:

@@ -18,6 +18,7 @@ from .consensus import MOST_SEEDS, Start, drift_between, starts_of
 from .events import Events, window
 from .local import LocalProblem
 from .mode import Mode
+from .noise import Noise
 from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
@@ -55,17 +56,19 @@ class Memory:
         self._kept: dict[tuple[object, ...], VisitModes] = {}
         self._used: dict[tuple[object, ...], VisitModes] = {}
         self.alone = alone if alone is not None else {}
-        self._scattering: dict[tuple[str, str, int], tuple[Observation, float, Observation]] = {}
+        # What the noise was learnt from the last time, and what it was by that.
+        self.learnt: tuple[object, dict[str, Noise | None]] = None, {}
+        self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
 
     def scattering(self, observation: Observation, factor: float) -> Observation:
         """`Observation.scattering`, the same object each time: what is known of its views is."""
         if factor == 1.0:
             return observation
-        key = observation.camera, observation.robot, observation.stamp_ns
+        key = observation.camera, observation.robot, observation.stamp_ns, factor
         known = self._scattering.get(key)
-        if known is None or known[0] is not observation or known[1] != factor:
-            known = self._scattering[key] = observation, factor, observation.scattering(factor)
-        return known[2]
+        if known is None or known[0] is not observation:
+            known = self._scattering[key] = observation, observation.scattering(factor)
+        return known[1]
 
     def get(self, key: tuple[object, ...]) -> VisitModes | None:
         """What was found, and is still asked for."""
@@ -151,22 +154,23 @@ class ModeFinder:
 
     def modes_of(self, visit: Visit) -> VisitModes:
         """All modes of a visit within the window; none once the budget is spent."""
-        key = self._key(visit)
+        key = self.key(visit)
         found = self.memory.get(key)
         if found is None and self.memory.budget.is_spent:
             return VisitModes(visit, (), 0.0, ())
         if found is None:
             found = self._modes_of(visit)
             self.memory.put(key, found)
-        return found
+        return found if found.visit == visit else renumbered(found, visit)
 
-    def _key(self, visit: Visit) -> tuple[object, ...]:
-        """What the modes of a visit hang on."""
+    def key(self, visit: Visit) -> tuple[object, ...]:
+        """What the modes of a visit hang on, whatever else was seen before and meanwhile."""
         track = self.data.tracks[visit.robot]
         jitter = self.data.jitter.get(visit.robot)
-        sigmas = tuple(v.sigma for i in visit.chosen for v in self.observations[i].views)
+        chosen = [self.observations[index] for index in visit.chosen]
+        seen = tuple((each.stamp_ns, each.views) for each in chosen)
         noise = track.noise, track.scales, track.slip, track.skid, jitter
-        return visit, sigmas, noise, self.data.lenses[visit.camera]
+        return visit.camera, visit.robot, seen, noise, self.data.lenses[visit.camera]
 
     def _modes_of(self, visit: Visit) -> VisitModes:
         chosen = {index: self.observations[index] for index in visit.chosen}
@@ -291,6 +295,22 @@ class ModeFinder:
     def _is_below_floor(self, visit: Visit, mode: Mode) -> bool:
         """Whether the camera would look up through the floor that the robot drives on."""
         return self.data.tracks[visit.robot].planar and mode.map_from_camera.translation[2] < 0
+
+
+def renumbered(found: VisitModes, visit: Visit) -> VisitModes:
+    """What was found of the same pictures when they had other numbers."""
+    number = dict(zip(found.visit.chosen, visit.chosen, strict=True))
+    modes = [
+        replace(
+            mode,
+            readings={number[index]: row for index, row in mode.readings.items()},
+            wild={number[index]: row for index, row in mode.wild.items()},
+            poses={number[index]: pose for index, pose in mode.poses.items()},
+        )
+        for mode in found.modes
+    ]
+    right = tuple((stamp_ns, number[index]) for stamp_ns, index in found.right)
+    return VisitModes(visit, tuple(modes), found.nothing, right)
 
 
 def odometry_poses(data: DataSet, robot: str, moments: np.ndarray) -> Pose:

@@ -100,9 +100,9 @@ class Search:
 
     def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
         found = placed(self.graph, variants)
-        for minimum in found:
-            unknowns = minimum.layout.size if minimum is not None else 0
-            self.budget.spend_placing(unknowns=unknowns)
+        layouts = {frozenset((n, tie.place) for n, tie in v.ties.items()) for v in variants}
+        unknowns = [each.layout.size for each in found if each is not None]
+        self.budget.spend_placing(layouts=len(layouts), unknowns=unknowns)
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:

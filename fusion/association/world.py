@@ -83,7 +83,7 @@ class World:
             open={n: place for n, place in hypothesis.open.items() if n not in numbers},
             nothing=hypothesis.nothing - numbers,
         )
-        found = self.search.placed([(rest, Variant(ties, hypothesis.breaks))])
+        found = self.search.placed([(rest, Variant(ties, hypothesis.breaks, hypothesis.placed))])
         return found[0] if found else None
 
     def loose(self) -> list[tuple[float, set[str]]]:
