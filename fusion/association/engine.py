@@ -38,7 +38,11 @@ def explain(
     data = with_learnt_scales(data, observations, events, memory)
     corner_scale, noises = learnt_noise(data, observations, events, memory)
     seen = [memory.scattering(o, corner_scale[o.camera]) for o in observations]
-    worlds = [World(data, seen, events, each, memory) for each in noises]
+    worlds: list[World] = []
+    for noise in noises:
+        # Scores compare only over the same pictures.
+        parts = [each.visit for each in worlds[0].visits] if worlds else None
+        worlds.append(World(data, seen, events, noise, memory, parts))
     memory.forget_unused()
     return Outcome(worlds, seen, corner_scale).explanation()
 

@@ -52,6 +52,15 @@ class Events:
         """The score above which a sighting is wrong: that of a board which may be anywhere."""
         return self.pose_score + self.wrong_score
 
+    def over_anywhere(self, chi2: Array | float, spread: Array | float) -> Array:
+        """By how much sightings whose poses are off by νᵀS⁻¹ν, ln |S| (`spread`), are less probable
+        than wrong ones whose boards may be anywhere."""
+        return np.asarray(chi2 + np.minimum(spread, self.pose_score) - self.wrong_limit)
+
+    def excess(self, chi2: Array | float, spread: Array | float) -> Array:
+        """The same, and than wrong ones that are off by any amount, small ones too."""
+        return np.maximum(self.over_anywhere(chi2, spread), np.subtract(chi2, self.sighting_gate))
+
     def happened(self, count: int) -> float:
         """Of so many lifts and moves, beside where robot and cameras are put."""
         return -2 * math.log(self.priors.disturbed) + count * self.event_score if count else 0.0

@@ -64,13 +64,12 @@ class Moved:
 class Read:
     """How one observation is read: a reading for each view, None where it is wrong; the wild
     corners of each; where the robot stood, None where nothing says; the number of its camera's
-    place; `is_alone`: it was judged where odometry leads from others, not together with them."""
+    place."""
 
     readings: tuple[Reading | None, ...]
     wild: tuple[np.ndarray, ...]
     map_from_base: Pose | None
     place: int
-    is_alone: bool = False
 
 
 @dataclass(frozen=True, slots=True)

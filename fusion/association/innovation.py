@@ -91,5 +91,4 @@ def innovation_excess(
         left = 1 + np.maximum(values, 0.0)
         spread += float(np.sum(np.log(left)))
     chi2 = float(np.sum(pulled**2 / left))
-    score = chi2 + min(spread, events.pose_score)
-    return max(score - events.wrong_limit, chi2 - events.sighting_gate)
+    return float(events.excess(chi2, spread))

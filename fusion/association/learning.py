@@ -11,8 +11,9 @@ from .events import Events
 from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, VisitModes, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise, corner_scale, learn
+from .noise import PESSIMISTIC, Noise
 from .session_noise import with_noise
+from .variances import corner_scale, learn
 from .visits import Visit, telling, visits_of
 
 _MOST_SCATTERS = 40
@@ -30,8 +31,9 @@ def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> tuple[dict[str, float], list[SessionNoise]]:
     """By camera how many times as much as stated its corners scatter, and what the robots' noise
-    may be: one where the session tells, else as stated and as a decision must survive it. Who
-    states the one wrongly states the other wrongly sooner than not."""
+    may be: one where the session tells, else as stated and as a decision must survive it; also as
+    it is by events that it may be taken for. Who states the one wrongly states the other wrongly
+    sooner than not."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)
@@ -45,20 +47,16 @@ def learnt_noise(
     scales = {o.camera: scales.get(o.camera, common) for o in observations}
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     visits = [_with_neighbours(each.visit) for each in found if each.modes]
-    told = [[seen[index].views for index in visit.chosen] for visit in visits]
-    key = [finder.key(each.visit) for each in found], told
+    shown = [[seen[index].views for index in visit.chosen] for visit in visits]
+    key = [finder.key(each.visit) for each in found], shown
     if memory.learnt[0] == key:
         learnt = memory.learnt[1]
     else:
         learnt = _learnt(data, wide, seen, found, finder, memory)
         if not memory.budget.is_spent:
             memory.learnt = key, learnt
-    known = {robot: noise for robot, noise in learnt.items() if noise is not None}
-    if len(known) == len(data.site.robots):
-        return scales, [SessionNoise(known)]
-    score = events.noise_score if common == 1.0 else 0.0
-    stated, otherwise = (dict.fromkeys(data.site.robots, n) | known for n in (STATED, PESSIMISTIC))
-    return scales, [SessionNoise(stated), SessionNoise(otherwise, score)]
+    told = {robot: learnt.get(robot, (None,)) for robot in data.site.robots}
+    return scales, _worlds(told, events.noise_score if common == 1.0 else 0.0)
 
 
 def _learnt(
@@ -68,8 +66,8 @@ def _learnt(
     found: list[VisitModes],
     finder: ModeFinder,
     memory: Memory,
-) -> dict[str, Noise | None]:
-    """The noise of each robot by what visits show, whose modes are `found`."""
+) -> dict[str, tuple[Noise | None, ...]]:
+    """What the noise of each robot may be by what visits show, whose modes are `found`."""
     events = finder.events
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
@@ -88,7 +86,7 @@ def _learnt(
         if residuals is not None:
             by_robot.setdefault(visit.robot, []).append(residuals)
     return {
-        robot: learn(residuals, memory.budget, planar=data.tracks[robot].planar)
+        robot: learn(residuals, events, memory.budget, planar=data.tracks[robot].planar)
         for robot, residuals in by_robot.items()
     }
 

@@ -26,8 +26,8 @@ class Linear:
     its covariance by the corners and `by_unknowns` (n, 6, u); `parts` (n,): which of those asked
     for it is, and `places` (n, 3) where the robot was; `steps` (m, d): what odometry asks for, with
     `steps_by_unknowns` (m, d, u), its covariance `spread` (m, d, d), and that by the stated noise
-    and by slip alone, `by_odometry` and `by_slip`; `prior` (u, u): information on the unknowns from
-    before.
+    and by slip alone, `by_odometry` and `by_slip`; `broken` (m, d, d): what is added to these where
+    something happened on the way; `prior` (u, u): information on the unknowns from before.
     """
 
     shifts: Array
@@ -40,6 +40,7 @@ class Linear:
     spread: Array
     by_odometry: Array
     by_slip: Array
+    broken: Array
     prior: Array
     camera: np.ndarray
 
@@ -115,6 +116,7 @@ def linearised(
         steps,
         chain.motion.covariance[free],
         *_step_covariances(data, chain),
+        np.zeros((nodes, d, d)),
         _prior(problem, batch, columns),
         d * nodes + np.arange(6),
     )

@@ -189,7 +189,6 @@ class Outcome:
                 mode.wild[index],
                 map_from_odom @ mode.poses[index],
                 place,
-                index not in visit.chosen,
             )
             for index in visit.indices
         }

@@ -30,7 +30,9 @@ ReadPicture = tuple[tuple[Reading | None, ...], tuple[np.ndarray, ...]]
 class PictureReader:
     """Reads pictures of one robot by a camera whose place is known, each by itself.
 
-    `places`: base_from_face of all faces where they are estimated.
+    `places`: base_from_face of all faces where they are estimated; `is_strict`: a sighting that is
+    off by more than chance is wrong, however little that is, not only one for which a board that
+    may be anywhere is likelier.
     """
 
     def __init__(
@@ -40,8 +42,11 @@ class PictureReader:
         camera: CameraState,
         events: Events,
         places: Pose | None = None,
+        *,
+        is_strict: bool = False,
     ) -> None:
         self.camera, self.events, self.places = camera, events, places
+        self._excess = events.excess if is_strict else events.over_anywhere
         self.target, self.jitter = data.targets[robot], data.jitter.get(robot)
 
     def read(
@@ -93,34 +98,37 @@ class PictureReader:
 
     def _are_right(self, owner: np.ndarray, step: Array, own: Array, drift: Array) -> np.ndarray:
         """Which views (v,) are right: of each picture (`owner`) the likeliest first, each by where
-        odometry and those before it put the robot in that picture (a Kalman filter)."""
+        odometry and those before it put the robot in that picture (a Kalman filter). Where the
+        first is not, none is, unless others agree with it so well that sooner odometry is wrong."""
         # What the nearest picture says of the robot is as uncertain as this one.
         before = own + drift[owner] + 1e-12 * np.eye(6)
         if self.jitter is not None:
             before = before + 2 * np.diag(self.jitter.variances)
-        order = np.lexsort((self._score(step, before + own), owner))
+        chi2, room = _surprise(step, before + own)
+        order = np.lexsort((self._excess(chi2, room), owner))
         rank = np.zeros(len(owner), dtype=int)
         rank[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
         mean, known = np.zeros((len(drift), 6)), np.zeros(drift.shape)
-        is_right, is_known = np.zeros(len(owner), dtype=bool), np.zeros(len(drift), dtype=bool)
+        is_right, is_fit = np.ones(len(owner), dtype=bool), np.zeros(len(drift), dtype=bool)
+        score, count = np.zeros(len(drift)), np.zeros(len(drift), dtype=int)
         for turn in range(rank.max(initial=-1) + 1):
             rows = np.flatnonzero(rank == turn)
             place = owner[rows]
-            prior = np.where(is_known[place, None, None], known[place], before[rows])
+            prior = known[place] if turn else before[rows]
             error, spread = step[rows] - mean[place], prior + own[rows]
-            is_right[rows] = self._score(error, spread) < self.events.wrong_limit
+            chi2, room = _surprise(error, spread)
+            fits = self._excess(chi2, room) < 0
+            if turn:
+                is_right[rows] = fits
+            else:
+                is_fit[place] = fits
+            score[place] += is_right[rows] * self.events.over_anywhere(chi2, room)
+            count[place] += is_right[rows]
             gain = np.swapaxes(np.linalg.solve(spread, prior), 1, 2) * is_right[rows, None, None]
             mean[place] += (gain @ error[..., None])[..., 0]
             known[place] = prior - gain @ prior
-            is_known[place] |= is_right[rows]
-        return is_right
-
-    def _score(self, error: Array, spread: Array) -> Array:
-        """νᵀS⁻¹ν + ln|S| of errors (v, 6), at most that of a board that may be anywhere."""
-        spread = 0.5 * (spread + np.swapaxes(spread, 1, 2))
-        pulled = np.linalg.solve(spread, error[..., None])[..., 0]
-        room = np.minimum(np.linalg.slogdet(spread)[1], self.events.pose_score)
-        return np.sum(error * pulled, axis=1) + room
+        is_fit |= (count > 1) & (score < 0)
+        return is_right & is_fit[owner]
 
     def _linearised(
         self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
@@ -139,3 +147,10 @@ class PictureReader:
         pixels = np.stack([view.pixels for view in views])
         sigma = np.array([view.sigma for view in views])[:, None, None]
         return found.by_body / sigma[..., None], (found.pixels - pixels) / sigma
+
+
+def _surprise(error: Array, spread: Array) -> tuple[Array, Array]:
+    """νᵀS⁻¹ν and ln|S| of errors (v, 6) of this covariance (v, 6, 6)."""
+    spread = 0.5 * (spread + np.swapaxes(spread, 1, 2))
+    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
+    return np.sum(error * pulled, axis=1), np.linalg.slogdet(spread)[1]

@@ -12,8 +12,9 @@ from trigpoint.geometry import Pose
 from .events import Events
 from .mode import Mode
 from .modes import Memory, ModeFinder, VisitModes
-from .noise import PESSIMISTIC, corner_scale
+from .noise import PESSIMISTIC
 from .session_noise import with_noise
+from .variances import corner_scale
 from .visits import visit_of, visits_of
 
 # Pictures of a visit that tell which robot drove so; where the camera is, more of them say.

@@ -20,12 +20,13 @@ from .learning import SessionNoise
 from .modes import Memory, ModeFinder
 from .search import Hypothesis, Search
 from .session_noise import with_noise
-from .visits import visits_of
+from .visits import Visit, visits_of
 
 
 class World:
     """Everything that may explain the session where its noise is this.
 
+    `parts`: the visits, cut where another noise has them cut; None: where this one has.
     `undecided`: the cameras for which the budget did not suffice to look at everything else.
     """
 
@@ -36,11 +37,15 @@ class World:
         events: Events,
         noise: SessionNoise,
         memory: Memory,
+        parts: list[Visit] | None = None,
     ) -> None:
         self.observations, self.noise, self.events = observations, noise, events
         self.data = data = with_noise(data, noise.by_robot)
         self.finder = finder = ModeFinder(data, observations, events, memory)
-        found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
+        if parts is None:
+            found = [part for v in visits_of(data, observations) for part in finder.parts_of(v)]
+        else:
+            found = [finder.modes_of(visit) for visit in parts]
         self.visits = sorted(found, key=lambda part: (part.visit.stamp_ns, part.visit.camera))
         self.graph = Graph(data, self.visits, events)
         self.budget = memory.budget

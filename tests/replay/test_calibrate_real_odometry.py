@@ -50,13 +50,13 @@ def smoother_of(pipeline: Pipeline) -> Any:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_real_odometry_is_worked_out_as_well_as_can_be(robot: str) -> None:
-    errors_fit_the_joint_covariance(robot)
-    no_solution_from_the_truth_costs_less(robot)
+    assert_errors_fit_the_joint_covariance(robot)
+    assert_no_solution_from_the_truth_costs_less(robot)
     if robot in BY_THE_TABLE:
-        distances_are_as_good_as_by_a_start_at_the_truth(robot, *BY_THE_TABLE[robot])
+        assert_distances_are_as_good_as_by_a_start_at_the_truth(robot, *BY_THE_TABLE[robot])
 
 
-def errors_fit_the_joint_covariance(robot: str) -> None:
+def assert_errors_fit_the_joint_covariance(robot: str) -> None:
     results = solved(robot).results()
     located = results.network.located
     truth = truth_of(robot)
@@ -67,7 +67,8 @@ def errors_fit_the_joint_covariance(robot: str) -> None:
     for name, camera in error.cameras.items():
         assert camera.sigmas < 5, name
         record = results.network.cameras[name]
-        assert rejected_boards(robot, name) <= 0.05 * record.sightings
+        # Of few sightings, one picture of two faces at which the robot slipped.
+        assert rejected_boards(robot, name) <= max(2, 0.02 * record.sightings)
         assert record.reprojection_rms == pytest.approx(0.25, rel=0.1)  # as it was simulated
     assert msgspec.json.decode(encode_network(results.network))["map_id"]
 
@@ -93,7 +94,7 @@ def rejected_boards(robot: str, camera: str) -> int:
 BY_THE_TABLE = {"robot2": (0.122, 0.944), "robot3": (0.047, 0.896)}  # distance in m, heading scale
 
 
-def distances_are_as_good_as_by_a_start_at_the_truth(
+def assert_distances_are_as_good_as_by_a_start_at_the_truth(
     robot: str, distance_m: float, heading_scale: float
 ) -> None:
     results = solved(robot).results()
@@ -108,7 +109,7 @@ def distances_are_as_good_as_by_a_start_at_the_truth(
     assert error.distance < 1.2 * distance_m
 
 
-def no_solution_from_the_truth_costs_less(robot: str) -> None:
+def assert_no_solution_from_the_truth_costs_less(robot: str) -> None:
     batch = smoother_of(solved(robot))
     data: DataSet = batch.data
     used = data.usable(batch.state.cameras)

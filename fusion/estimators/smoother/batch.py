@@ -29,6 +29,8 @@ from .contradicting_sightings import leave_out_contradicting
 from .second_look import take_back
 
 _MOST_ROUNDS = 6
+# What is taken back says more of its neighbours; what contradicts after that stays left out.
+_MOST_LOOKS = 2
 # What a step may still promise of χ² at the end: a hundredth of a sigma.
 _TOLERANCE = 1e-4
 # Of a variance: what changes no sigma by more than a two-hundredth.
@@ -75,7 +77,7 @@ class BatchSolution:
         """Solve by an explanation to the end; the estimate then. Where that fails, everything is as
         before."""
         draft, state = explained(self.data, explanation)
-        solved = _solved(draft, state, explanation)
+        solved = _solved(draft, state)
         if solved.assembled is None or solved.solution is None:
             after = Filter.at_origin(draft)
         else:
@@ -88,7 +90,7 @@ class BatchSolution:
         return after
 
 
-def _solved(data: DataSet, state: State, explanation: Explanation) -> _Solved:
+def _solved(data: DataSet, state: State) -> _Solved:
     """Solve over what an explanation uses, until its noise is stable."""
     events, iterations = Events(data.site.fusion.priors), 0
     found = _Solved(state, None, None, 0)
@@ -100,8 +102,8 @@ def _solved(data: DataSet, state: State, explanation: Explanation) -> _Solved:
         iterations += each.iterations
         found = _Solved(each.state, each.assembled, each.solution, iterations)
         changed = leave_out_contradicting(data, each.assembled, each.state, events)
-        if round_ == 0:
-            changed |= take_back(data, explanation.reads, each.assembled, each.state, events)
+        if round_ < _MOST_LOOKS:
+            changed |= take_back(data, each.assembled, each.state, events)
         changed |= standstill_noise.share_out(data, each.assembled, each.state)
         changed |= odometry_noise.learn(data, each.assembled, each.state)
         if not changed:

@@ -70,7 +70,7 @@ def _excesses(
         information = turned @ flat + np.diag(1 / events.room_variances)
         pull = turned @ left
         chi2 = np.sum(pull * np.linalg.solve(information, pull), axis=(1, 2))
-        excess = chi2 - np.linalg.slogdet(information)[1] - events.wrong_limit
+        excess = events.over_anywhere(chi2, -np.linalg.slogdet(information)[1])
         found += [
             (float(excess[each]), mine[each][1], mine[each][2])
             for each in np.flatnonzero(excess > 0).tolist()

@@ -1,38 +1,29 @@
 """A second look at sightings that were taken to be wrong.
 
-The association reads most pictures of a visit where odometry leads from a few of them. In the
-solution those before and after each say where the robot stood in between, whatever its wheels
-did on the way; what fits there is right.
+The association reads each visit's pictures by odometry and by each other. In the solution those
+before and after each, of all cameras, say where the robot stood in between, whatever its wheels did
+on the way; what fits there is right.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from trigpoint.fusion.association.events import Events
-from trigpoint.fusion.association.explanation import Read
 from trigpoint.fusion.association.pictures import PictureReader
 from trigpoint.fusion.estimators.explained_data import as_read
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
 
-def take_back(
-    data: DataSet, reads: Sequence[Read], assembled: Assembled, state: State, events: Events
-) -> bool:
-    """Read every observation that was judged by odometry alone and has a sighting that is not used
-    again, where the solution puts its robot, and use what is right by that; whether there was any.
-
-    `reads`: of the data set's entries.
-    """
+def take_back(data: DataSet, assembled: Assembled, state: State, events: Events) -> bool:
+    """Read every observation with a sighting that is not used again, where the solution puts its
+    robot, and use what is right by that; whether there was any."""
     waiting: dict[tuple[str, str], list[Entry]] = {}
-    for entry, read in zip(data.entries, reads, strict=True):
-        if not read.is_alone:
-            continue
+    for entry in data.entries:
         observation = entry.observation
         is_whole = observation.used_views == len(observation.views)
         if not is_whole and observation.camera in state.cameras and entry.map_from_base is not None:
@@ -41,7 +32,8 @@ def take_back(
     for (camera, robot), entries in waiting.items():
         if robot in assembled.problem.chains:
             places = state.robots[robot].base_from_face if assembled.problem.priors.faces else None
-            reader = PictureReader(data, robot, state.cameras[camera], events, places)
+            seen = state.cameras[camera]
+            reader = PictureReader(data, robot, seen, events, places, is_strict=True)
             changed |= _read_again(data, assembled, state, reader, entries)
     return changed
 
@@ -50,9 +42,14 @@ def _read_again(
     data: DataSet, assembled: Assembled, state: State, reader: PictureReader, entries: list[Entry]
 ) -> bool:
     """Read one camera's observations of one robot again."""
-    robot = entries[0].observation.robot
+    camera, robot = entries[0].observation.camera, entries[0].observation.robot
+    seen = [
+        entry.observation.stamp_ns
+        for entry in data.of_camera(camera)
+        if entry.observation.robot == robot and entry.observation.verdict is Verdict.ACCEPTED
+    ]
     stamps = np.array([entry.observation.stamp_ns for entry in entries])
-    poses, drift, is_reached = _there(data, assembled, state, robot, stamps)
+    poses, drift, is_reached = _there(data, assembled, state, robot, stamps, np.unique(seen))
     rows = np.flatnonzero(is_reached).tolist()
     if not rows:
         return False
@@ -68,22 +65,28 @@ def _read_again(
 
 
 def _there(
-    data: DataSet, assembled: Assembled, state: State, robot: str, stamps_ns: np.ndarray
+    data: DataSet,
+    assembled: Assembled,
+    state: State,
+    robot: str,
+    stamps_ns: np.ndarray,
+    seen_ns: np.ndarray,
 ) -> tuple[Pose, Array, np.ndarray]:
     """Where a robot stood at moments (n) by the solution, the covariance (n, 6, 6) of how it went
-    there from the nearest moment at which it was seen, and whether odometry leads there, (n,)."""
+    there from the nearest of the moments (m) at which the camera saw it, and whether odometry leads
+    there, (n,). What other cameras saw meanwhile is as uncertain as where those are."""
     track, chain = data.tracks[robot], assembled.problem.chains[robot]
     moments = np.clip(stamps_ns, track.first_ns, track.last_ns)
-    nodes = chain.stamps_ns
+    seen = np.unique(np.clip(seen_ns, track.first_ns, track.last_ns))
     poses = interpolated(track, chain, state.robots[robot].map_from_base, moments)
-    every = np.unique(np.concatenate([nodes, moments]))
+    every = np.unique(np.concatenate([seen, moments]))
     drift = np.zeros((len(every), 6, 6))
     if len(every) > 1:
         drift[1:] = np.cumsum(track.motion(every, chain.scales).covariance, axis=0)
-    after = np.minimum(np.searchsorted(nodes, moments), len(nodes) - 1)
+    after = np.minimum(np.searchsorted(seen, moments), len(seen) - 1)
     before = np.maximum(after - 1, 0)
-    is_before = np.abs(nodes[before] - moments) <= np.abs(nodes[after] - moments)
-    nearest = nodes[np.where(is_before, before, after)]
+    is_before = np.abs(seen[before] - moments) <= np.abs(seen[after] - moments)
+    nearest = seen[np.where(is_before, before, after)]
     here, there = np.searchsorted(every, moments), np.searchsorted(every, nearest)
     apart = drift[np.maximum(here, there)] - drift[np.minimum(here, there)]
     return poses, apart, track.pieces(moments) == track.pieces(nearest)

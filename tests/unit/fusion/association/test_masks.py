@@ -40,6 +40,7 @@ def visit(wrong: tuple[int, ...], pictures: int = 10, seed: int = 0) -> Linear:
         spread=spread,
         by_odometry=spread,
         by_slip=np.zeros_like(spread),
+        broken=np.zeros_like(spread),
         prior=np.zeros((count, count)),
         camera=np.arange(count - 6, count),
     )

@@ -1,12 +1,15 @@
 """Noise is learnt where a session tells, and stays as stated where it does not."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
-from trigpoint.fusion.association.noise import Noise, corner_scale, learn
+from trigpoint.fusion.association.noise import Noise
+from trigpoint.fusion.association.variances import corner_scale, learn
 
 
 def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Linear:
@@ -52,6 +55,7 @@ def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Li
         spread=np.tile(step + slip, (pictures - 1, 1, 1)),
         by_odometry=np.tile(step, (pictures - 1, 1, 1)),
         by_slip=np.tile(slip, (pictures - 1, 1, 1)),
+        broken=np.zeros((pictures - 1, 3, 3)),
         prior=np.zeros((count, count)),
         camera=np.arange(count - 6, count),
     )
@@ -60,7 +64,7 @@ def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Li
 def test_noise_as_stated_stays_as_stated() -> None:
     changed = 0
     for seed in range(6):
-        found = learn([visit(10 * seed + n, Noise()) for n in range(6)])
+        (found,) = learn([visit(10 * seed + n, Noise()) for n in range(6)], Events())
         assert found is not None
         changed += found.jitter is not None
     assert changed <= 1  # one session in a hundred thinks otherwise
@@ -68,22 +72,47 @@ def test_noise_as_stated_stays_as_stated() -> None:
 
 def test_tilt_and_odometry_are_learnt() -> None:
     true = Noise(tilt=math.radians(0.3), sway=3e-3, odometry=2.0)
-    found = learn([visit(seed, true) for seed in range(8)])
+    (found,) = learn([visit(seed, true) for seed in range(8)], Events())
     assert found is not None
     assert found.tilt == pytest.approx(true.tilt, rel=0.3)
     assert found.odometry == pytest.approx(true.odometry, rel=0.35)
 
 
 def test_robot_in_space_keeps_its_stated_noise_where_nothing_clearly_tells_otherwise() -> None:
-    assert learn([visit(n, Noise()) for n in range(6)], planar=False) is None
+    assert learn([visit(n, Noise()) for n in range(6)], Events(), planar=False) == (None,)
     true = Noise(odometry=4.0)
-    found = learn([visit(seed, true) for seed in range(8)], planar=False)
+    (found,) = learn([visit(seed, true) for seed in range(8)], Events(), planar=False)
     assert found is not None
     assert found.odometry == pytest.approx(true.odometry, rel=0.35)
 
 
+@pytest.mark.parametrize("planar", [True, False])
+def test_what_happened_in_one_visit_is_no_noise_of_all(planar: bool) -> None:
+    """A camera was moved by half a metre in the middle of one visit."""
+    visits = [visit(seed, Noise()) for seed in range(6)]
+    steps = visits[2].steps.copy()
+    steps[5, 0] += 0.5
+    moved = [*visits[:2], replace(visits[2], steps=steps), *visits[3:]]
+    first, plain = learn(moved, Events(), planar=planar)
+    assert (first,) == learn(visits, Events(), planar=planar)
+    assert plain is not None  # what it were, had nothing happened
+    assert max(plain.odometry, plain.slip) > 3.0
+
+
+def test_odometry_that_jumps_in_every_visit_is_noisy() -> None:
+    visits = []
+    for seed in range(6):
+        calm = visit(seed, Noise())
+        steps = calm.steps.copy()
+        steps[5, 0] += 0.1
+        visits.append(replace(calm, steps=steps))
+    (found,) = learn(visits, Events())
+    assert found is not None
+    assert max(found.odometry, found.slip) > 3.0
+
+
 def test_few_pictures_tell_nothing() -> None:
-    assert learn([visit(1, Noise(), pictures=2)]) is None
+    assert learn([visit(1, Noise(), pictures=2)], Events()) == (None,)
 
 
 def test_corner_scale_leaves_what_is_no_board_out() -> None:
@@ -96,7 +125,7 @@ def test_corner_scale_leaves_what_is_no_board_out() -> None:
 def test_how_far_a_slope_reaches_is_learnt(length: float) -> None:
     """A mast that rocks tilts in every picture, a floor from place to place."""
     true = Noise(tilt=math.radians(0.3), sway=3e-3, length=length)
-    found = learn([visit(seed, true, pictures=24, at_a_stop=2) for seed in range(8)])
+    (found,) = learn([visit(seed, true, pictures=24, at_a_stop=2) for seed in range(8)], Events())
     assert found is not None
     assert found.length == pytest.approx(length, rel=0.5)
     assert found.tilt == pytest.approx(true.tilt, rel=0.3)
