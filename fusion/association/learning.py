@@ -11,7 +11,7 @@ from .events import Events
 from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, VisitModes, wrong_by
-from .noise import PESSIMISTIC, Noise
+from .noise import PESSIMISTIC, STATED, Noise
 from .session_noise import with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, visits_of
@@ -57,6 +57,25 @@ def learnt_noise(
             memory.learnt = key, learnt
     told = {robot: learnt.get(robot, (None,)) for robot in data.site.robots}
     return scales, _worlds(told, events.noise_score if common == 1.0 else 0.0)
+
+
+def _worlds(told: dict[str, tuple[Noise | None, ...]], score: float) -> list[SessionNoise]:
+    """What the robots' noise may be, the least first, by what is `told` of each, in which None is
+    nothing; `score`: of noise far otherwise than stated."""
+    may_be = {
+        robot: [
+            one
+            for noise in noises
+            for one in ([(noise, 0.0)] if noise else [(STATED, 0.0), (PESSIMISTIC, score)])
+        ]
+        for robot, noises in told.items()
+    }
+    found = []
+    for number in range(max(map(len, may_be.values()))):
+        each = {robot: ones[min(number, len(ones) - 1)] for robot, ones in may_be.items()}
+        by_robot = {robot: noise for robot, (noise, _) in each.items()}
+        found.append(SessionNoise(by_robot, max(score for _, score in each.values())))
+    return found
 
 
 def _learnt(

@@ -57,7 +57,7 @@ class Memory:
         self._used: dict[tuple[object, ...], VisitModes] = {}
         self.alone = alone if alone is not None else {}
         # What the noise was learnt from the last time, and what it was by that.
-        self.learnt: tuple[object, dict[str, Noise | None]] = None, {}
+        self.learnt: tuple[object, dict[str, tuple[Noise | None, ...]]] = None, {}
         self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
 
     def scattering(self, observation: Observation, factor: float) -> Observation:

@@ -61,10 +61,12 @@ _FLAT = 1e-6
 _MOST_STEPS = 20
 
 
-def learn(visits: list[Linear], events: Events, *, planar: bool = True) -> tuple[Noise | None, ...]:
+def learn(
+    visits: list[Linear], events: Events, budget: Budget | None = None, *, planar: bool = True
+) -> tuple[Noise | None, ...]:
     """What the noise that these visits show may be, the least first; None where they are too few to
-    show any. A robot in space may stand anyhow by what it drives: None too, unless its noise is
-    clearly not as stated.
+    show any, or the budget is spent. A robot in space may stand anyhow by what it drives: None too,
+    unless its noise is clearly not as stated.
 
     What happened in one visit is sooner no noise of all: where its steps are likelier broken by an
     event, by the noise of all the others, than as far off as they are, the noise without those

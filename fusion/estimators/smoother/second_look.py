@@ -50,13 +50,13 @@ def _read_again(
     ]
     stamps = np.array([entry.observation.stamp_ns for entry in entries])
     poses, drift, is_reached = _there(data, assembled, state, robot, stamps, np.unique(seen))
-    rows = np.flatnonzero(is_reached).tolist()
-    if not rows:
+    rows = np.flatnonzero(is_reached)
+    if not len(rows):
         return False
-    observations = [entries[row].observation for row in rows]
+    observations = [entries[row].observation for row in rows.tolist()]
     read = reader.read(observations, poses[rows], drift[rows])
     changed = False
-    for row, (readings, wild) in zip(rows, read, strict=True):
+    for row, (readings, wild) in zip(rows.tolist(), read, strict=True):
         entry = entries[row]
         if sum(reading is not None for reading in readings) > entry.observation.used_views:
             entry.observation = as_read(entry.observation, readings, wild)
