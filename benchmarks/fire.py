@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from under_fire import carry_out
+from under_fire import assert_site_stays_undisturbed
 
 
 def main(
@@ -20,7 +20,7 @@ def main(
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with tempfile.TemporaryDirectory(prefix="trigpoint-fire-") as folder:
-        carry_out(Path(folder), port, seconds=seconds, seed=seed)
+        assert_site_stays_undisturbed(Path(folder), port, seconds=seconds, seed=seed)
     print(f"under fire for {seconds:.0f} s: held ({time.monotonic() - began_s:.0f} s in all)")
 
 

@@ -27,7 +27,7 @@ MOST_MB = 450.0
 """Fusion with its solver takes 250 MB before the first message, and 600 under a flood once."""
 
 
-def carry_out(folder: Path, port: int, *, seconds: float, seed: int) -> None:
+def assert_site_stays_undisturbed(folder: Path, port: int, *, seconds: float, seed: int) -> None:
     """Drive for so long under fire; raises AssertionError where anything goes wrong."""
     session = make_session(lab_plan("charuco", seconds=seconds))
     other = msgspec.structs.replace(target_of("checkerboard"), name="another")

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from under_fire import carry_out
+from under_fire import assert_site_stays_undisturbed
 
 
 @pytest.mark.timeout(300)
 def test_minute_under_fire_ends_in_the_undisturbed_network(
     tmp_path: Path, free_port: Callable[[], int]
 ) -> None:
-    carry_out(tmp_path, free_port(), seconds=45.0, seed=9)
+    assert_site_stays_undisturbed(tmp_path, free_port(), seconds=45.0, seed=9)

@@ -6,14 +6,26 @@ import numpy as np
 from drives import Session, observed
 
 from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.mode import Mode
 from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.noise import Noise
 from trigpoint.fusion.association.pictures import PictureReader
 from trigpoint.fusion.association.session_noise import with_noise
 from trigpoint.fusion.association.visits import visits_of
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.geometry import Pose
 
 SWAY = Noise(tilt=0.01, sway=0.01)
+
+
+def of_two_faces(data: DataSet) -> tuple[Observation, Mode, Pose]:
+    """A picture of two faces, how its visit is read, and where the robot then stood."""
+    observations = [entry.observation for entry in data.entries]
+    visit = visits_of(data, observations)[0]
+    mode = ModeFinder(data, observations, Events()).modes_of(visit).modes[0]
+    index = next(i for i in visit.chosen if len(observations[i].views) == 2)
+    return observations[index], mode, mode.poses[index]
 
 
 def test_faces_of_one_picture_that_contradict_each_other_are_not_both_right(
@@ -21,19 +33,15 @@ def test_faces_of_one_picture_that_contradict_each_other_are_not_both_right(
 ) -> None:
     """Each may be there by itself, since the robot sways; but it stood there once."""
     data = with_noise(observed(charuco), {"r1": SWAY})
-    observations, events = [entry.observation for entry in data.entries], Events()
-    finder = ModeFinder(data, observations, events)
-    visit = visits_of(data, observations)[0]
-    mode = finder.modes_of(visit).modes[0]
-    index = next(i for i in visit.chosen if len(observations[i].views) == 2)
-    good = observations[index]
+    good, mode, stood = of_two_faces(data)
     first, second = good.views
     off = replace(second, pixels=second.pixels + np.array([2.5, -2.0]))
     alone = replace(good, views=(off,))
-    reader = PictureReader(data, "r1", mode.camera, events)
-    there = Pose.stack([mode.poses[index]] * 3)
+    reader = PictureReader(data, "r1", mode.camera, Events())
     whole, single, both = reader.read(
-        [good, alone, replace(good, views=(first, off))], there, np.zeros((3, 6, 6))
+        [good, alone, replace(good, views=(first, off))],
+        Pose.stack([stood] * 3),
+        np.zeros((3, 6, 6)),
     )
     assert all(reading is not None for reading in whole[0])
     assert single[0][0] is not None
@@ -45,16 +53,10 @@ def test_faces_that_agree_where_odometry_does_not_lead_are_right_together(
 ) -> None:
     """The robot slipped by two centimetres; of a single face that would be no evidence."""
     data = observed(charuco)
-    observations, events = [entry.observation for entry in data.entries], Events()
-    finder = ModeFinder(data, observations, events)
-    visit = visits_of(data, observations)[0]
-    mode = finder.modes_of(visit).modes[0]
-    index = next(i for i in visit.chosen if len(observations[i].views) == 2)
-    whole = observations[index]
-    alone = replace(whole, views=whole.views[:1])
-    reader = PictureReader(data, "r1", mode.camera, events, is_strict=True)
-    slipped = Pose.stack([mode.poses[index] @ Pose.planar(0.02, 0.0, 0.0)] * 2)
+    whole, mode, stood = of_two_faces(data)
+    reader = PictureReader(data, "r1", mode.camera, Events(), is_strict=True)
+    slipped = Pose.stack([stood @ Pose.planar(0.02, 0.0, 0.0)] * 2)
     drift = np.tile(np.diag([3e-3, 3e-3, 1e-6, 1e-6, 1e-6, 3e-3]) ** 2, (2, 1, 1))
-    both, single = reader.read([whole, alone], slipped, drift)
+    both, single = reader.read([whole, replace(whole, views=whole.views[:1])], slipped, drift)
     assert all(reading is not None for reading in both[0])
     assert single[0] == (None,)
