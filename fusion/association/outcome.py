@@ -18,8 +18,8 @@ from .world import World
 # Where a place is known less well than this, m, nothing ties it to the map.
 _LOOSE_M = 2.0
 _LIKE = (
-    "position and orientation: cameras at {} m fit alike; drive past it again, where it sees the "
-    "robot from elsewhere"
+    "position and orientation: {} fit alike; drive past it again, where it sees the robot from "
+    "elsewhere"
 )
 _NOTHING = "its pictures contradict each other and the odometry"
 _FEW = "no picture of it shows enough of a face to place it"
@@ -247,6 +247,7 @@ def _fit_alike(alternatives: tuple[Alternative, ...]) -> str:
         "({:.2f}, {:.2f}, {:.2f})".format(*place.map_from_camera.translation)
         for place in alternatives
     ]
-    if len(places) > 4:
-        places = [*places[:3], f"{len(places) - 3} more places"]
-    return _LIKE.format(f"{', '.join(places[:-1])} and {places[-1]}")
+    if len(places) <= 4:
+        return _LIKE.format(f"cameras at {', '.join(places[:-1])} and {places[-1]} m")
+    more = f"{len(places) - 3} more places"
+    return _LIKE.format(f"cameras at {', '.join(places[:3])} m and {more}")

@@ -64,11 +64,11 @@ _Pair = tuple[int | None, int]
 
 class Search:
     """Explains the visits of one graph; once the budget is spent, what is left of them is taken to
-    be wrong."""
+    be wrong. `is_cut`: whether more hypotheses than are kept held what evidence asks for."""
 
     def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
         self.graph, self.events, self.budget = graph, events, budget
-        self.visits = graph.visits
+        self.visits, self.is_cut = graph.visits, False
         self._open_score = [
             _log_sum([mode.evidence for mode in v.modes]) + events.pose_score for v in self.visits
         ]
@@ -128,6 +128,8 @@ class Search:
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)
         near = [h for h in grown if h.score < grown[0].score + _WINDOW]
+        dropped = near[_MOST_HYPOTHESES:]
+        self.is_cut |= bool(dropped) and dropped[0].score < grown[0].score + window()
         return near[:_MOST_HYPOTHESES]
 
     # -- one more visit ---------------------------------------------------------------------------

@@ -52,7 +52,8 @@ class World:
         self.search = Search(self.graph, events, self.budget)
         numbers = range(len(self.visits))
         self.hypotheses = self.search.explained(self.search.beginning(), numbers)
-        self.undecided = {v.visit.camera for v in self.visits} if self.budget.is_spent else set()
+        is_open = self.budget.is_spent or self.search.is_cut
+        self.undecided = {v.visit.camera for v in self.visits} if is_open else set()
         self._verify()
 
     def _verify(self) -> None:
@@ -69,7 +70,10 @@ class World:
             rest = self._without(best, set(mine))
             if rest is None:
                 continue
+            self.search.is_cut = False
             found = self.search.explained(rest, mine)
+            if self.search.is_cut:
+                self.undecided.add(camera)
             if self.budget.is_spent:
                 self.undecided |= cameras.keys() - verified
                 break

@@ -43,13 +43,19 @@ def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
         old, new = (state.cameras[place].map_from_camera for place in (name, after))
         by = f" by {np.linalg.norm(new.translation - old.translation):.2f} m"
     return (
-        f"camera {move.camera} was moved{by}; it is located anew, and what it saw before stays "
-        "with its earlier place"
+        f"camera {move.camera} was moved{by} {_span(data, move.until_ns, move.since_ns)}; it is "
+        "located anew, and what it saw before stays with its earlier place"
     )
 
 
 def _between(data: DataSet, lifts: list[Lift]) -> str:
-    """Between which times of the session."""
-    first = min(lift.after_ns for lift in lifts) - data.epoch_ns
-    last = max(lift.before_ns for lift in lifts) - data.epoch_ns
-    return f"between {first / NANOSECONDS:.1f} s and {last / NANOSECONDS:.1f} s of the session"
+    first, last = min(lift.after_ns for lift in lifts), max(lift.before_ns for lift in lifts)
+    return _span(data, first, last)
+
+
+def _span(data: DataSet, first_ns: int, last_ns: int) -> str:
+    """Between which times of the session, or before which."""
+    first, last = ((ns - data.epoch_ns) / NANOSECONDS for ns in (first_ns, last_ns))
+    if first_ns == last_ns:
+        return f"before {last:.1f} s of the session"
+    return f"between {first:.1f} s and {last:.1f} s of the session"

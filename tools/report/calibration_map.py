@@ -4,7 +4,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.network import CameraRecord
+from trigpoint.network import AlternativeRecord, CameraRecord
 
 from .calibration import CalibrationResults
 from .floor_plan_image import floor_plan_image
@@ -30,6 +30,11 @@ def plan_of(results: CalibrationResults, width: float, *, upright: bool) -> Plan
     """The drawing that holds cameras, ways and suggestions."""
     points = [poses.translation[:, :2] for _, poses in results.trajectories.values()]
     points += [_wedge(pose) for pose in _poses(results).values()]
+    points += [
+        _wedge(each.map_from_camera.pose)
+        for camera in results.network.cameras.values()
+        for each in camera.alternatives
+    ]
     points += [s.map_from_base.translation[None, :2] for s in results.suggestions]
     every = np.concatenate(points)
     has_walls = results.building is not None and results.building.plan is not None
@@ -56,6 +61,7 @@ def map_drawing(results: CalibrationResults, *, width: float, upright: bool) -> 
     for index, (name, camera) in enumerate(results.network.cameras.items()):
         if camera.map_from_camera is not None and camera.covariance is not None:
             parts.append(_camera(name, camera, index, plan, factor))
+        parts += [_alternative(name, each, index, plan) for each in camera.alternatives]
     parts += [
         suggestion_mark(s.map_from_base, plan, number=str(i + 1))
         for i, s in enumerate(results.suggestions)
@@ -75,6 +81,9 @@ def legend(results: CalibrationResults, factor: int) -> str:
                "a robot's way, from the ring to the arrow"),
         _entry(place, f"a camera with its standard deviation{larger}; the wedge: where it looks"),
     ]  # fmt: skip
+    if any(camera.alternatives for camera in results.network.cameras.values()):
+        hollow = circle(17, 7, 5, class_="outline")
+        entries.append(_entry(hollow, "where an undetermined camera may be, one of several places"))
     if results.suggestions:
         entries.append(_entry(circle(17, 7, 6, class_="next"), "where to go next, in this order"))
     return element("ul", *entries, class_="legend")
@@ -109,6 +118,20 @@ def _camera(name: str, camera: CameraRecord, index: int, plan: Plan, factor: int
         polygon(plan(outline), class_="ellipse"),
         circle(x, y, 2.6, class_="found"),
         text(label_x, label_y + 5, name, class_="name"),
+        class_=f"k{index % PALETTE}",
+    )
+
+
+def _alternative(name: str, place: AlternativeRecord, index: int, plan: Plan) -> str:
+    """A place that is left open for a camera: hollow, with a question mark."""
+    wedge = _wedge(place.map_from_camera.pose)
+    x, y = plan(wedge[0])
+    label_x, label_y = plan(0.5 * (wedge[0] + wedge[1:].mean(axis=0)))
+    return group(
+        element("title", f"{name}, {100 * place.probability:.1f} %"),
+        polygon(plan(wedge), class_="outline"),
+        circle(x, y, 4.5, class_="outline"),
+        text(label_x, label_y + 5, f"{name}?", class_="name"),
         class_=f"k{index % PALETTE}",
     )
 

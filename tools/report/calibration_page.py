@@ -129,7 +129,9 @@ def _guidance(results: CalibrationResults) -> str:
     if results.worst is None:
         return ""
     sigma_cm = 100 * results.network.cameras[results.worst].position_sigma
-    words = f"The camera that is known worst is {results.worst}, to {sigma_cm:.2f} cm. "
+    open_ = [n for n, c in results.network.cameras.items() if c.status == "undetermined"]
+    words = f"First drive past {', '.join(open_)} again (above). " if open_ else ""
+    words += f"The camera that is known worst is {results.worst}, to {sigma_cm:.2f} cm. "
     parts = [element("h2", "What would improve it most")]
     if results.suggestions:
         words += (

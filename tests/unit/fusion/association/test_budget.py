@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from small_sessions import Shape, data_of
 
+from trigpoint.fusion.association import search
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
@@ -62,3 +63,14 @@ def test_budget_grows_with_the_session(came: Came) -> None:
     (track,) = came[0].tracks.values()
     longer = Budget.of([track]).allowed - Budget.of([]).allowed
     assert longer == pytest.approx(0.2e6 * (track.last_ns - track.first_ns) / 1e9)
+
+
+def test_what_more_explanations_hold_than_are_kept_is_left_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    came = data_of(Shape(2, (0, 1, 0, 1), is_alike=True, lift=2))
+    assert not any("not decided" in f.reason for f in explain(*came).findings.values())
+    monkeypatch.setattr(search, "_MOST_HYPOTHESES", 1)
+    narrow = explain(*came)
+    assert all("not decided in time" in f.reason for f in narrow.findings.values())
+    assert not narrow.places

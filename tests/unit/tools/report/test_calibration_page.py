@@ -17,6 +17,7 @@ from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.guidance.suggestions import Suggestion
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.network import (
+    AlternativeRecord,
     CameraRecord,
     IntrinsicsRecord,
     Network,
@@ -155,6 +156,19 @@ def test_undetermined_camera_tells_why_and_where_the_robot_stood() -> None:
         in text
     )
     assert "c3 : it never saw a robot's target" in text
+
+
+def test_places_that_are_left_open_are_on_the_map_and_come_first() -> None:
+    places = tuple(
+        AlternativeRecord(PoseRecord.of(Pose(EYE.rotation, np.array([x, 1.0, 1.6]))), (), share)
+        for x, share in ((7.0, 0.6), (9.0, 0.4))
+    )
+    cameras = {"c1": located(), "c2": msgspec.structs.replace(UNDETERMINED, alternatives=places)}
+    page = calibration_page(make_results(cameras=cameras))
+    assert "c2, 60.0 %" in page
+    assert "c2, 40.0 %" in page
+    assert "First drive past c2 again" in words(page)
+    assert "c1, 60" not in page
 
 
 def test_camera_on_one_sighting_is_named() -> None:

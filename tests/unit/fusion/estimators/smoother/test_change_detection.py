@@ -81,6 +81,7 @@ def test_moved_camera_is_relocated_and_its_old_place_kept(seed: int) -> None:
     assert_honest(session, pipeline)
     assert pipeline.left_out["camera_moved"] == 1
     assert "c2 was moved" in pipeline.last_problem
+    assert " s of the session" in pipeline.last_problem
     record = pipeline.network().cameras["c2"]
     (earlier,) = record.earlier
     assert EPOCH_NS + to_ns(20.0) < int(earlier.until) < EPOCH_NS + to_ns(25.0)
