@@ -118,7 +118,7 @@ class KalmanState:
     def with_camera_priors(self, data: DataSet, camera: str, state: CameraState) -> Self:
         """With a camera's nominal values, and its time offset where that is estimated."""
         after = replace(self, states=self.states | {camera: state})
-        sigma_s = data.site.cameras[camera].time_offset_sigma
+        sigma_s = data.site.cameras[data.site_camera(camera)].time_offset_sigma
         if sigma_s > 0:
             return after.with_part(("offset", camera), np.array([[sigma_s**2]]))
         return after

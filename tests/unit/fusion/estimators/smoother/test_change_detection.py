@@ -16,6 +16,7 @@ from drives import (
     pictures_of,
     pushed,
 )
+from msgspec.structs import replace as replace_struct
 
 from trigpoint import topics
 from trigpoint.clock import to_ns
@@ -72,6 +73,17 @@ def assert_honest(session: Session, pipeline: Pipeline) -> None:
     error = session.error(results)
     assert error.nees is not None
     assert error.nees < NEES
+
+
+def test_moved_camera_whose_clock_is_estimated_is_relocated_by_the_filter() -> None:
+    session = with_moved_camera(1)
+    site = session.inputs.site
+    cameras = {n: replace_struct(c, time_offset_sigma=0.02) for n, c in site.cameras.items()}
+    fusion = replace_struct(site.fusion, estimator="ekf")
+    inputs = replace(session.inputs, site=replace_struct(site, cameras=cameras, fusion=fusion))
+    pipeline = pushed(inputs, session.messages)
+    assert_honest(session, pipeline)
+    assert pipeline.left_out["camera_moved"] == 1
 
 
 @pytest.mark.parametrize("seed", [1])
