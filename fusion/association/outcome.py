@@ -53,6 +53,7 @@ class Outcome:
         self.data = self.best.data
         self.loose = self._loose()
         self.undecided = {camera for world in worlds for camera in world.undecided}
+        self.crowded = {camera for world in worlds for camera in world.crowded}
 
     def _loose(self) -> set[str]:
         """Cameras that hang on a gap in which the robot may have been carried once more."""
@@ -91,6 +92,8 @@ class Outcome:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
         if np.sqrt(np.trace(next(iter(alternatives)).covariance[:3, :3])) > _LOOSE_M:
             return CameraFinding(camera, (), rests_on, _LOST)
+        if camera in self.crowded:
+            return CameraFinding(camera, alternatives, rests_on, _LATE)
         if camera in self.loose:
             return CameraFinding(camera, alternatives, rests_on, _LOOSE)
         return CameraFinding(camera, alternatives, rests_on)
@@ -102,7 +105,7 @@ class Outcome:
             camera = self.best.visits[n].visit.camera
             place = self.chosen.place_of(n)
             assert place is not None
-            if camera in self.undecided:
+            if camera in self.undecided | self.crowded:
                 continue
             last = self._last_place(camera)
             if place == last:

@@ -27,7 +27,8 @@ class World:
     """Everything that may explain the session where its noise is this.
 
     `parts`: the visits, cut where another noise has them cut; None: where this one has.
-    `undecided`: the cameras for which the budget did not suffice to look at everything else.
+    `undecided`: the cameras for which the budget did not suffice to look at everything else;
+    `crowded`: those of which there may be more places than the search kept.
     """
 
     def __init__(
@@ -52,8 +53,9 @@ class World:
         self.search = Search(self.graph, events, self.budget)
         numbers = range(len(self.visits))
         self.hypotheses = self.search.explained(self.search.beginning(), numbers)
-        is_open = self.budget.is_spent or self.search.is_cut
-        self.undecided = {v.visit.camera for v in self.visits} if is_open else set()
+        cameras = {v.visit.camera for v in self.visits}
+        self.undecided = cameras if self.budget.is_spent else set()
+        self.crowded = set(cameras) if self.search.is_cut else set()
         self._verify()
 
     def _verify(self) -> None:
@@ -73,7 +75,7 @@ class World:
             self.search.is_cut = False
             found = self.search.explained(rest, mine)
             if self.search.is_cut:
-                self.undecided.add(camera)
+                self.crowded.add(camera)
             if self.budget.is_spent:
                 self.undecided |= cameras.keys() - verified
                 break
