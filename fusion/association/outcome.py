@@ -7,6 +7,7 @@ import numpy as np
 
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
 from .events import window
@@ -15,8 +16,6 @@ from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved,
 from .mode import Mode
 from .world import World
 
-# Where a place is known less well than this, m, nothing ties it to the map.
-_LOOSE_M = 2.0
 _LIKE = (
     "position and orientation: {} fit alike; drive past it again, where it sees the robot from "
     "elsewhere"
@@ -90,7 +89,7 @@ class Outcome:
             return CameraFinding(camera, (), 0, reason)
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
-        if np.sqrt(np.trace(next(iter(alternatives)).covariance[:3, :3])) > _LOOSE_M:
+        if not is_placed(alternatives[0].covariance):
             return CameraFinding(camera, (), rests_on, _LOST)
         if camera in self.crowded:
             return CameraFinding(camera, alternatives, rests_on, _LATE)
@@ -115,8 +114,7 @@ class Outcome:
                     )
                 continue
             alike = alternatives_of(p for world in self.worlds for p in world.places(camera, place))
-            is_tied = alike and np.sqrt(np.trace(alike[0].covariance[:3, :3])) < _LOOSE_M
-            if len(alike) == 1 and is_tied:
+            if len(alike) == 1 and is_placed(alike[0].covariance):
                 found[camera, place] = self._state(camera, place, alike[0].map_from_camera)
         return found
 

@@ -65,3 +65,15 @@ def test_where_nothing_is_ever_moved_sightings_from_a_new_place_are_wrong() -> N
     camera = network_of(replace(session, site=site)).cameras["c1"]
     assert camera.status == "located"
     assert camera.rejected == 2
+
+
+def test_camera_a_long_way_off_is_located_as_well_as_odometry_says() -> None:
+    """What is known to metres is known: only behind a break is nothing of a place known."""
+    session = small_session(Shape(5, (0, 1), is_alike=False))
+    robot = session.site.robots["r1"]
+    rough = structs.replace(robot, odometry=structs.replace(robot.odometry, distance=2.0))
+    site = structs.replace(session.site, robots={"r1": rough})
+    camera = network_of(replace(session, site=site)).cameras["c2"]
+    assert camera.status == "located"
+    assert camera.covariance is not None
+    assert 2.0 < np.sqrt(np.trace(np.reshape(camera.covariance, (6, 6))[:3, :3])) < 20.0
