@@ -26,6 +26,10 @@ _LOST = (
     "position and orientation in the map: the robot was put down elsewhere, or its odometry "
     "jumped, on its way here from the other cameras; drive there without a break"
 )
+_UNSEEN = (
+    "position and orientation in the map: it begins where robot {0} does, and no camera saw that "
+    "robot; drive {0} past this camera, or past one that also saw another robot"
+)
 _LOOSE = (
     "position and orientation in the map: a robot was carried or a camera moved in this session, "
     "and nothing shows that the robot was not on its way here; drive from here past a camera that "
@@ -90,12 +94,18 @@ class Outcome:
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
         if not is_placed(alternatives[0].covariance):
-            return CameraFinding(camera, (), rests_on, _LOST)
+            return CameraFinding(camera, (), rests_on, self._lost())
         if camera in self.crowded:
             return CameraFinding(camera, alternatives, rests_on, _LATE)
         if camera in self.loose:
             return CameraFinding(camera, alternatives, rests_on, _LOOSE)
         return CameraFinding(camera, alternatives, rests_on)
+
+    def _lost(self) -> str:
+        """Why nothing ties a camera to the map."""
+        used = {self.best.visits[n].visit.robot for n in [*self.chosen.ties, *self.chosen.open]}
+        first = self.data.anchored_robot
+        return _LOST if first is None or first in used else _UNSEEN.format(first)
 
     def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
         """Every place, also earlier ones, that is one place."""

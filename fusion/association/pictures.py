@@ -22,6 +22,8 @@ from .sightings import all_without_wild
 
 # How many pictures are read at once: some megabytes of derivatives.
 _MOST_AT_ONCE = 512
+# No picture tells where a robot stood better than so, m² and rad².
+_EXACT = 1e-12
 
 # A reading for each view, None where it is wrong, and its wild corners.
 ReadPicture = tuple[tuple[Reading | None, ...], tuple[np.ndarray, ...]]
@@ -71,13 +73,16 @@ class PictureReader:
         from_map = camera.map_from_camera.inverse()
         readings, rms = best_readings(views, self.target, camera.lens, from_map @ poses)
         step, own = np.zeros((len(views), 6)), np.zeros((len(views), 6, 6))
-        wild: list[np.ndarray] = [np.zeros(0, dtype=bool)] * len(views)
-        for rows in groups_of([len(view.corners) for view in views]):
+        wild = [np.zeros(len(view.corners), dtype=bool) for view in views]
+        in_sight = np.flatnonzero(np.isfinite(rms))
+        for group in groups_of([len(views[row].corners) for row in in_sight]):
+            rows = in_sight[group]
             seen, chosen = [views[row] for row in rows], [readings[row] for row in rows]
             step[rows], own[rows], flags = self._shown(seen, chosen, poses[rows])
             for row, each in zip(rows, flags, strict=True):
                 wild[row] = each
-        is_right = self._are_right(owner, step, own, drift) & np.isfinite(rms)
+        is_right = np.zeros(len(views), dtype=bool)
+        is_right[in_sight] = self._are_right(owner[in_sight], step[in_sight], own[in_sight], drift)
         right = [r if is_used else None for r, is_used in zip(readings, is_right, strict=True)]
         ends = np.cumsum([len(observation.views) for observation in observations]).tolist()
         return [
@@ -93,15 +98,15 @@ class PictureReader:
         by_base, residual = self._linearised(views, readings, map_from_base)
         step, wild = all_without_wild(by_base, residual, self.events.wild_score)
         flat = (by_base * ~wild[..., None, None]).reshape(len(views), -1, 6)
-        own = np.linalg.pinv(np.swapaxes(flat, 1, 2) @ flat, hermitian=True)
-        return step, own, wild
+        information = np.swapaxes(flat, 1, 2) @ flat + np.diag(1 / self.events.room_variances)
+        return step, np.linalg.pinv(information, hermitian=True) + _EXACT * np.eye(6), wild
 
     def _are_right(self, owner: np.ndarray, step: Array, own: Array, drift: Array) -> np.ndarray:
         """Which views (v,) are right: of each picture (`owner`) the likeliest first, each by where
         odometry and those before it put the robot in that picture (a Kalman filter). Where the
         first is not, none is, unless others agree with it so well that sooner odometry is wrong."""
         # What the nearest picture says of the robot is as uncertain as this one.
-        before = own + drift[owner] + 1e-12 * np.eye(6)
+        before = own + drift[owner]
         if self.jitter is not None:
             before = before + 2 * np.diag(self.jitter.variances)
         chi2, room = _surprise(step, before + own)

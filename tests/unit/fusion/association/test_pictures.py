@@ -60,3 +60,17 @@ def test_faces_that_agree_where_odometry_does_not_lead_are_right_together(
     both, single = reader.read([whole, replace(whole, views=whole.views[:1])], slipped, drift)
     assert all(reading is not None for reading in both[0])
     assert single[0] == (None,)
+
+
+def test_robot_that_odometry_puts_beside_the_camera_is_not_seen_there(charuco: Session) -> None:
+    """Where no lens shows it, a projection is of no meaning, however steep it is."""
+    data = with_noise(observed(charuco), {"r1": SWAY})
+    whole, mode, _ = of_two_faces(data)
+    lens = replace(mode.camera.lens, distortion=(-0.05, 0.13, 0.003, 0.006, -0.385))
+    camera = replace(mode.camera, lens=lens)
+    heights = np.linspace(-0.5, 0.5, 200)
+    beside = [Pose(np.eye(3), np.array([3.0, 1.0, z])) for z in heights]
+    places = camera.map_from_camera @ Pose.stack(beside)
+    drift = np.tile(np.diag([1e-4, 1e-4, 1e-12, 1e-12, 1e-12, 1e-4]), (len(heights), 1, 1))
+    found = PictureReader(data, "r1", camera, Events()).read([whole] * len(heights), places, drift)
+    assert [readings for readings, _ in found] == [(None, None)] * len(heights)
