@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from drives import lab_plan, make_session, write_session
 
+from benchmarks.compositions.files import write_composition
+from benchmarks.compositions.session import composed_session
 from trigpoint.cli import run
 from trigpoint.network import load_network
 from trigpoint.tools.truth import load_truth, network_error
@@ -34,6 +36,26 @@ def test_network_covariance_and_way_are_written(
     error = network_error(network, joint, load_truth(session / "truth.json"))
     assert max(camera.sigmas for camera in error.cameras.values()) < 4
     assert (tmp_path / "r1.tum").read_text().count("\n") == 441
+
+
+@pytest.fixture(scope="module")
+def swaying(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A loop with a target that sways by a millimetre, of which the site file says nothing."""
+    return write_composition(composed_session("mismatch", 7), tmp_path_factory.mktemp("swaying"))
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "particle"])
+def test_what_the_session_tells_of_its_noise_holds_for_the_filters_too(
+    swaying: Path, tmp_path: Path, estimator: str
+) -> None:
+    assert run(["calibrate", str(swaying), "--estimator", estimator, "--out", str(tmp_path)]) == 0
+    network = load_network(tmp_path / "network.json")
+    with np.load(tmp_path / "covariance.npz") as archive:
+        error = network_error(network, archive["covariance"], load_truth(swaying / "truth.json"))
+    assert network.located == [f"c{number}" for number in range(1, 8)]
+    assert max(camera.sigmas for camera in error.cameras.values()) < 4
+    assert error.nees is not None
+    assert error.nees < 2
 
 
 def test_what_a_filter_does_not_work_out_is_one_line(

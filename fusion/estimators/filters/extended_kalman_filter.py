@@ -212,9 +212,12 @@ class KalmanFilterState(KalmanState):
     def _view(self, data: DataSet, sighting: ReadSighting) -> RelativeView | None:
         camera, robot = self.states[sighting.observation.camera], sighting.observation.robot
         pose, _ = self._seen(data, sighting)
-        camera_from_base = camera.map_from_camera.inverse() @ pose
         return relative_view(
-            sighting.observation, data.targets[robot], camera.lens, camera_from_base
+            sighting.observation,
+            data.targets[robot],
+            camera.lens,
+            camera.map_from_camera.inverse() @ pose,
+            sighting.variances,
         )
 
     def _jacobian(self, data: DataSet, sighting: ReadSighting, view: RelativeView) -> Array:

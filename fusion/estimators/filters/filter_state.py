@@ -21,10 +21,15 @@ _VELOCITY_WINDOW_NS = to_ns(0.02)
 @dataclass(frozen=True, slots=True)
 class ReadSighting:
     """An observation prepared for a filter: read, its wild corners marked, and the approximate pose
-    of the robot by it, `map_from_base`. `places_robot`: the robot's pose is not known otherwise."""
+    of the robot by it, `map_from_base`.
+
+    `variances` (6,): of how the robot stands otherwise in this picture than its odometry says, None
+    where it does not; `places_robot`: the robot's pose is not known otherwise.
+    """
 
     observation: Observation
     map_from_base: Pose
+    variances: Array | None = None
     places_robot: bool = False
 
 

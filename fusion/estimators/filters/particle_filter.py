@@ -186,7 +186,9 @@ class ParticleFilterState(Particles):
         robot, name = sighting.observation.robot, sighting.observation.camera
         camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
         target = data.targets[robot]
-        view = relative_view(sighting.observation, target, camera.lens, camera_from_base)
+        view = relative_view(
+            sighting.observation, target, camera.lens, camera_from_base, sighting.variances
+        )
         if view is None or not view.determines_pose:
             return None
         filter_state = self.with_drawn([robot])
@@ -221,9 +223,9 @@ class ParticleFilterState(Particles):
     def _view(
         self, data: DataSet, sighting: ReadSighting, camera_from_base: Pose
     ) -> RelativeView | None:
-        observation = sighting.observation
-        lens = self.lenses[observation.camera]
-        return relative_view(observation, data.targets[observation.robot], lens, camera_from_base)
+        observation, lens = sighting.observation, self.lenses[sighting.observation.camera]
+        target = data.targets[observation.robot]
+        return relative_view(observation, target, lens, camera_from_base, sighting.variances)
 
     def _linearised(
         self, data: DataSet, sighting: ReadSighting, relative: _Relative

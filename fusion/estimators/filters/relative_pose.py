@@ -13,6 +13,7 @@ import numpy as np
 from trigpoint.fusion.model.gates import WILD_CORNER_SIGMAS, WILD_SHARE
 from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.projection import projected
+from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
@@ -51,9 +52,11 @@ def relative_view(
     target: Target,
     lens: CameraModel,
     camera_from_base: Pose,
+    variances: Array | None = None,
 ) -> RelativeView | None:
     """The view of a read observation at a pose; None where a corner lies behind the camera or too
-    few are left."""
+    few are left. `variances` (6,): of how the robot stands otherwise in this picture, about and
+    along its own axes."""
     points = points_of(observation, target)
     used = points.weights > 0
     found = projected(lens, camera_from_base, points.in_base(base_from_faces(target))[used])
@@ -65,13 +68,16 @@ def relative_view(
     residual = (apart * weights).reshape(-1)
     if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(residual))):
         return None
+    freedom = len(residual) - 6
+    if variances is not None:
+        by_base = jacobian @ np.kron(np.eye(2), camera_from_base.rotation)
+        jitter = PictureJitter.by(by_base[None], variances[None])
+        (jacobian,), (residual,) = jitter.rows(jacobian[None], residual[None])
     basis, root = np.linalg.qr(jacobian)
     compressed = basis.T @ residual
     left = max(float(residual @ residual - compressed @ compressed), 0.0)
     rms_px = float(np.sqrt(np.mean(apart**2)))
-    return RelativeView(
-        camera_from_base, root, compressed, left, len(residual) - len(compressed), rms_px
-    )
+    return RelativeView(camera_from_base, root, compressed, left, freedom, rms_px)
 
 
 def without_wild_corners(

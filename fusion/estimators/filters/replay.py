@@ -6,6 +6,7 @@ everything is explained anew.
 """
 
 import bisect
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -17,6 +18,8 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
 from .filter_state import FilterState, Innovation
 from .history import Step
@@ -34,6 +37,8 @@ class Replay:
         self.filter_state = origin(data)
         self.steps: list[Step] = []
         self.located: Mapping[str, CameraState] = {}
+        # By entry, where several pictures stand alike: see `Jitter.among`.
+        self._variances: dict[int, Array] = {}
 
     def copy(self) -> "Replay":
         """A copy, to continue from if the next observation is unusable."""
@@ -67,6 +72,7 @@ class Replay:
             for index, entry in enumerate(self._data.entries)
             if entry.observation.verdict is Verdict.ACCEPTED
         ]
+        self._variances = _shared_variances(self._data, accepted)
         for _, index in sorted((self._time_ns(index), index) for index in accepted):
             self._take(index)
 
@@ -118,7 +124,9 @@ class Replay:
         filter_state, predicted = predicted_at(self._data, before, entry.observation.robot, time_ns)
         scales = filter_state.scales(entry.observation.robot)
         observation = self._data.moving(entry.observation, time_ns, scales)
-        sighting = read_sighting(self._data, filter_state, _as_read(observation), predicted)
+        sighting = read_sighting(
+            self._data, filter_state, _as_read(observation), predicted, self._disturbance(index)
+        )
         if sighting is None:
             return None
         if observation.chosen is None:
@@ -138,8 +146,30 @@ class Replay:
         if predicted is None or entry.map_from_base is None or observation.chosen is None:
             return None
         camera = self.located[observation.camera]
-        sighting = first_sighting(self._data, observation, camera, entry.map_from_base)
+        sighting = first_sighting(
+            self._data, observation, camera, entry.map_from_base, self._disturbance(index)
+        )
         return filter_state.with_camera(self._data, sighting, camera) if sighting else None
+
+    def _disturbance(self, index: int) -> Array | None:
+        """The variances (6,) of how the robot stands otherwise in one picture."""
+        jitter = self._data.jitter.get(self._data.entries[index].observation.robot)
+        return None if jitter is None else self._variances.get(index, jitter.variances)
+
+
+def _shared_variances(data: DataSet, indices: list[int]) -> dict[int, Array]:
+    """By entry of these the variances (6,) of how its robot stands otherwise in its picture, beside
+    the others in which the same camera saw it."""
+    together = defaultdict[tuple[str, str], list[int]](list)
+    for index in indices:
+        observation = data.entries[index].observation
+        if observation.robot in data.jitter and data.entries[index].map_from_base is not None:
+            together[observation.camera, observation.robot].append(index)
+    found: dict[int, Array] = {}
+    for (_, robot), mine in together.items():
+        stood = Pose.stack([pose for i in mine if (pose := data.entries[i].map_from_base)])
+        found |= zip(mine, data.jitter[robot].among(stood.translation), strict=True)
+    return found
 
 
 def _as_read(observation: Observation) -> Observation:

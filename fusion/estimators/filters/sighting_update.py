@@ -10,6 +10,7 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.alignment import PosePrior, align
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
 from .filter_state import FilterState, Innovation, ReadSighting
 from .relative_pose import relative_view, without_wild_corners
@@ -33,8 +34,10 @@ def read_sighting(
     filter_state: FilterState,
     observation: Observation,
     predicted: RobotEstimate | None,
+    variances: Array | None,
 ) -> ReadSighting | None:
-    """The observation in its best reading; None where that is ambiguous or nothing fits."""
+    """The observation in its best reading; None where that is ambiguous or nothing fits.
+    `variances`: see `ReadSighting`."""
     estimate = filter_state.estimate(observation.camera)
     lens, map_from_camera = estimate.lens, estimate.map_from_camera
     target = data.targets[observation.robot]
@@ -59,23 +62,27 @@ def read_sighting(
     sound = without_wild_corners(read, target, lens, pose)
     if sound is None:
         return None
-    return ReadSighting(sound, alignment.map_from_base, places_robot=predicted is None)
+    return ReadSighting(sound, alignment.map_from_base, variances, places_robot=predicted is None)
 
 
 def first_sighting(
-    data: DataSet, observation: Observation, camera: CameraState, map_from_base: Pose
+    data: DataSet,
+    observation: Observation,
+    camera: CameraState,
+    map_from_base: Pose,
+    variances: Array | None,
 ) -> ReadSighting | None:
     """The sighting that places a camera which all of its sightings located; None where those
-    contradict it."""
+    contradict it. `variances`: see `ReadSighting`."""
     lens, target = camera.lens, data.targets[observation.robot]
     pose = camera.map_from_camera.inverse() @ map_from_base
     sound = without_wild_corners(observation, target, lens, pose)
-    view = relative_view(sound, target, lens, pose) if sound is not None else None
+    view = relative_view(sound, target, lens, pose, variances) if sound is not None else None
     if sound is None or view is None:
         return None
     if not is_noise(float(view.residual @ view.residual), len(view.residual)):
         return None
-    return ReadSighting(sound, map_from_base)
+    return ReadSighting(sound, map_from_base, variances)
 
 
 def is_expected(innovation: Innovation) -> bool:

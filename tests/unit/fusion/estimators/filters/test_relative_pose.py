@@ -1,0 +1,27 @@
+"""A sighting as a measurement of camera_from_base."""
+
+import numpy as np
+from small_problems import EPOCH_NS, eyes, see, small_data, true_pose
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.estimators.filters.relative_pose import relative_view
+
+
+def test_robot_that_sways_in_a_picture_is_known_that_much_less_and_seen_where_it_was() -> None:
+    """The covariance of a sum is the sum of the covariances, each in the camera's axes."""
+    data, stamp_ns = small_data(), EPOCH_NS + to_ns(1.3)
+    observation = see(data, "c1", "r1", stamp_ns, 0.3, np.random.default_rng(1))
+    camera_from_base = eyes()["c1"].inverse() @ true_pose(data, "r1", stamp_ns)
+    sighting = observation, data.targets["r1"], data.lenses["c1"], camera_from_base
+    variances = np.array([4e-6, 1e-6, 9e-6, 3e-5, 2e-5, 1e-12])
+    still, swaying = relative_view(*sighting), relative_view(*sighting, variances)
+    assert still is not None
+    assert swaying is not None
+    turn = np.kron(np.eye(2), camera_from_base.rotation)
+    by_corners = np.linalg.inv(still.root.T @ still.root)
+    together = np.linalg.inv(swaying.root.T @ swaying.root)
+    assert np.allclose(together, by_corners + turn @ np.diag(variances) @ turn.T, rtol=1e-6)
+    step = np.linalg.solve(still.root, still.residual)
+    assert np.allclose(np.linalg.solve(swaying.root, swaying.residual), step, atol=1e-9)
+    assert np.isclose(swaying.left_over, still.left_over)
+    assert swaying.freedom == still.freedom
