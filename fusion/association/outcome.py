@@ -93,7 +93,7 @@ class Outcome:
             return CameraFinding(camera, (), 0, reason)
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
-        if not is_placed(alternatives[0].covariance):
+        if not is_placed(next(iter(alternatives)).covariance):
             return CameraFinding(camera, (), rests_on, self._lost())
         if camera in self.crowded:
             return CameraFinding(camera, alternatives, rests_on, _LATE)

@@ -23,7 +23,10 @@ from trigpoint.geometry.uncertainty import symmetric
 from .elimination import Elimination, eliminated
 from .normal_equations import NormalEquations, linearise
 
-_DAMPING_START = 1e-9
+# Damping, relative to the diagonal, where a step fails. A bend of a long chain is so soft beside its
+# nodes that the least damping holds it: steps that succeed soon have none.
+_DAMPING_LEAST = 1e-6
+_DAMPING_NONE = 1e-9
 _DAMPING_END = 1e8
 
 
@@ -87,7 +90,7 @@ def minimise(
     problem: Problem, start: State, *, huber: float, tolerance: float, most_iterations: int
 ) -> Minimum:
     """`solve` without the elimination at the end."""
-    state, damping = start, _DAMPING_START
+    state, damping = start, 0.0
     equations = linearise(problem, state, huber=huber)
     iterations, has_converged = 0, False
     while iterations < most_iterations and damping < _DAMPING_END:
@@ -95,7 +98,7 @@ def minimise(
         try:
             step, promised, chains = _step(equations, damping)
         except LinAlgError:
-            damping = max(damping * 100, 1e-6)
+            damping = max(damping * 100, _DAMPING_LEAST)
             continue
         if promised < tolerance:
             has_converged = True
@@ -104,9 +107,9 @@ def minimise(
         candidate = linearise(problem, moved, huber=huber)
         if np.isfinite(candidate.cost) and candidate.cost <= equations.cost:
             state, equations = moved, candidate
-            damping = max(damping / 30, _DAMPING_START)
+            damping = damping / 30 if damping > _DAMPING_NONE else 0.0
         else:
-            damping = max(damping * 30, 1e-6)
+            damping = max(damping * 30, _DAMPING_LEAST)
     return Minimum(state, equations, iterations, has_converged)
 
 

@@ -50,12 +50,12 @@ def test_target_of_a_robot_that_the_site_file_gives_another_is_left_out_by_name(
 def test_where_the_robot_that_begins_the_map_is_never_seen_the_other_is_not_blamed() -> None:
     session = two_robots(6.0)
     ours = session.plan.robots["r1"].target.name
-    seen = [
+    seen = tuple(
         (n, replace(m, faces=tuple(f for f in m.faces if f.target != ours)))
         if isinstance(m, Sightings)
         else (n, m)
         for n, m in session.messages
-    ]
+    )
     pipeline = pushed(session.inputs, seen)
     pipeline.finish()
     cameras = pipeline.results().network.cameras
