@@ -17,6 +17,10 @@ from benchmarks.compositions.room import Camera, cameras_of
 from benchmarks.compositions.session import Composition
 from benchmarks.compositions.views import Carrier, Picture, faces_in_sight, pictures_of
 from trigpoint.config import Site, parse_site
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.graph import Graph
+from trigpoint.fusion.association.modes import ModeFinder
+from trigpoint.fusion.association.visits import visit_of
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.pipeline import Inputs, Pipeline
@@ -219,3 +223,11 @@ def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
     pipeline.finish()
     data = pipeline._data  # pyright: ignore[reportPrivateUsage]
     return data, [entry.observation for entry in data.entries]
+
+
+def graph_of(shape: Shape) -> Graph:
+    """A graph in which every picture is a visit of its own."""
+    data, observations = data_of(shape)
+    finder = ModeFinder(data, observations, Events())
+    visits = [finder.modes_of(visit_of(observations, [i])) for i in range(len(observations))]
+    return Graph(data, visits, Events())

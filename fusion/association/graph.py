@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
@@ -24,6 +25,7 @@ from .mode import Mode
 from .modes import VisitModes, odometry_poses
 
 _SCALE_STEP = 0.01
+_CLOCK_SIGMAS = 5.0
 HELD = 1e-6
 """Sigma (m, rad, and of scales) of what is known exactly: far below what any sighting tells, and
 not so far that beside a gap in odometry nothing is left of it in a number's digits."""
@@ -153,6 +155,7 @@ class Graph:
             for v in visits
         ]
         self._across: dict[Break, Across | None] = {}
+        self._clocks = [_clock(data, v) for v in visits]
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
         self._covariance = [np.linalg.inv(one)[:, :6, :6] for _, one in self._relative]
         self.own_prior = {
@@ -190,17 +193,27 @@ class Graph:
         """The motion across a gap by the visit that tells most of it; None where no visit goes on
         from before it to after it."""
         if gap not in self._across:
-            each = [one for v in self.visits if (one := self._told_across(gap, v)) is not None]
+            numbers = range(len(self.visits))
+            each = [one for n in numbers if (one := self._told_across(gap, n)) is not None]
             tight = min(each, key=lambda one: np.linalg.slogdet(one.covariance)[1], default=None)
             self._across[gap] = tight
         return self._across[gap]
 
-    def _told_across(self, gap: Break, found: VisitModes) -> Across | None:
+    def _told_across(self, gap: Break, number: int) -> Across | None:
         robot, step = gap
-        path = self.paths[robot]
-        begin, end = path.stamps_ns[step : step + 2]
-        before = [one for one in found.right if one[0] <= begin]
-        after = [one for one in found.right if one[0] >= end]
+        path, found = self.paths[robot], self.visits[number]
+        begin, end = path.stamps_ns[step : step + 2].tolist()
+        first, last = self._numbers_at(robot, step), self._numbers_at(robot, step + 1)
+        before = [
+            one
+            for one in found.right
+            if one[0] <= begin and all(self._precedes(number, one[0], n, begin) for n in first)
+        ]
+        after = [
+            one
+            for one in found.right
+            if one[0] >= end and all(self._precedes(n, end, number, one[0]) for n in last)
+        ]
         if found.visit.robot != robot or not found.modes or not before or not after:
             return None
         (until_ns, earlier), (since_ns, later) = before[-1], after[0]
@@ -214,6 +227,22 @@ class Graph:
         (whole,) = path.track.motion(moments, np.zeros(2)).covariance
         covariance = whole[np.ix_(path.tangent, path.tangent)] + HELD**2 * np.eye(len(path.tangent))
         return Across(motion, covariance, float(error @ np.linalg.solve(covariance, error)))
+
+    def _numbers_at(self, robot: str, node: int) -> list[int]:
+        """The visits that begin at a robot's node."""
+        return [
+            n
+            for n, v in enumerate(self.visits)
+            if v.visit.robot == robot and self.node_of[n] == node
+        ]
+
+    def _precedes(self, first: int, first_ns: int, second: int, second_ns: int) -> bool:
+        """Whether what one visit's camera stamped is surely not after what another's did."""
+        if self.visits[first].visit.camera == self.visits[second].visit.camera:
+            return first_ns <= second_ns
+        (offset, sigma), (other_offset, other_sigma) = self._clocks[first], self._clocks[second]
+        apart_ns = (second_ns - other_offset) - (first_ns - offset)
+        return apart_ns >= _CLOCK_SIGMAS * float(np.hypot(sigma, other_sigma))
 
     def layout(self, places: Sequence[Place]) -> Layout:
         """With all robots' nodes and these places."""
@@ -234,6 +263,17 @@ class Graph:
         cameras = dict.fromkeys(camera for camera, _ in places)
         own = {c: rows(len(self.own_prior[c][0])) for c in cameras if c in self.own_prior}
         return Layout(size, nodes, scales, at, own)
+
+
+def _clock(data: DataSet, found: VisitModes) -> tuple[float, float]:
+    """A camera's time offset by a visit, and its sigma, ns."""
+    sigma_s = data.site.cameras[found.visit.camera].time_offset_sigma
+    if sigma_s == 0 or not found.modes:
+        return 0.0, to_ns(sigma_s)
+    mode = found.modes[0]
+    # Of a mode's unknowns the last are the time's offset and drift.
+    variance = float(np.linalg.inv(mode.information)[-2, -2])
+    return to_ns(mode.camera.time_offset_s), to_ns(min(np.sqrt(variance), sigma_s))
 
 
 def own_prior(data: DataSet, camera: str) -> tuple[Array, Array]:

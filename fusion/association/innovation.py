@@ -61,12 +61,14 @@ class Stood:
 
 
 def innovation_excess(
-    corners: Corners, covariance: Array, events: Events, *, is_used: bool
+    corners: Corners, covariance: Array, events: Events, *, is_used: bool, rest: float = 0.0
 ) -> float:
     """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
     else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
     anywhere, or of one that is off by any amount, small ones too.
 
+    `rest`: so much χ² the state may still be from its minimum; where a sighting says nearly alone
+    where something is, that is no contradiction.
     `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
     P the pose's own covariance and H its derivative by the unknowns, what is left over has
     R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν = S P⁻¹ times that.
@@ -82,7 +84,7 @@ def innovation_excess(
         return -events.wrong_limit
     whitened = np.linalg.solve(root, by_state)
     values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)
-    pulled = vectors.T @ np.linalg.solve(root, step)
+    pulled = np.maximum(np.abs(vectors.T @ np.linalg.solve(root, step)) - np.sqrt(rest), 0.0)
     spread = 2 * float(np.sum(np.log(np.diagonal(root))))
     if is_used:
         left = np.clip(1 - values, 1e-6, 1.0)

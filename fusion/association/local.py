@@ -174,7 +174,11 @@ class LocalProblem:
             if stood is not None:
                 corners, covariance = stood.beside(row, corners, covariance)
             gain = innovation_excess(
-                corners.without(flags), covariance, self.events, is_used=not is_wrong
+                corners.without(flags),
+                covariance,
+                self.events,
+                is_used=not is_wrong,
+                rest=_TOLERANCE if is_robust else 0.0,
             )
             excess[is_wrong].append((gain, index, order))
         most = max((gain for gain, *_ in excess[False]), default=0.0)

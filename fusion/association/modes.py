@@ -182,6 +182,8 @@ class ModeFinder:
             found = self._of_one(visit, problem, poses)
         else:
             found = self._found(visit, problem, self._starts(visit, poses))
+        if not found:  # so much is wrong that no two agree, or none was left out in time
+            found = self._found(visit, problem, self._single_starts(visit, poses))
         best = min((mode.evidence for mode in found), default=np.inf)
         near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
@@ -214,6 +216,21 @@ class ModeFinder:
                 if other is not None and not self._is_below_floor(visit, other):
                     others.append(other)
         return others
+
+    def _single_starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
+        """Where each sighting puts the camera by itself, all others taken to be wrong."""
+        target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
+        views = {index: len(self.observations[index].views) for index in visit.chosen}
+        found: list[Start] = []
+        for index, count in views.items():
+            for order in range(count):
+                wrong = {other: (True,) * number for other, number in views.items()}
+                wrong[index] = tuple(other != order for other in range(count))
+                found += [
+                    Start(poses[index] @ c.camera_from_base.inverse(), wrong)
+                    for c in candidates(alone(self.tame(index), order), target, lens)
+                ]
+        return found
 
     def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
         """The modes of a single picture: by all of its views, and, where those do not agree as well

@@ -73,10 +73,16 @@ class Search:
             _log_sum([mode.evidence for mode in v.modes]) + events.pose_score for v in self.visits
         ]
 
-    def explained(self, start: Hypothesis, numbers: Iterable[int]) -> list[Hypothesis]:
-        """The hypotheses within the window that add these visits, best first."""
+    def explained(
+        self, start: Hypothesis, numbers: Iterable[int], *, wrong: int | None = None
+    ) -> list[Hypothesis]:
+        """The hypotheses within the window that add these visits, best first; `wrong`: the visit
+        all of whose sightings are taken to be wrong."""
         hypotheses = [start]
         for number in numbers:
+            if number == wrong:
+                hypotheses = [self._wrong(before, number) for before in hypotheses]
+                continue
             hypotheses = self._pruned(self._with(hypotheses, number))
             if not hypotheses:
                 return []
@@ -125,6 +131,35 @@ class Search:
             last[camera] = max(last.get(camera, 0), place)
         return len(hypothesis.breaks) + sum(last.values())
 
+    def lifted_elsewhere(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """The same with each lift of a robot in every other gap of its way."""
+        wanted = [
+            (hypothesis, Variant(hypothesis.ties, hypothesis.breaks - {(robot, gap)} | {other}))
+            for robot, gap in hypothesis.breaks
+            for step in range(len(self.graph.paths[robot].stamps_ns) - 1)
+            if (other := (robot, step)) not in hypothesis.breaks
+        ]
+        return self.placed(wanted) if wanted else []
+
+    def first_after_events(self, hypothesis: Hypothesis) -> list[int]:
+        """The visits that are the first to show what happened: that a robot was lifted, or that a
+        camera was moved."""
+        used = sorted([*hypothesis.ties, *hypothesis.open])
+        found = set[int]()
+        for robot, gap in hypothesis.breaks:
+            after = (
+                n
+                for n in used
+                if self.visits[n].visit.robot == robot and self.graph.node_of[n] > gap
+            )
+            found |= set(list(after)[:1])
+        places = dict[tuple[str, int], int]()
+        for n in used:
+            place = hypothesis.place_of(n)
+            if place:
+                places.setdefault((self.visits[n].visit.camera, place), n)
+        return sorted(found | set(places.values()))
+
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)
         near = [h for h in grown if h.score < grown[0].score + _WINDOW]
@@ -168,13 +203,20 @@ class Search:
             return [self.scored(replace(before, open=before.open | {number: 0}))], None
         place = max(p for p in (before.place_of(n) for n in mine) if p is not None)
         there = tuple(n for n in mine if before.place_of(n) == place)
-        found = [wrong, self.scored(replace(before, open=before.open | {number: place + 1}))]
+        found = [wrong]
+        if not any(self._still_sees(n, visit.visit.stamp_ns) for n in there):
+            found.append(self.scored(replace(before, open=before.open | {number: place + 1})))
         if len(there) == 1 and there[0] in before.open:
             left = {n: p for n, p in before.open.items() if n != there[0]}
             nothing = before.nothing | {there[0]}
             opened = left | {number: place}
             found.append(self.scored(replace(before, open=opened, nothing=nothing)))
         return found, _Join(before, number, place, there)
+
+    def _still_sees(self, number: int, stamp_ns: int) -> bool:
+        """Whether a visit goes on from where it began, right, after a moment: nobody moved its
+        camera before."""
+        return any(seen_ns > stamp_ns for seen_ns, _ in self.visits[number].right)
 
     def _wrong(self, before: Hypothesis, number: int) -> Hypothesis:
         return self.scored(replace(before, nothing=before.nothing | {number}))

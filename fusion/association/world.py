@@ -56,13 +56,34 @@ class World:
         cameras = {v.visit.camera for v in self.visits}
         self.undecided = cameras if self.budget.is_spent else set()
         self.crowded = set(cameras) if self.search.is_cut else set()
+        self._doubt_events()
         self._verify()
+
+    def _doubt_events(self) -> None:
+        """For the best explanation, event by event: the lift in another gap; and what explains the
+        session if the visit that shows it first is wrong. What an event costs later, the search
+        meets too late."""
+        doubted = set[int]()
+        while not self.budget.is_spent:
+            self._add(self.search.lifted_elsewhere(self.hypotheses[0]))
+            doubts = set(self.search.first_after_events(self.hypotheses[0])) - doubted
+            if not doubts:
+                break
+            number = min(doubts)
+            doubted.add(number)
+            everything = range(len(self.visits))
+            self._add(self.search.explained(self.search.beginning(), everything, wrong=number))
+
+    def _add(self, found: list[Hypothesis]) -> None:
+        """More hypotheses, of which some may be known."""
+        known = {_signature(hypothesis) for hypothesis in self.hypotheses}
+        self.hypotheses += [each for each in found if _signature(each) not in known]
+        self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
 
     def _verify(self) -> None:
         """For the best explanation, camera by camera: everything else that its visits may be. Where
         that is not done to the end, it is done for none that was met but once."""
         best = self.hypotheses[0]
-        known = {_signature(hypothesis) for hypothesis in self.hypotheses}
         cameras = dict.fromkeys(v.visit.camera for v in self.visits)
         verified = set[str]()
         for camera in cameras:
@@ -80,11 +101,7 @@ class World:
                 self.undecided |= cameras.keys() - verified
                 break
             verified.add(camera)
-            for hypothesis in found:
-                if _signature(hypothesis) not in known:
-                    known.add(_signature(hypothesis))
-                    self.hypotheses.append(hypothesis)
-        self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
+            self._add(found)
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
         """An explanation of everything but these visits."""

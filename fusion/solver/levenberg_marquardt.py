@@ -23,8 +23,8 @@ from trigpoint.geometry.uncertainty import symmetric
 from .elimination import Elimination, eliminated
 from .normal_equations import NormalEquations, linearise
 
-# Damping, relative to the diagonal, where a step fails. A bend of a long chain is so soft beside its
-# nodes that the least damping holds it: steps that succeed soon have none.
+# Damping, relative to the diagonal, where a step fails. A bend of a long chain is so soft beside
+# its nodes that the least damping holds it: steps that succeed soon have none.
 _DAMPING_LEAST = 1e-6
 _DAMPING_NONE = 1e-9
 _DAMPING_END = 1e8

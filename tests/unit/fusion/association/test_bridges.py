@@ -2,23 +2,12 @@
 
 import numpy as np
 import pytest
-from small_sessions import Shape, data_of
+from small_sessions import Shape, data_of, graph_of
 
 from trigpoint.fusion.association.bridges import tied_twice
 from trigpoint.fusion.association.engine import explain
-from trigpoint.fusion.association.events import Events
-from trigpoint.fusion.association.graph import Graph, Tie, Variant
+from trigpoint.fusion.association.graph import Tie, Variant
 from trigpoint.fusion.association.minimum import placed
-from trigpoint.fusion.association.modes import ModeFinder
-from trigpoint.fusion.association.visits import visit_of
-
-
-def graph_of(shape: Shape) -> Graph:
-    """A graph in which every picture is a visit of its own."""
-    data, observations = data_of(shape)
-    finder = ModeFinder(data, observations, Events())
-    visits = [finder.modes_of(visit_of(observations, [i])) for i in range(len(observations))]
-    return Graph(data, visits, Events())
 
 
 def test_loop_that_closes_ties_everything_on_it_and_nothing_after() -> None:

@@ -1,0 +1,40 @@
+"""What a search tries beside its first answer."""
+
+import pytest
+from small_sessions import Shape, graph_of
+
+from trigpoint.fusion.association.budget import Budget
+from trigpoint.fusion.association.events import Events
+from trigpoint.fusion.association.graph import Tie, Variant
+from trigpoint.fusion.association.search import Hypothesis, Search
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    """Of a robot that camera c1 meets at its nodes 1, 3 and 4, and c2 at 2; nothing happened."""
+    graph = graph_of(Shape(0, (0, 1, 0, 0), is_alike=False))
+    return Search(graph, Events(), Budget())
+
+
+def test_lift_is_tried_in_every_other_gap(search: Search) -> None:
+    ties = {0: Tie(0, 0), 2: Tie(0, 0), 3: Tie(0, 0)}
+    variant = Variant(ties, frozenset({("r1", 2)}))
+    (lifted,) = search.placed([(Hypothesis(open={1: 0}), variant)])
+    assert search.first_after_events(lifted) == [2]
+    others = search.lifted_elsewhere(lifted)
+    assert {gap for each in others for _, gap in each.breaks} == {0, 1, 3}
+    assert all(each.ties == ties and len(each.breaks) == 1 for each in others)
+
+
+def test_moved_camera_is_shown_first_by_the_visit_at_its_new_place(search: Search) -> None:
+    ties = {2: Tie(0, 1), 3: Tie(0, 1)}
+    assert search.first_after_events(Hypothesis(ties, open={0: 0, 1: 0})) == [2]
+
+
+def test_visit_that_is_taken_to_be_wrong_explains_nothing(search: Search) -> None:
+    numbers = range(4)
+    best = search.explained(search.beginning(), numbers)[0]
+    without = search.explained(search.beginning(), numbers, wrong=2)
+    assert not best.nothing
+    assert all(2 in each.nothing for each in without)
+    assert without[0].score > best.score
