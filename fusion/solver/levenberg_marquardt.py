@@ -148,9 +148,11 @@ def eliminate(
 def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dict[str, Array]]:
     """The damped step of the dense part, the decrease of χ² it promises, the chains' steps."""
     information, gradient, chains = eliminate(equations, damping)
-    diagonal = np.diagonal(information).copy()
-    damped = information + np.diag(damping * np.abs(diagonal))
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(damped), 1e-300))
+    damped = information + np.diag(damping * np.abs(np.diagonal(information)))
+    diagonal = np.diagonal(damped)
+    if np.any(diagonal <= 0):
+        raise LinAlgError("something is not determined")
+    scale = 1 / np.sqrt(diagonal)
     factor = cho_factor(damped * scale[:, None] * scale, lower=True)
     step = -scale * cho_solve(factor, scale * gradient)
     nodes = {name: chain.nodes(step) for name, chain in chains.items()}
