@@ -91,12 +91,12 @@ class Outcome:
             mine = [v for v in self.best.visits if v.visit.camera == camera]
             reason = _NOTHING if any(v.modes for v in mine) else _FEW
             return CameraFinding(camera, (), 0, reason)
+        if camera in self.crowded:  # of its places some may be missing here
+            return CameraFinding(camera, alternatives, rests_on, _LATE)
         if len(alternatives) > 1:
             return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
         if not is_placed(next(iter(alternatives)).covariance):
             return CameraFinding(camera, (), rests_on, self._lost())
-        if camera in self.crowded:
-            return CameraFinding(camera, alternatives, rests_on, _LATE)
         if camera in self.loose:
             return CameraFinding(camera, alternatives, rests_on, _LOOSE)
         return CameraFinding(camera, alternatives, rests_on)

@@ -14,7 +14,7 @@ import numpy as np
 from .agreement import agreement
 from .budget import Budget
 from .events import Events, window
-from .graph import Break, Graph, Placed, Tie, Variant
+from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
 # A partial explanation may win back what it lost so far; beyond this none was seen to.
@@ -144,21 +144,16 @@ class Search:
     def first_after_events(self, hypothesis: Hypothesis) -> list[int]:
         """The visits that are the first to show what happened: that a robot was lifted, or that a
         camera was moved."""
-        used = sorted([*hypothesis.ties, *hypothesis.open])
-        found = set[int]()
-        for robot, gap in hypothesis.breaks:
-            after = (
-                n
-                for n in used
-                if self.visits[n].visit.robot == robot and self.graph.node_of[n] > gap
-            )
-            found |= set(list(after)[:1])
-        places = dict[tuple[str, int], int]()
-        for n in used:
-            place = hypothesis.place_of(n)
-            if place:
-                places.setdefault((self.visits[n].visit.camera, place), n)
-        return sorted(found | set(places.values()))
+        lifts: dict[Break, int] = {}
+        moves: dict[Place, int] = {}
+        for number in sorted([*hypothesis.ties, *hypothesis.open]):
+            visit, node = self.visits[number].visit, self.graph.node_of[number]
+            for robot, gap in hypothesis.breaks:
+                if robot == visit.robot and node > gap:
+                    lifts.setdefault((robot, gap), number)
+            if place := hypothesis.place_of(number):
+                moves.setdefault((visit.camera, place), number)
+        return sorted({*lifts.values(), *moves.values()})
 
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)

@@ -51,19 +51,25 @@ class World:
         self.graph = Graph(data, self.visits, events)
         self.budget = memory.budget
         self.search = Search(self.graph, events, self.budget)
-        numbers = range(len(self.visits))
-        self.hypotheses = self.search.explained(self.search.beginning(), numbers)
+        self.hypotheses = self._searched()
+        is_crowded = self.search.is_cut
+        is_crowded |= self._doubt_events()
         cameras = {v.visit.camera for v in self.visits}
         self.undecided = cameras if self.budget.is_spent else set()
-        self.crowded = set(cameras) if self.search.is_cut else set()
-        self._doubt_events()
+        self.crowded = set(cameras) if is_crowded else set()
         self._verify()
 
-    def _doubt_events(self) -> None:
+    def _searched(self, *, wrong: int | None = None) -> list[Hypothesis]:
+        """The explanations of all visits, one of which may be taken to be `wrong`."""
+        self.search.is_cut = False
+        numbers = range(len(self.visits))
+        return self.search.explained(self.search.beginning(), numbers, wrong=wrong)
+
+    def _doubt_events(self) -> bool:
         """For the best explanation, event by event: the lift in another gap; and what explains the
         session if the visit that shows it first is wrong. What an event costs later, the search
-        meets too late."""
-        doubted = set[int]()
+        meets too late. Whether more such explanations than are kept may count."""
+        doubted, is_crowded = set[int](), False
         while not self.budget.is_spent:
             self._add(self.search.lifted_elsewhere(self.hypotheses[0]))
             doubts = set(self.search.first_after_events(self.hypotheses[0])) - doubted
@@ -71,8 +77,11 @@ class World:
                 break
             number = min(doubts)
             doubted.add(number)
-            everything = range(len(self.visits))
-            self._add(self.search.explained(self.search.beginning(), everything, wrong=number))
+            found = self._searched(wrong=number)
+            self._add(found)
+            counts = any(each.score < self.hypotheses[0].score + window() for each in found)
+            is_crowded |= self.search.is_cut and counts
+        return is_crowded
 
     def _add(self, found: list[Hypothesis]) -> None:
         """More hypotheses, of which some may be known."""
