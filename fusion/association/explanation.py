@@ -26,12 +26,9 @@ class Alternative:
 @dataclass(frozen=True, slots=True)
 class CameraFinding:
     """Where one camera is, at last. `alternatives`: every place that holds more of the posterior
-    than the level of evidence, best first; `rests_on`: how many sightings show the first;
-    `reason`: in words, where there is not one place."""
+    than the level of evidence, best first; `reason`: in words, where there is not one place."""
 
-    camera: str
     alternatives: tuple[Alternative, ...]
-    rests_on: int
     reason: str = ""
 
     @property

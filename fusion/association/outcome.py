@@ -82,24 +82,23 @@ class Outcome:
 
     def _finding(self, camera: str) -> CameraFinding:
         if camera in self.undecided:
-            return CameraFinding(camera, (), 0, _LATE)
+            return CameraFinding((), _LATE)
         alternatives = alternatives_of(
             place for world in self.worlds for place in world.places(camera, None)
         )
-        rests_on = self._rests_on(camera)
         if not alternatives:
             mine = [v for v in self.best.visits if v.visit.camera == camera]
             reason = _NOTHING if any(v.modes for v in mine) else _FEW
-            return CameraFinding(camera, (), 0, reason)
+            return CameraFinding((), reason)
         if camera in self.crowded:  # of its places some may be missing here
-            return CameraFinding(camera, alternatives, rests_on, _LATE)
+            return CameraFinding(alternatives, _LATE)
         if len(alternatives) > 1:
-            return CameraFinding(camera, alternatives, rests_on, _fit_alike(alternatives))
+            return CameraFinding(alternatives, _fit_alike(alternatives))
         if not is_placed(next(iter(alternatives)).covariance):
-            return CameraFinding(camera, (), rests_on, self._lost())
+            return CameraFinding((), self._lost())
         if camera in self.loose:
-            return CameraFinding(camera, alternatives, rests_on, _LOOSE)
-        return CameraFinding(camera, alternatives, rests_on)
+            return CameraFinding(alternatives, _LOOSE)
+        return CameraFinding(alternatives)
 
     def _lost(self) -> str:
         """Why nothing ties a camera to the map."""
@@ -148,19 +147,6 @@ class Outcome:
             ),
             default=0,
         )
-
-    def _rests_on(self, camera: str) -> int:
-        """How many right sightings show a camera at its last place."""
-        last, count = self._last_place(camera), 0
-        for n, v in enumerate(self.best.visits):
-            if v.visit.camera == camera and self.chosen.place_of(n) == last:
-                mode = v.modes[self._mode_of(n)]
-                read = sum(r is not None for row in mode.readings.values() for r in row)
-                rest = sum(len(self.observations[i].views) for i in v.visit.indices) - sum(
-                    len(row) for row in mode.readings.values()
-                )
-                count += read + rest
-        return count
 
     def _mode_of(self, number: int) -> int:
         """The mode by which a visit is read."""
