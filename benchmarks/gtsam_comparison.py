@@ -89,8 +89,7 @@ def smoothed(problem: Problem, start: State) -> Solved:
     solution = solve(problem, start, tolerance=_TOLERANCE)
     layout = solution.reduced.layout
     names = list(layout.pose)
-    every = np.arange(layout.size)
-    columns = np.concatenate([every[layout.pose[name]] for name in names])
+    columns = np.concatenate(list(layout.pose.values()))
     covariance = solution.reduced.covariance()[np.ix_(columns, columns)]
     poses = Pose.stack([solution.state.cameras[name].map_from_camera for name in names])
     return Solved(poses, covariance)

@@ -200,9 +200,9 @@ def shaken(assembled: Assembled, *, seed: int = 1, amount: float = 1.0) -> State
     dense = np.zeros(layout.size)
     for kind in ("pose", "lens", "faces", "last"):
         for column in getattr(layout, kind).values():
-            dense[column] = SHAKE[kind] * random.standard_normal(column.stop - column.start)
+            dense[column] = SHAKE[kind] * random.standard_normal(len(column))
     for column in layout.lens.values():
-        dense[column.start : column.start + 4] *= 1e3  # pixels
+        dense[column[:4]] *= 1e3  # pixels
     nodes = {}
     for name, chain in problem.chains.items():
         nodes[name] = SHAKE["nodes"] * random.standard_normal((len(chain) - 1, len(chain.tangent)))

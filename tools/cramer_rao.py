@@ -80,8 +80,7 @@ def cramer_rao(data: DataSet, oracle: Oracle) -> Bound:
     assembled = oracle_problem(data, oracle)
     reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
     names = list(reduced.layout.pose)
-    every = np.arange(reduced.layout.size)
-    columns = np.concatenate([every[reduced.layout.pose[name]] for name in names])
+    columns = np.concatenate(list(reduced.layout.pose.values()))
     covariance = reduced.covariance()[np.ix_(columns, columns)]
     places = [oracle.cameras[name].map_from_camera.translation for name in names]
     return Bound(names, covariance, np.array(places))

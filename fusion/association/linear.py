@@ -50,9 +50,9 @@ class _Columns:
     """Of one camera and robot in the dense part: `dense` the camera's own, `scales`, `faces`;
     `place`: column -> where it stands among the visit's unknowns, of which there are `count`."""
 
-    dense: list[int]
-    scales: list[int]
-    faces: list[int]
+    dense: np.ndarray
+    scales: np.ndarray
+    faces: np.ndarray
     place: dict[int, int]
     count: int
 
@@ -122,12 +122,12 @@ def linearised(
     )
 
 
-def unknowns_of(problem: Problem, camera: str) -> list[int]:
+def unknowns_of(problem: Problem, camera: str) -> np.ndarray:
     """The dense columns of a camera: pose, lens, clock."""
     layout = problem.layout
     parts = [layout.pose[camera]]
     parts += [part[camera] for part in (layout.lens, layout.time_offset) if camera in part]
-    return [column for part in parts for column in _of(part)]
+    return np.concatenate(parts)
 
 
 def log_priors(problem: Problem, camera: str, robot: str) -> tuple[float, float]:
@@ -143,15 +143,11 @@ def log_priors(problem: Problem, camera: str, robot: str) -> tuple[float, float]
 
 def _columns(problem: Problem, batch: Batch, before: int) -> _Columns:
     dense = unknowns_of(problem, batch.camera)
-    scales = _of(problem.layout.scales.get(batch.robot))
-    faces = _of(problem.layout.faces.get(batch.robot))
-    every = [*dense, *scales, *faces]
+    scales = problem.layout.scales_of(batch.robot)
+    faces = problem.layout.faces.get(batch.robot, np.arange(0))
+    every = np.concatenate([dense, scales, faces]).tolist()
     place = {column: before + order for order, column in enumerate(every)}
     return _Columns(dense, scales, faces, place, before + len(every))
-
-
-def _of(part: slice | None) -> list[int]:
-    return [] if part is None else list(range(part.start, part.stop))
 
 
 def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
@@ -171,18 +167,18 @@ def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
     """What is known of the unknowns from before (u, u)."""
     priors, information = problem.priors, np.zeros(columns.count)
 
-    def put(names: list[int], sigma: Array) -> None:
+    def put(names: np.ndarray, sigma: Array) -> None:
         at = [columns.place[name] for name in names]
         information[at] = np.where(sigma > 0, sigma, _EXACT) ** -2.0
 
     layout = problem.layout
     if batch.camera in priors.lens:
-        put(_of(layout.lens[batch.camera]), priors.lens[batch.camera][1])
+        put(layout.lens[batch.camera], priors.lens[batch.camera][1])
     if batch.camera in priors.time_offset:
-        put(_of(layout.time_offset[batch.camera]), priors.time_offset[batch.camera])
-    if columns.scales:
+        put(layout.time_offset[batch.camera], priors.time_offset[batch.camera])
+    if len(columns.scales):
         put(columns.scales, priors.scales[batch.robot])
-    if columns.faces:
+    if len(columns.faces):
         expected, shift, turn = priors.faces[batch.robot]
         put(columns.faces, np.tile(np.repeat(np.array([shift, turn]), 3), len(expected)))
     return np.diag(information)

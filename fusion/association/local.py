@@ -280,7 +280,7 @@ class LocalProblem:
             system = solved.system
         except LinAlgError:
             return None
-        rows = system.dense_row + np.array(unknowns_of(problem, self.camera))
+        rows = system.dense_row + unknowns_of(problem, self.camera)
         covariance = system.covariance[np.ix_(rows, rows)]
         information = np.linalg.inv(covariance)
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
@@ -307,7 +307,7 @@ class LocalProblem:
     def _scales(self, problem: Problem, state: State, system: System) -> tuple[Array, Array] | None:
         if self.robot not in problem.layout.scales:
             return None
-        rows = system.dense_rows(problem.layout.scales[self.robot])
+        rows = system.dense_row + problem.layout.scales[self.robot]
         return state.robots[self.robot].scales, system.covariance[np.ix_(rows, rows)]
 
     def _odometry_score(self, assembled: Assembled) -> float:

@@ -68,9 +68,5 @@ class System:
         chain = self.problem.chains[robot]
         d = len(chain.tangent)
         if node == len(chain) - 1:
-            return self.dense_rows(self.problem.layout.last[robot])
+            return self.dense_row + self.problem.layout.last[robot]
         return self.first_row[robot] + node * d + np.arange(d)
-
-    def dense_rows(self, columns: slice) -> np.ndarray:
-        """The rows of columns of the dense part."""
-        return self.dense_row + np.arange(self.problem.layout.size)[columns]

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from trigpoint.fusion.model.problem import Layout
 from trigpoint.fusion.solver.filter import Filter, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -33,14 +32,9 @@ def _placed(known: Filter, names: list[str]) -> tuple[list[str], Array]:
     here = [name for name in names if known.has_camera(name)]
     if not here:
         return [], np.zeros((0, 6, 6))
-    covariances = known.known.blocks(np.stack([_columns(known.layout, name) for name in here]))
+    covariances = known.known.blocks(np.stack([known.layout.pose[name] for name in here]))
     kept = [row for row in range(len(here)) if is_placed(covariances[row])]
     return [here[row] for row in kept], covariances[kept]
-
-
-def _columns(layout: Layout, camera: str) -> np.ndarray:
-    pose = layout.pose[camera]
-    return np.arange(pose.start, pose.stop)
 
 
 def _estimate(
@@ -61,10 +55,9 @@ def _estimate(
     return CameraEstimate(pose, covariance, lens, lens_sigma, offset, offset_sigma)
 
 
-def _of_part(known: Filter, part: slice) -> tuple[Array, Array]:
+def _of_part(known: Filter, columns: np.ndarray) -> tuple[Array, Array]:
     """Step and covariance of a part of the state."""
-    columns = np.arange(part.start, part.stop)
-    return known.known.mean[part], known.known.covariance_of(columns)
+    return known.known.mean[columns], known.known.covariance_of(columns)
 
 
 def joint_covariance(known: Filter, names: list[str]) -> Array:
@@ -72,5 +65,5 @@ def joint_covariance(known: Filter, names: list[str]) -> Array:
     located, _ = _placed(known, names)
     if not located:
         return np.zeros((0, 0))
-    chosen = np.concatenate([_columns(known.layout, name) for name in located])
+    chosen = np.concatenate([known.layout.pose[name] for name in located])
     return known.known.covariance[np.ix_(chosen, chosen)]

@@ -112,7 +112,7 @@ def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
         len(chain.tangent) * (len(chain) - int(chain.is_anchored))
         for chain in problem.chains.values()
     )
-    last = sum(column.stop - column.start for column in problem.layout.last.values())
+    last = sum(len(columns) for columns in problem.layout.last.values())
     priors = problem.layout.size - last - 6 * len(problem.layout.pose)
     priors += 6 * len(problem.priors.cameras)
     unknowns = nodes + problem.layout.size - last

@@ -90,7 +90,7 @@ def visits(
                     sums[row].cameras.append(name)
                     sums[row].parts.append((columns, matrix))
     order = sorted(sums)
-    last = np.arange(layout.size)[layout.last[place.robot]]
+    last = layout.last[place.robot]
     return chosen.where(np.array(order, dtype=int)), [sums[row].visit(last) for row in order]
 
 
@@ -175,9 +175,8 @@ def _information(
     problem = Problem({place.robot: _chain(place, len(poses))}, (batch,), Priors.none(), standing)
     jacobian, _, columns = batch_jacobian(problem, batch, state)
     flat = jacobian.reshape(len(poses), -1, jacobian.shape[-1])
-    last = np.arange(layout.size)[layout.last[place.robot]]
-    counts = (batch.weights > 0).sum(axis=1)
-    return np.concatenate([last, columns]), np.swapaxes(flat, 1, 2) @ flat, counts
+    columns = np.concatenate([layout.last[place.robot], columns])
+    return columns, np.swapaxes(flat, 1, 2) @ flat, (batch.weights > 0).sum(axis=1)
 
 
 def _batch(

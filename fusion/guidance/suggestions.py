@@ -66,18 +66,17 @@ class JointCovariance:
         return float(np.sqrt(np.trace(self.covariance[np.ix_(rows, rows)])))
 
     def position_rows(self, camera: str) -> np.ndarray:
-        return np.arange(self.layout.size)[self.layout.pose[camera]][:3]
+        return self.layout.pose[camera][:3]
 
     def worst(self, cameras: Iterable[str]) -> str | None:
         """The one of these cameras with the largest position sigma; None where none is located."""
         columns = {name: self.layout.pose[name] for name in cameras}
-        placed = [n for n, c in columns.items() if is_placed(self.covariance[c, c])]
+        placed = [n for n, c in columns.items() if is_placed(self.covariance[np.ix_(c, c)])]
         return max(placed, key=self.sigma_m, default=None)
 
     def columns(self, robot: str) -> tuple[np.ndarray, np.ndarray]:
         """The robot's last pose, and its scales (none where they are not estimated)."""
-        every = np.arange(self.layout.size)
-        return every[self.layout.last[robot]], every[self.layout.scales.get(robot, slice(0, 0))]
+        return self.layout.last[robot], self.layout.scales_of(robot)
 
     def moved(self, robot: str, motion: ExpectedMotion) -> "JointCovariance":
         """The covariance after the robot has moved on by odometry."""

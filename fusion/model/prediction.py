@@ -78,13 +78,8 @@ def _jacobian(
         columns.append(layout.faces[batch.robot])
     by_node = by_disturbance(by_map, scene.arm, chain.tangent)
     by_camera = by_disturbance(-by_map, scene.from_camera)
-    every = np.arange(layout.size)
-    return (
-        np.concatenate([by_node, by_camera, *parts], axis=-1),
-        residual,
-        np.concatenate([every[column] for column in columns]),
-        by_map,
-    )
+    jacobian = np.concatenate([by_node, by_camera, *parts], axis=-1)
+    return jacobian, residual, np.concatenate(columns), by_map
 
 
 def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:

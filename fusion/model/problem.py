@@ -154,15 +154,19 @@ class Priors:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Columns of the dense part by name; `size` of them."""
+    """Columns (q,) of the dense part by name; `size` of them in all."""
 
-    pose: dict[str, slice]
-    lens: dict[str, slice]
-    time_offset: dict[str, slice]
-    scales: dict[str, slice]
-    faces: dict[str, slice]
-    last: dict[str, slice]
+    pose: dict[str, np.ndarray]
+    lens: dict[str, np.ndarray]
+    time_offset: dict[str, np.ndarray]
+    scales: dict[str, np.ndarray]
+    faces: dict[str, np.ndarray]
+    last: dict[str, np.ndarray]
     size: int
+
+    def scales_of(self, robot: str) -> np.ndarray:
+        """The columns (2,) of a robot's scales; (0,) where they are not estimated."""
+        return self.scales.get(robot, np.arange(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,10 +183,10 @@ def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, stat
     """Give every dense unknown its columns."""
     size = 0
 
-    def take(count: int) -> slice:
+    def take(count: int) -> np.ndarray:
         nonlocal size
         size += count
-        return slice(size - count, size)
+        return np.arange(size - count, size)
 
     pose = {name: take(6) for name in cameras}
     lens = {
@@ -197,8 +201,3 @@ def layout_of(cameras: list[str], chains: dict[str, Chain], priors: Priors, stat
     faces = {name: take(6 * len(priors.faces[name][0])) for name in chains if name in priors.faces}
     last = {name: take(len(chain.tangent)) for name, chain in chains.items()}
     return Layout(pose, lens, time_offset, scales, faces, last, size)
-
-
-def inner_nodes(chain: Chain) -> slice:
-    """All nodes but the last."""
-    return slice(0, len(chain) - 1)

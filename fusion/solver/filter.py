@@ -108,12 +108,10 @@ class Filter:
         layout = layout_of(list(state.cameras), chains, priors, state)
         information = np.zeros((layout.size, layout.size))
         for name in robots:
-            last = np.arange(layout.size)[layout.last[name]]
+            last = layout.last[name]
             information[last, last] = EXACT
         if data.known.poses:
-            columns = np.concatenate(
-                [np.arange(layout.size)[layout.pose[n]] for n in data.known.poses]
-            )
+            columns = np.concatenate([layout.pose[name] for name in data.known.poses])
             information[np.ix_(columns, columns)] = data.known.information
         reduced = Reduced(layout, information, np.zeros(layout.size))
         return cls(state, stamps, layout, reduced)
@@ -134,7 +132,7 @@ class Filter:
             return self
         whole = self.known.covariance.copy()
         for camera, covariance in covariances.items():
-            columns = self._columns(self.layout.pose[camera])
+            columns = self.layout.pose[camera]
             whole[np.ix_(columns, columns)] += covariance
         return replace(self, source=Gaussian.of(self.known.mean, whole))
 
@@ -151,7 +149,7 @@ class Filter:
 
         Raises LinAlgError where nothing determines it.
         """
-        last = self._columns(self.layout.last[robot])
+        last = self.layout.last[robot]
         tangent = data.tracks[robot].tangent
         disturbance, full = np.zeros(6), np.zeros((6, 6))
         disturbance[tangent] = self.known.mean_of(last)
@@ -181,8 +179,8 @@ class Filter:
         along what stands before it by δt + δθ × a, with a the way to it.
         """
         ahead = self.carried(data, robot, stamp_ns)
-        last = self._columns(self.layout.last[robot])
-        pose = self._columns(self.layout.pose[camera])
+        last = self.layout.last[robot]
+        pose = self.layout.pose[camera]
         eye = self.state.cameras[camera].map_from_camera.disturbed(ahead.known.mean_of(pose))
         place = ahead.robot(data, robot).map_from_base
         taken_along = lever(place.translation - eye.translation)
@@ -196,7 +194,7 @@ class Filter:
     def camera_sigma_px(self, camera: str, distance_m: float) -> float:
         """By about how many pixels the camera's own uncertainty moves what it sees at a
         distance."""
-        pose = self._columns(self.layout.pose[camera])
+        pose = self.layout.pose[camera]
         variances = np.diagonal(self.known.covariance_of(pose))
         turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
         return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
@@ -213,8 +211,8 @@ class Filter:
         terms = odometry_terms(
             before.map_from_base, Pose.stack([guess]), motion, data.tracks[robot].tangent
         )
-        last = self._columns(self.layout.last[robot])
-        scales = self._columns(self.layout.scales.get(robot, slice(0, 0)))
+        last = self.layout.last[robot]
+        scales = self.layout.scales_of(robot)
         inverse = np.linalg.inv(terms.by_later[0])
         by_start = np.concatenate(
             [terms.by_earlier[0], terms.by_scale[0][:, : len(scales)]], axis=1
@@ -249,7 +247,7 @@ class Filter:
         batch = _batch(data, chain, observation, share)
         problem = Problem({observation.robot: chain}, (batch,), Priors.none(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
-        where = np.concatenate([self._columns(self.layout.last[observation.robot]), columns])
+        where = np.concatenate([self.layout.last[observation.robot], columns])
         jacobian = jacobian.reshape(1, -1, jacobian.shape[-1])
         residual = residual.reshape(1, -1)
         jitter = PictureJitter.of(problem, batch, self.state)
@@ -261,9 +259,6 @@ class Filter:
         after, whitened = self.known.updated(where, factor, compressed)
         left_over = residual @ residual - compressed @ compressed
         return replace(self, source=after), float(left_over + whitened @ whitened)
-
-    def _columns(self, part: slice) -> np.ndarray:
-        return np.arange(part.start, part.stop)
 
     def _with(self, robot: str, state: RobotState) -> State:
         return State(self.state.cameras, self.state.robots | {robot: state})

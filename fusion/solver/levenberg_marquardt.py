@@ -9,14 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from trigpoint.fusion.model.problem import (
-    CameraState,
-    Layout,
-    Problem,
-    RobotState,
-    State,
-    inner_nodes,
-)
+from trigpoint.fusion.model.problem import CameraState, Layout, Problem, RobotState, State
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
@@ -195,8 +188,7 @@ def _moved_robot(
     layout, chain = problem.layout, problem.chains[name]
     disturbance = np.zeros((len(chain), 6))
     if moves is not None:
-        inner = inner_nodes(chain)
-        disturbance[inner.start : inner.stop, chain.tangent] = moves
+        disturbance[:-1, chain.tangent] = moves
     disturbance[-1, chain.tangent] = step[layout.last[name]]
     moved = replace(robot, map_from_base=robot.map_from_base.moved(disturbance))
     if name in layout.scales:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trigpoint.fusion.model.prediction import batch_jacobian, batch_jacobians, odometry_terms
-from trigpoint.fusion.model.problem import Batch, Chain, Problem, RobotState, State, inner_nodes
+from trigpoint.fusion.model.problem import Batch, Chain, Problem, RobotState, State
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 
@@ -74,9 +74,7 @@ def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Norma
     size = problem.layout.size
     equations = NormalEquations({}, np.zeros((size, size)), np.zeros(size), 0.0)
     for name, chain in problem.chains.items():
-        nodes = inner_nodes(chain)
-        count, d = nodes.stop - nodes.start, len(chain.tangent)
-        equations.chains[name] = ChainEquations.zeros(count, d, size)
+        equations.chains[name] = ChainEquations.zeros(len(chain) - 1, len(chain.tangent), size)
         _add_odometry(equations, problem, chain, state.robots[name])
         if chain.is_anchored:
             _hold_first(equations, problem, chain)
@@ -92,7 +90,7 @@ def _hold_first(equations: NormalEquations, problem: Problem, chain: Chain) -> N
     if len(chain) > 1:
         equations.chains[chain.robot].diagonal[0, free, free] += EXACT
     else:
-        last = np.arange(problem.layout.size)[problem.layout.last[chain.robot]]
+        last = problem.layout.last[chain.robot]
         equations.dense[last, last] += EXACT
 
 
@@ -107,11 +105,11 @@ def _scatter(
 ) -> None:
     """Add terms (n, d + q, d + q) over one node each and the same dense columns (q,)."""
     chain, target = problem.chains[robot], equations.chains[robot]
-    d, inner = len(chain.tangent), inner_nodes(chain)
+    d, last_node = len(chain.tangent), len(chain) - 1
     equations.dense[np.ix_(columns, columns)] += hessian[:, d:, d:].sum(axis=0)
     equations.gradient[columns] += gradient[:, d:].sum(axis=0)
-    is_inner = (nodes >= inner.start) & (nodes < inner.stop)
-    rows = nodes[is_inner] - inner.start
+    is_inner = nodes < last_node
+    rows = nodes[is_inner]
     if has_each_once(rows):
         target.diagonal[rows] += hessian[is_inner, :d, :d]
         target.gradient[rows] += gradient[is_inner, :d]
@@ -120,9 +118,9 @@ def _scatter(
         np.add.at(target.gradient, rows, gradient[is_inner, :d])
     if len(rows) and len(columns):
         target.couplings.append(Coupling(rows, hessian[is_inner, :d, d:], columns))
-    is_last = nodes == len(chain) - 1
+    is_last = nodes == last_node
     if np.any(is_last):
-        last = np.arange(problem.layout.size)[problem.layout.last[robot]]
+        last = problem.layout.last[robot]
         both = np.concatenate([last, columns])
         total = hessian[is_last].sum(axis=0)
         total[d:, d:] = 0
@@ -179,8 +177,7 @@ def _add_odometry(
     motion = chain.motion.rescaled(robot.scales - chain.scales)
     terms = odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent)
     equations.cost += float(np.sum(terms.residual**2))
-    layout, d = problem.layout, len(chain.tangent)
-    columns = np.arange(layout.size)[layout.scales.get(chain.robot, slice(0, 0))]
+    columns, d = problem.layout.scales_of(chain.robot), len(chain.tangent)
     by_scale = terms.by_scale[..., : len(columns)]
     for by_node, offset in ((terms.by_earlier, 0), (terms.by_later, 1)):
         jacobian = np.concatenate([by_node, by_scale], axis=-1)
@@ -197,15 +194,10 @@ def _add_odometry(
 
 def _add_between(equations: NormalEquations, problem: Problem, chain: Chain, blocks: Array) -> None:
     """Add (later by earlier) blocks (n, d, d): inside the chain, and from it to the last node."""
-    inner = inner_nodes(chain)
-    target = equations.chains[chain.robot]
-    count = inner.stop - inner.start
-    if count == 0:
-        return
-    inside = blocks[inner.start : inner.stop - 1]
-    target.lower[: len(inside)] += inside
-    last = np.arange(problem.layout.size)[problem.layout.last[chain.robot]]
-    target.couplings.append(Coupling(np.array([count - 1]), blocks[-1:].swapaxes(1, 2), last))
+    target, last = equations.chains[chain.robot], problem.layout.last[chain.robot]
+    target.lower[:-1] += blocks[:-1]
+    row = np.array([len(blocks) - 1])
+    target.couplings.append(Coupling(row, blocks[-1:].swapaxes(1, 2), last))
 
 
 def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> None:
@@ -234,8 +226,7 @@ def _add_known_cameras(equations: NormalEquations, problem: Problem, state: Stat
     error = np.stack(
         [state.cameras[name].map_from_camera.difference(p) for name, p in priors.cameras.items()]
     )
-    every = np.arange(layout.size)
-    columns = np.concatenate([every[layout.pose[name]] for name in priors.cameras])
+    columns = np.concatenate([layout.pose[name] for name in priors.cameras])
     jacobian = np.eye(error.size)
     for index, turn in enumerate(error[:, 3:]):
         rows = slice(6 * index + 3, 6 * index + 6)
@@ -247,11 +238,12 @@ def _add_known_cameras(equations: NormalEquations, problem: Problem, state: Stat
     equations.cost += float(error.reshape(-1) @ pull)
 
 
-def _add_diagonal(equations: NormalEquations, columns: slice, error: Array, sigma: Array) -> None:
+def _add_diagonal(
+    equations: NormalEquations, columns: np.ndarray, error: Array, sigma: Array
+) -> None:
     """A prior with independent sigmas; one of 0 holds its unknown fixed."""
     held = sigma <= 0
     variance = np.where(held, 1e-18, np.where(held, 1.0, sigma) ** 2)
-    every = np.arange(len(equations.gradient))[columns]
-    equations.dense[every, every] += 1 / variance
-    equations.gradient[every] += error / variance
+    equations.dense[columns, columns] += 1 / variance
+    equations.gradient[columns] += error / variance
     equations.cost += float(np.sum(error**2 / variance))

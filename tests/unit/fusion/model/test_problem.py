@@ -40,7 +40,7 @@ def kinds(problem: Problem) -> dict[str, list[tuple[str, int]]]:
     layout, found = problem.layout, {}
     for kind in ("pose", "lens", "time_offset", "scales", "faces", "last"):
         columns = getattr(layout, kind).values()
-        found[kind] = [("", i) for column in columns for i in range(column.start, column.stop)]
+        found[kind] = [("", i) for column in columns for i in column.tolist()]
     for name in problem.chains:
         found[f"nodes of {name}"] = [u for u in unknowns(problem) if u[0] == name]
     return found

@@ -285,10 +285,7 @@ def test_where_a_camera_has_a_robot_follows_both_disturbances(data: DataSet) -> 
         axis=1,
     )
     by_robot = np.eye(6)[:, data.tracks[robot].tangent]
-    every = np.arange(current.layout.size)
-    columns = np.concatenate(
-        [every[current.layout.last[robot]], every[current.layout.pose[camera]]]
-    )
+    columns = np.concatenate([current.layout.last[robot], current.layout.pose[camera]])
     jacobian = np.concatenate([by_robot, by_camera], axis=1)
     expected = jacobian @ current.known.covariance[np.ix_(columns, columns)] @ jacobian.T
     sigma = np.sqrt(np.diagonal(expected))
