@@ -9,7 +9,6 @@ import argparse
 import ctypes
 import gc
 import os
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -88,7 +87,7 @@ class _Run:
     def __init__(self, inputs: Inputs, folder: Path, *, solves: bool) -> None:
         self._site, self._orders = inputs.site, _Orders()
         self._pipeline = Pipeline(inputs, solver=self._orders)
-        self._worker = SolverWorker(inputs.data_set(), time.perf_counter) if solves else None
+        self._worker = SolverWorker(inputs.data_set()) if solves else None
         self._path = folder / "checkpoint.bin"
         self._storage = MapStorage(self._path, inputs.site, SystemClock(), knows=lambda _: True)
         self._asked_ns = EPOCH_NS

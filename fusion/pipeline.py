@@ -272,7 +272,7 @@ class Pipeline:
                 message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
                 self._outputs.append(Output(topics.SUGGESTION, news.robot, message))
             else:
-                self._note(news.event)
+                self._note(news)
         if follower.take_new_camera():
             self._take_cameras(self._data.last_ns, is_urgent=True)
 
@@ -343,8 +343,7 @@ class Pipeline:
             self._use_rest()
             self._estimator.finish()
         self._note_events()
-        last_ns = max((t.last_ns for t in self._data.tracks.values() if len(t)), default=0)
-        self._take_cameras(last_ns, is_urgent=True)
+        self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()
         return self.advance()
 

@@ -1,6 +1,5 @@
 """Solvers that work in the test's own process."""
 
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -14,7 +13,7 @@ class SlowSolver:
 
     def __init__(self, inputs: Inputs, *, calls: int = 0) -> None:
         self.data = inputs.data_set()
-        self._worker = SolverWorker(self.data, time.perf_counter)
+        self._worker = SolverWorker(self.data)
         self._orders: deque[Order] = deque()
         self._found: deque[tuple[int, News]] = deque()
         self._calls, self._count = calls, 0

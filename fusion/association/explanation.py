@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
@@ -37,27 +38,6 @@ class CameraFinding:
 
 
 @dataclass(frozen=True, slots=True)
-class Lifted:
-    """A robot was put down elsewhere between two moments; `or_between`: further pairs of moments
-    that explain it as well."""
-
-    robot: str
-    after_ns: int
-    before_ns: int
-    or_between: tuple[tuple[int, int], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """A camera was moved between its last sighting from its old place and the first from the
-    new one."""
-
-    camera: str
-    until_ns: int
-    since_ns: int
-
-
-@dataclass(frozen=True, slots=True)
 class Read:
     """How one observation is read: a reading for each view, None where it is wrong; the wild
     corners of each; where the robot stood, None where nothing says; the number of its camera's
@@ -76,14 +56,14 @@ class Explanation:
     `observations`: as they came, with their corners' noise as learnt, `corner_scale` by camera as
     much as stated; `reads`: one for each;
     `findings`: by camera; `places`: by (camera, number of its place) where it was, those that are
-    one place.
+    one place; `lifts`: for each those that explain it alike, the likeliest first.
     """
 
     observations: tuple[Observation, ...]
     reads: tuple[Read, ...]
     findings: dict[str, CameraFinding]
     places: dict[tuple[str, int], CameraState]
-    lifts: tuple[Lifted, ...]
-    moves: tuple[Moved, ...]
+    lifts: tuple[tuple[Lift, ...], ...]
+    moves: tuple[CameraMove, ...]
     noise: dict[str, Noise]
     corner_scale: dict[str, float]

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from trigpoint.fusion.model.dataset import CameraMove, Lift
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import is_placed
@@ -12,7 +13,7 @@ from trigpoint.geometry import Pose
 
 from .events import window
 from .evidence import alternatives_of
-from .explanation import Alternative, CameraFinding, Explanation, Lifted, Moved, Read
+from .explanation import Alternative, CameraFinding, Explanation, Read
 from .mode import Mode
 from .world import World
 
@@ -192,7 +193,7 @@ class Outcome:
 
     # -- what happened ----------------------------------------------------------------------------
 
-    def _lifts(self) -> list[Lifted]:
+    def _lifts(self) -> list[tuple[Lift, ...]]:
         near = [
             h
             for h in self.best.hypotheses
@@ -203,13 +204,10 @@ class Outcome:
             others = {g for h in near for r, g in h.breaks if r == robot} - {
                 g for r, g in self.chosen.breaks if r == robot
             }
-            span = self._span(robot, gap)
-            found.append(
-                Lifted(robot, *span, tuple(self._span(robot, other) for other in sorted(others)))
-            )
+            found.append(tuple(self._lift(robot, each) for each in [gap, *sorted(others)]))
         return found
 
-    def _span(self, robot: str, gap: int) -> tuple[int, int]:
+    def _lift(self, robot: str, gap: int) -> Lift:
         """From the last picture before a gap between two nodes to the first after it."""
         stamps = self.best.graph.paths[robot].stamps_ns
         after = [
@@ -219,9 +217,10 @@ class Outcome:
         ]
         before = int(stamps[gap + 1])
         # A visit that goes on where others begin anew has nothing in it that says when.
-        return max([int(stamps[gap]), *(until for until in after if until < before)]), before
+        last = max([int(stamps[gap]), *(until for until in after if until < before)])
+        return Lift(robot, last, before)
 
-    def _moves(self) -> list[Moved]:
+    def _moves(self) -> list[CameraMove]:
         found = []
         for camera in dict.fromkeys(v.visit.camera for v in self.best.visits):
             numbers = [
@@ -231,11 +230,11 @@ class Outcome:
             ]
             first = self.best.visits[numbers[0]].visit.stamp_ns if numbers else 0
             if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere before all of it
-                found.append(Moved(camera, first, first))
+                found.append(CameraMove(camera, first, first))
             for earlier, later in pairwise(numbers):
                 if self.chosen.place_of(earlier) != self.chosen.place_of(later):
                     until, since = self.best.visits[earlier].visit, self.best.visits[later].visit
-                    found.append(Moved(camera, until.until_ns, since.stamp_ns))
+                    found.append(CameraMove(camera, until.until_ns, since.stamp_ns))
         return found
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.association.session_noise import with_noise
-from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, KnownCameras, Lift, Move
+from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras, Move
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
@@ -41,10 +41,9 @@ def explained(data: DataSet, explanation: Explanation) -> tuple[DataSet, State]:
 
 
 def _take_lifts(data: DataSet, explanation: Explanation) -> None:
-    for lift in explanation.lifts:
-        data.tracks[lift.robot].break_between(lift.after_ns, lift.before_ns)
-        spans = [(lift.after_ns, lift.before_ns), *lift.or_between]
-        data.changes.append(tuple(Lift(lift.robot, *span) for span in spans))
+    for alike in explanation.lifts:
+        data.tracks[alike[0].robot].break_between(alike[0].after_ns, alike[0].before_ns)
+        data.changes.append(alike)
 
 
 def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int], str]:
@@ -58,7 +57,7 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
             names[camera, number + 1] = camera
             data.lenses[name] = data.lenses[camera]
             data.moves.append(Move(camera, name, move.since_ns, move.until_ns))
-            data.changes.append((CameraMove(camera, move.until_ns, move.since_ns),))
+            data.changes.append((move,))
     data.moves.sort(key=lambda move: move.since_ns)
     poses = {names[camera, 0]: pose for camera, pose in data.known.poses.items()}
     data.known = KnownCameras(poses, data.known.information)

@@ -19,7 +19,7 @@ from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Up
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
-from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.dataset import DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -28,7 +28,6 @@ from trigpoint.geometry import Pose
 
 from .solver_messages import (
     Finish,
-    Happened,
     News,
     Order,
     Report,
@@ -79,7 +78,6 @@ class Follower:
         self._came, self._came_before = 0, 0
         self._reported: Reported | None = None
         self._has_new_camera = False
-        self.longest_solution_s = 0.0
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -112,7 +110,7 @@ class Follower:
 
     # -- the solver -------------------------------------------------------------------------------
 
-    def attend(self) -> Iterator[Suggested | Happened]:
+    def attend(self) -> Iterator[Suggested | Event]:
         """Take the solver's news and pass on its orders; what there is to report.
 
         Called at every turn.
@@ -122,7 +120,7 @@ class Follower:
         self._catch_up()
         self._hand_over(is_all=False)
 
-    def _take(self, news: News) -> Iterator[Suggested | Happened]:
+    def _take(self, news: News) -> Iterator[Suggested | Event]:
         if isinstance(news, Solved):
             self._take_over(news)
         elif isinstance(news, Reported):
@@ -133,7 +131,6 @@ class Follower:
     def _take_over(self, solved: Solved) -> None:
         """Begin to take over a solution."""
         self.data.conclude(solved.conclusions)
-        self.longest_solution_s = max(self.longest_solution_s, solved.took_s)
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         current = CurrentFilter(self.data)

@@ -60,7 +60,7 @@ class Solved:
     """A solution over the first `count` observations.
 
     `shares`: see `CurrentFilter`; `conclusions`: what happened, and how noisy it was; `located`:
-    the cameras that are part of it; `took_s`: how long it took.
+    the cameras that are part of it.
     """
 
     count: int
@@ -68,22 +68,13 @@ class Solved:
     shares: Shares
     conclusions: Conclusions
     located: tuple[str, ...]
-    took_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Happened:
-    """An event to report."""
-
-    event: Event
 
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """The results as they are known after `count` observations and `orders` orders to report or to
-    finish; `is_final`: solved to the end."""
+    """The results as they are known after `orders` orders to report or to finish; `is_final`:
+    solved to the end."""
 
-    count: int
     orders: int
     is_final: bool
     results: Results
@@ -98,7 +89,7 @@ class Suggested:
     map_from_base: Pose
 
 
-News = Solved | Happened | Reported | Suggested
+News = Solved | Event | Reported | Suggested
 
 
 class Solver(Protocol):

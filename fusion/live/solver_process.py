@@ -163,7 +163,7 @@ def _serve(orders: Connection, news: Connection) -> None:
         return  # whoever would have sent it is gone
     backlog: queue.SimpleQueue[Order] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
-    worker, lock = SolverWorker(data, time.perf_counter), threading.Lock()
+    worker, lock = SolverWorker(data), threading.Lock()
     say = _NewsPipe(news).say
 
     def world() -> GuidanceWorld | None:

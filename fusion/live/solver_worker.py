@@ -3,7 +3,7 @@
 Pure: it runs in a process of its own (`solver_process`) or in place.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from scipy.linalg import LinAlgError
 
@@ -14,7 +14,6 @@ from trigpoint.fusion.solver.snapshot import GuidanceWorld
 
 from .solver_messages import (
     Finish,
-    Happened,
     News,
     Order,
     Reported,
@@ -26,14 +25,10 @@ from .solver_messages import (
 
 
 class SolverWorker:
-    """A smoother that takes orders. Not thread-safe.
+    """A smoother that takes orders. Not thread-safe."""
 
-    `seconds`: the processor's or anyone's time, by which solutions are measured.
-    """
-
-    def __init__(self, data: DataSet, seconds: Callable[[], float]) -> None:
-        self._data, self._seconds = data, seconds
-        self._smoother = Smoother(data)
+    def __init__(self, data: DataSet) -> None:
+        self._data, self._smoother = data, Smoother(data)
         self._count = 0
         self._orders = 0
 
@@ -64,13 +59,13 @@ class SolverWorker:
             return
         update = self._smoother.take(order.observation)
         if update.problem:
-            yield Happened(Event("unusable", update.problem))
+            yield Event("unusable", update.problem)
 
     def _solve(self) -> Iterator[News]:
-        began_s, solutions = self._seconds(), self._smoother.solutions
+        solutions = self._smoother.solutions
         self._smoother.finish()
         events, self._data.events = self._data.events, []
-        yield from map(Happened, events)
+        yield from events
         known = self._smoother.current.known
         if known is None or self._smoother.solutions == solutions:
             return
@@ -84,13 +79,12 @@ class SolverWorker:
             self._smoother.current.shares,
             self._data.conclusions(),
             tuple(self._smoother.located),
-            self._seconds() - began_s,
         )
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""
         results = results_of(self._data, self._smoother, map_id_of(self._data))
-        return Reported(self._count, self._orders, is_final, results)
+        return Reported(self._orders, is_final, results)
 
     def guidance_world(self) -> GuidanceWorld | None:
         """See `Smoother`."""
