@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from trigpoint.fusion.model.odometry import composed
+from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose

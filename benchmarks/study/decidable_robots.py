@@ -14,7 +14,7 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
-from trigpoint.fusion.model.odometry import composed
+from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.reading.faces import is_same_pose
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose

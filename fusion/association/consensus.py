@@ -82,7 +82,7 @@ def starts_of(
     seeds = _seeds(ways)
     cameras = there[ways.picture[seeds]] @ ways.camera_from_base[seeds].inverse()
     misfit = _misfit(data, observations, ways, seeds, there, drift, events)
-    limit = events.pose_score + events.wrong_score
+    limit = events.wrong_limit
     cost = np.full((len(cameras), len(sightings)), limit)
     for sighting in range(len(sightings)):
         mine = ways.sighting == sighting

@@ -197,10 +197,8 @@ class LocalProblem:
     def _parts(self) -> Iterator[tuple[int, int, int, slice]]:
         """Each view: the row of its picture, the index of that, its order and its corners there."""
         for row, (index, observation) in enumerate(self.observations.items()):
-            start = 0
-            for order, view in enumerate(observation.views):
-                yield row, index, order, slice(start, start + len(view.corners))
-                start += len(view.corners)
+            for order, part in enumerate(observation.parts):
+                yield row, index, order, part
 
     def _wild(self, by_base: Array, residual: Array) -> list[np.ndarray]:
         """Of each view, which corners are wild."""
@@ -211,8 +209,7 @@ class LocalProblem:
         """1/sigma of every corner (n, K), also of those that are left out."""
         weights = np.zeros_like(batch.weights)
         for row, observation in enumerate(self.observations.values()):
-            each = np.concatenate([np.full(len(v.corners), 1 / v.sigma) for v in observation.views])
-            weights[row, : len(each)] = each
+            weights[row, : observation.corner_count] = 1 / observation.sigmas
         return weights
 
     # -- to first order ---------------------------------------------------------------------------

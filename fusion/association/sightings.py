@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Observation, View, face_points
+from trigpoint.fusion.model.observations import Observation, View, face_points, swept
 from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
@@ -65,15 +65,11 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     """One view's own fit; where no board fits at all, it is wrong and tells nothing."""
     reading = view.readings[0]  # every other one shows the same board
     face = target.faces[reading.face]
-    points = face_points(face, view.corners, is_turned=reading.is_turned)
-    if view.sweep is not None:
-        base_from_face = face.base_from_face
-        points = points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     fits = planar_poses(lens, flat, view.pixels, view.sigma)
     if not fits:
-        none = np.zeros(len(view.corners), dtype=bool)
-        return Alone(events.pose_score + events.wrong_score, np.inf, np.nan, none)
+        return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
+    points = swept(flat, view, face)
     left, normal, wild = _fit(fits[0].pose, points, view, lens, events)
     evidence = float(np.sum(left[~wild])) + int(wild.sum()) * events.wild_score
     evidence += float(np.linalg.slogdet(normal)[1])

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet, Entry
-from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.prediction import batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import Solution
@@ -71,15 +70,11 @@ def _corners(
     sigmas = np.ones(batch.weights.shape)
     real = np.zeros(batch.weights.shape, dtype=bool)
     for row, source in enumerate(batch.sources.tolist()):
-        mine = _sigmas(data.entries[source].observation)
+        mine = data.entries[source].observation.sigmas
         sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
     # With every weight at 1 wild corners have a residual too, and all are in pixels.
     residual = batch_residual(problem, replace(batch, weights=real.astype(float)), state)
     return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
-
-
-def _sigmas(observation: Observation) -> Array:
-    return np.concatenate([np.full(len(view.corners), view.sigma) for view in observation.views])
 
 
 def _none() -> list[np.ndarray]:

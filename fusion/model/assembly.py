@@ -12,8 +12,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .dataset import DataSet, KnownCameras
+from .motion import Motion
 from .observations import Observation, moving
-from .odometry import Motion, OdometryTrack
+from .odometry import OdometryTrack
 from .padding import padded_points
 from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
 

@@ -162,8 +162,7 @@ class DataSet:
     def concluded(self, observation: Observation) -> Observation:
         """An observation as it came by what is concluded: of where its camera was then, with
         corners that scatter as that camera's do."""
-        scale = self.corner_scale.get(observation.camera, 1.0)
-        observation = observation if scale == 1.0 else observation.scattering(scale)
+        observation = observation.scattering(self.corner_scale.get(observation.camera, 1.0))
         for move in self.moves:
             if move.camera == observation.camera and observation.stamp_ns < move.since_ns:
                 return replace(observation, camera=move.name)
@@ -258,7 +257,7 @@ class DataSet:
             name: CameraState(pose, self.lenses[name]) for name, pose in self.known.poses.items()
         }
         robots = {
-            name: RobotState(_no_poses(), np.zeros(2), base_from_faces(self.targets[name]))
+            name: RobotState(Pose.stack([]), np.zeros(2), base_from_faces(self.targets[name]))
             for name in self.site.robots
         }
         return State(cameras, robots)
@@ -284,7 +283,3 @@ def known_cameras(network: Network, joint: Array, names: Iterable[str]) -> Known
     # 0.1 mm and 0.1 mrad keeps the information finite and is far below any camera's sigma.
     floor = 1e-8 * np.eye(len(covariance))
     return KnownCameras(poses, np.linalg.inv(covariance + floor))
-
-
-def _no_poses() -> Pose:
-    return Pose(np.zeros((0, 3, 3)), np.zeros((0, 3)))

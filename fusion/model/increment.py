@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+
+from .motion import twist_of
 
 
 class Increment(NamedTuple):
@@ -21,10 +22,9 @@ class Increment(NamedTuple):
 def increment(before: Pose, after: Pose) -> Increment:
     """From one pose to the next, in space."""
     step = before.inverse() @ after
-    turn = so3.log(step.rotation)
-    straight = np.linalg.solve(so3.left_jacobian(turn), step.translation)
-    length, angle = np.linalg.norm(step.translation), np.linalg.norm(turn)
-    return Increment(float(length), float(angle), np.concatenate([straight, turn]))
+    twist = twist_of(step)
+    length, angle = np.linalg.norm(step.translation), np.linalg.norm(twist[3:])
+    return Increment(float(length), float(angle), twist)
 
 
 def planar_increment(before: Pose, after: Pose) -> Increment:

@@ -4,6 +4,7 @@ A view whose face no picture can tell (contract, section 2, «half turn») is re
 one way or the other; the `Reading` is what the estimator believes, and may change.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -11,13 +12,13 @@ import numpy as np
 
 from trigpoint.clock import to_ns, to_seconds
 from trigpoint.config import CameraConfig
-from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.messages import FaceSighting
 from trigpoint.target import Face, Target
 
 from .odometry import OdometryTrack
-from .rolling_shutter import Sweep, joined, sweep_of
+from .rolling_shutter import Sweep, sweep_of
 
 # No corner counts for more than one of this sigma, pixels (as float32 has it, like any sighting's).
 # Sharp pictures give corners to 0.005 px, but the corners of one view err together: no lens model
@@ -84,6 +85,12 @@ class Observation:
     def with_outliers(self, outliers: tuple[np.ndarray, ...]) -> "Observation":
         return replace(self, outliers=outliers)
 
+    def marked(self, wild: np.ndarray) -> "Observation":
+        """With outliers by flags (n,) of all corners in one row, where there are any."""
+        if not np.any(wild):
+            return self
+        return self.with_outliers(tuple(wild[part] for part in self.parts))
+
     @property
     def is_swept(self) -> bool:
         """Whether its camera has a rolling shutter."""
@@ -111,14 +118,25 @@ class Observation:
             return 0
         return len(self.views) - sum(bool(np.all(wild)) for wild in self.outliers)
 
-    def by_view(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Rows (n, …) of all corners, split by view; rows beyond those (padding) are dropped."""
-        ends = np.cumsum([len(view.corners) for view in self.views])
-        return tuple(np.split(rows[: ends[-1]], ends[:-1]))
-
     @property
     def corner_count(self) -> int:
         return sum(len(view.corners) for view in self.views)
+
+    @property
+    def parts(self) -> list[slice]:
+        """Where each view's corners are in one row of all of them."""
+        ends = np.cumsum([len(view.corners) for view in self.views]).tolist()
+        return [slice(*part) for part in zip([0, *ends[:-1]], ends, strict=True)]
+
+    @property
+    def sigmas(self) -> Array:
+        """Of all corners in one row, (n,)."""
+        return np.concatenate([np.full(len(view.corners), view.sigma) for view in self.views])
+
+    @property
+    def wild(self) -> tuple[np.ndarray, ...]:
+        """`outliers`, spelt out where there are none."""
+        return self.outliers or tuple(np.zeros(len(view.corners), bool) for view in self.views)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +219,26 @@ def face_points(face: Face, corners: np.ndarray, *, is_turned: bool) -> Array:
     return face.corners[ids]
 
 
+def swept(points: Array, view: View, face: Face) -> Array:
+    """A view's corners (n, 3) in their face's frame, each where it is as its row is exposed."""
+    if view.sweep is None:
+        return points
+    base_from_face = face.base_from_face
+    return points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
+
+
+def joined(views: Sequence[View]) -> Sweep | None:
+    """The sweep of all corners of many views in a row; None where none is swept."""
+    if all(view.sweep is None for view in views):
+        return None
+    after_s, twists = [], []
+    for view in views:
+        sweep = view.sweep or Sweep(np.zeros(len(view.corners)), np.zeros(6))
+        after_s.append(sweep.after_s)
+        twists.append(np.broadcast_to(sweep.twist, (len(sweep.after_s), 6)))
+    return Sweep(np.concatenate(after_s), np.concatenate(twists))
+
+
 def points_of(observation: Observation, target: Target) -> Points:
     """The observation's corners by its chosen readings."""
     assert observation.chosen is not None
@@ -212,31 +250,11 @@ def points_of(observation: Observation, target: Target) -> Points:
         weights = np.full(len(view.corners), 1 / view.sigma)
         if observation.outliers:
             weights[observation.outliers[index]] = 0.0
-        points = face_points(face, view.corners, is_turned=reading.is_turned)
-        if view.sweep is not None:
-            base_from_face = face.base_from_face
-            points = points + view.sweep.shift(base_from_face @ points) @ base_from_face.rotation
-        parts.append(
-            (
-                points,
-                np.full(len(view.corners), reading.face),
-                view.pixels,
-                weights,
-            )
-        )
+        points = swept(face_points(face, view.corners, is_turned=reading.is_turned), view, face)
+        parts.append((points, np.full(len(view.corners), reading.face), view.pixels, weights))
     return Points(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def base_from_faces(target: Target) -> Pose:
     """All faces' poses on the robot, stacked in the target's order."""
     return Pose.stack([face.base_from_face for face in target.faces])
-
-
-def reprojection(
-    camera: CameraModel, map_from_camera: Pose, map_from_base: Pose, points_base: Array
-) -> Array:
-    """Pixels (…, n, 2) of points (n, 3) on the robot; NaN behind the camera."""
-    optical = (map_from_camera.inverse() @ map_from_base) @ points_base
-    ahead = optical[..., 2:] > 1e-3
-    pixels = camera.project(np.where(ahead, optical, [0.0, 0.0, 1.0]))
-    return np.where(ahead, pixels, np.nan)

@@ -15,7 +15,6 @@ import numpy as np
 from trigpoint.clock import NANOSECONDS, to_ns
 from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.odometry_noise import step_variances
 
@@ -29,9 +28,8 @@ from .motion import (
     composed_in_plane,
     composed_motion,
     moved,
+    twist_of,
 )
-
-__all__ = ["PARTS", "PLANAR", "SPATIAL", "Added", "Motion", "OdometryTrack", "composed"]
 
 PARTS = (
     "distance",
@@ -312,10 +310,8 @@ class OdometryTrack:
         since_s = (stamps_ns - self._stamps[end - 1]) / NANOSECONDS + seconds
         before = self._within(start, (stamps_ns - self._stamps[start - 1]) / NANOSECONDS)
         between = before.inverse() @ self._within(end, since_s)
-        turn = so3.log(between.rotation)
-        shift = np.linalg.solve(so3.left_jacobian(turn), between.translation[..., None])[..., 0]
         # A stretch this short may be scaled as a whole.
-        way = moved(np.concatenate([shift, turn], axis=1) * both(1 + scales))
+        way = moved(twist_of(between) * both(1 + scales))
         return way, self._twists[end] * both(1 + scales) / period_s[:, None]
 
     def twists_about(self, stamps_ns: np.ndarray) -> Array:
@@ -329,9 +325,7 @@ class OdometryTrack:
         after = np.maximum(after, before + 1)
         seconds = (after - before) / NANOSECONDS
         way, _ = self.carried(before, seconds, np.zeros(2))
-        turn = so3.log(way.rotation)
-        shift = np.linalg.solve(so3.left_jacobian(turn), way.translation[..., None])[..., 0]
-        return np.concatenate([shift, turn], axis=1) / seconds[:, None]
+        return twist_of(way) / seconds[:, None]
 
     def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
         """odom_from_base at a time after the message before each row, with the row's twist."""

@@ -4,8 +4,7 @@ import numpy as np
 
 from trigpoint.target import Target
 
-from .observations import Observation, Points, base_from_faces
-from .rolling_shutter import joined
+from .observations import Observation, Points, base_from_faces, joined
 
 
 def padded_points(observations: list[Observation], target: Target) -> Points:
@@ -22,7 +21,7 @@ def padded_points(observations: list[Observation], target: Target) -> Points:
     ids = np.where(is_turned, counts[faces] - 1 - corners, corners)
     first = np.cumsum(counts) - counts
     weights = np.repeat([1 / view.sigma for view in views], sizes)
-    weights[_outliers(observations)] = 0.0
+    weights[np.concatenate([flags for each in observations for flags in each.wild])] = 0.0
     widths = np.array([observation.corner_count for observation in observations])
     rows = np.repeat(np.arange(len(widths)), widths)
     at = rows, np.arange(len(rows)) - (np.cumsum(widths) - widths)[rows]
@@ -41,15 +40,3 @@ def padded_points(observations: list[Observation], target: Target) -> Points:
     points.pixels[at] = np.concatenate([view.pixels for view in views])
     points.weights[at] = weights
     return points
-
-
-def _outliers(observations: list[Observation]) -> np.ndarray:
-    """Which corners, all in one row, are outliers, bool."""
-    return np.concatenate(
-        [
-            np.concatenate(observation.outliers)
-            if observation.outliers
-            else np.zeros(observation.corner_count, dtype=bool)
-            for observation in observations
-        ]
-    )

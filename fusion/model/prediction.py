@@ -13,7 +13,7 @@ from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
 
-from .odometry import Motion
+from .motion import Motion
 from .problem import Batch, Problem, State
 from .projection import before_camera, by_disturbance
 

@@ -21,8 +21,8 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-from .motion import both, moved
-from .odometry import ABOUT_S, PLANAR, SPATIAL, Motion, OdometryTrack
+from .motion import Motion, both, moved
+from .odometry import ABOUT_S, PLANAR, SPATIAL, OdometryTrack
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,7 @@ So a corner's place in the base frame is all that changes, and that before anyth
 prediction of a corner, and every derivative of it, holds as it is.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -52,32 +50,9 @@ class Sweep:
         return self.after_s[:, None] * speed
 
 
-class Swept(Protocol):
-    """What may have been seen by a rolling shutter: a view."""
-
-    @property
-    def corners(self) -> np.ndarray: ...
-
-    @property
-    def sweep(self) -> Sweep | None: ...
-
-
 def sweep_of(camera: CameraConfig, pixels: Array) -> Sweep | None:
     """The sweep of corners (n, 2) after their picture's stamp, by a robot of which nothing is known
     yet; None where all rows are exposed at once."""
     if camera.line_delay == 0:
         return None
     return Sweep(camera.line_delay * (pixels[:, 1] - (camera.height - 1) / 2), np.zeros(6))
-
-
-def joined(views: Sequence[Swept]) -> Sweep | None:
-    """The sweep of all corners of many views in a row; None where none is swept."""
-    if all(view.sweep is None for view in views):
-        return None
-    after_s, twists = [], []
-    for view in views:
-        still = Sweep(np.zeros(len(view.corners)), np.zeros(6))
-        sweep = view.sweep if view.sweep is not None else still
-        after_s.append(sweep.after_s)
-        twists.append(np.broadcast_to(sweep.twist, (len(sweep.after_s), 6)))
-    return Sweep(np.concatenate(after_s), np.concatenate(twists))

@@ -4,7 +4,8 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
-from .odometry import OdometryTrack, composed
+from .motion import composed
+from .odometry import OdometryTrack
 from .problem import Chain
 
 

@@ -47,10 +47,7 @@ class Alignment:
 
     def read(self, observation: Observation) -> Observation:
         """The observation with these readings and wild corners."""
-        read = observation.read_as(self.readings)
-        if not np.any(self.wild):
-            return read
-        return read.with_outliers(read.by_view(self.wild))
+        return observation.read_as(self.readings).marked(self.wild)
 
 
 @dataclass(frozen=True, slots=True)

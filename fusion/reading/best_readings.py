@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Observation, Reading, View
-from trigpoint.fusion.model.rolling_shutter import joined
+from trigpoint.fusion.model.observations import Observation, Reading, View, joined
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target

@@ -148,9 +148,7 @@ def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Ar
 
 def pixels_of(observation: Observation) -> tuple[Array, Array]:
     """All pixels (n, 2) of an observation and their sigmas (n,)."""
-    pixels = np.concatenate([view.pixels for view in observation.views])
-    sigma = np.concatenate([np.full(len(v.corners), v.sigma) for v in observation.views])
-    return pixels, sigma
+    return np.concatenate([view.pixels for view in observation.views]), observation.sigmas
 
 
 def _refined(

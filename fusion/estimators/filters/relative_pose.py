@@ -100,7 +100,7 @@ def without_wild_corners(
         length = _unexplained(jacobian, residual, kept)
         worst = int(np.argmax(np.where(kept, length, 0.0)))
         if not length[worst] > WILD_CORNER_SIGMAS:
-            return _marked(observation, ~kept)
+            return observation.marked(~kept)
         kept[worst] = False
         if (~kept).sum() > most:
             return None
@@ -118,7 +118,3 @@ def _unexplained(jacobian: Array, residual: Array, kept: np.ndarray) -> Array:
         jacobian[kept].reshape(-1, 6), residual[kept].reshape(-1), rcond=None
     )
     return np.linalg.norm(residual - jacobian @ step, axis=-1)
-
-
-def _marked(observation: Observation, wild: np.ndarray) -> Observation:
-    return observation.with_outliers(observation.by_view(wild)) if wild.any() else observation

@@ -176,12 +176,10 @@ def _as_read(observation: Observation) -> Observation:
     """An observation of its right views alone, each with the one reading that was chosen."""
     if observation.chosen is None:
         return observation
-    outliers = observation.outliers or tuple(
-        np.zeros(len(v.corners), bool) for v in observation.views
-    )
+    every = zip(observation.views, observation.chosen, observation.wild, strict=True)
     right = [
         (replace(view, readings=(reading,)), reading)
-        for view, reading, wild in zip(observation.views, observation.chosen, outliers, strict=True)
+        for view, reading, wild in every
         if not np.all(wild)
     ]
     views, chosen = zip(*right, strict=True)

@@ -13,7 +13,6 @@ import numpy as np
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, State
 from trigpoint.fusion.reading.best_readings import groups_of
@@ -38,9 +37,8 @@ def leave_out_contradicting(
     left_out = [each for robot, each in found if each[0] > worst[robot] / 2]
     for _, source, order in left_out:
         entry = data.entries[source]
-        views = entry.observation.views
-        wild = list(entry.observation.outliers or [np.zeros(len(v.corners), bool) for v in views])
-        wild[order] = np.ones(len(views[order].corners), bool)
+        wild = list(entry.observation.wild)
+        wild[order] = np.ones_like(wild[order])
         entry.observation = entry.observation.with_outliers(tuple(wild))
     return bool(left_out)
 
@@ -58,7 +56,7 @@ def _excesses(
     shown = [
         (row, source, order, part)
         for row, source in enumerate(batch.sources.tolist())
-        for order, part in _parts(data.entries[source].observation)
+        for order, part in enumerate(data.entries[source].observation.parts)
         if np.any(by_base[row, part])  # it is not left out already
     ]
     for rows in groups_of([part.stop - part.start for *_, part in shown]):
@@ -76,12 +74,3 @@ def _excesses(
             for each in np.flatnonzero(excess > 0).tolist()
         ]
     return found
-
-
-def _parts(observation: Observation) -> list[tuple[int, slice]]:
-    """Each view's order, and where its corners are."""
-    ends = np.cumsum([len(view.corners) for view in observation.views]).tolist()
-    starts = [0, *ends[:-1]]
-    return [
-        (order, slice(*ends_of)) for order, ends_of in enumerate(zip(starts, ends, strict=True))
-    ]

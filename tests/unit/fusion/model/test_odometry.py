@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from trigpoint.clock import to_ns
 from trigpoint.config import OdometryNoise
-from trigpoint.fusion.model.odometry import ABOUT_S, Added, Motion, OdometryTrack
+from trigpoint.fusion.model.motion import Motion
+from trigpoint.fusion.model.odometry import ABOUT_S, Added, OdometryTrack
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
