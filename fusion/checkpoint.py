@@ -71,8 +71,7 @@ class Checkpoint:
     def records(self) -> Iterator[tuple[str, bytes]]:
         """(key, payload) of what was in the file when it was opened; it may be written meanwhile,
         but not restarted."""
-        for record in _records(self._path, self._length):
-            yield record.key, record.payload
+        return read_checkpoint(self._path, self._length)
 
     def write(self, key: str, payload: bytes) -> bool:
         """Append a message; it is on the disk within half a second and a call of `flush`. False
@@ -136,9 +135,10 @@ class Checkpoint:
             )
 
 
-def read_checkpoint(path: Path) -> Iterator[tuple[str, bytes]]:
-    """(key, payload) of every sound record; nothing where there is no file."""
-    for record in _records(path):
+def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:
+    """(key, payload) of every sound record of its first `until` bytes; nothing where there is no
+    file."""
+    for record in _records(path, until):
         yield record.key, record.payload
 
 

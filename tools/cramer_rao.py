@@ -16,7 +16,7 @@ from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState, State
-from trigpoint.fusion.reading.faces import best_reading
+from trigpoint.fusion.reading.best_readings import read_where_they_are
 from trigpoint.fusion.solver.levenberg_marquardt import reduce
 from trigpoint.fusion.solver.normal_equations import linearise
 from trigpoint.geometry import Pose
@@ -112,10 +112,9 @@ def _read(
     if observation.chosen is not None:
         return observation
     target = data.targets[observation.robot]
-    camera_from_base = camera.map_from_camera.inverse() @ map_from_base
-    return observation.read_as(
-        tuple(best_reading(v, target, camera.lens, camera_from_base)[0] for v in observation.views)
-    )
+    camera_from_base = Pose.stack([camera.map_from_camera.inverse() @ map_from_base])
+    ((readings, _),) = read_where_they_are([observation], target, camera.lens, camera_from_base)
+    return observation.read_as(readings)
 
 
 def _stated(track: OdometryTrack, lifted_ns: list[int]) -> OdometryTrack:

@@ -22,6 +22,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
 
 from .budget import Budget
 from .events import Events
@@ -285,7 +286,7 @@ class LocalProblem:
         score += self._odometry_score(assembled) + self._left_out_score(trial) - others
         return Mode(
             state.cameras[self.camera],
-            0.5 * (information + information.T),
+            symmetric(information),
             own,
             score,
             {

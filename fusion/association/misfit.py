@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from trigpoint.fusion.model.jitter import Jitter
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.geometry.rotation import Array
 
 from .events import Events
@@ -14,7 +15,6 @@ from .noise import Noise
 
 _ROUNDING = 1e-12
 _SAME = 3  # digits of a metre: a robot stands where it stood
-_PLANAR = (0, 1, 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def interrupted(visit: Linear, noise: Noise, events: Events) -> tuple[Linear, in
 def _broken(visit: Linear, step: int, events: Events) -> Linear:
     """With a robot that may be anywhere in the room after a step."""
     broken = visit.broken.copy()
-    free = list(_PLANAR) if broken.shape[-1] == len(_PLANAR) else list(range(6))
+    free = PLANAR if broken.shape[-1] == len(PLANAR) else SPATIAL
     broken[step] += np.diag(events.room_variances[free])
     return replace(visit, broken=broken)
 

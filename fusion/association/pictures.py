@@ -16,6 +16,7 @@ from trigpoint.fusion.reading.best_readings import best_readings, groups_of, poi
 from trigpoint.fusion.reading.visibility import body_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
 
 from .events import Events
 from .sightings import all_without_wild
@@ -156,6 +157,6 @@ class PictureReader:
 
 def _surprise(error: Array, spread: Array) -> tuple[Array, Array]:
     """νᵀS⁻¹ν and ln|S| of errors (v, 6) of this covariance (v, 6, 6)."""
-    spread = 0.5 * (spread + np.swapaxes(spread, 1, 2))
+    spread = symmetric(spread)
     pulled = np.linalg.solve(spread, error[..., None])[..., 0]
     return np.sum(error * pulled, axis=1), np.linalg.slogdet(spread)[1]

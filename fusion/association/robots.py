@@ -94,10 +94,11 @@ def fits(
     that do at all, within the budget. A robot whose odometry does not cover a picture is not in
     it. `memory`: with the budget, and what is known of single views.
     """
-    noisy, known = _noisy(data, pictures), memory or Memory()
+    known, robots = memory or Memory(), _robots(pictures)
+    noisy = with_noise(data, dict.fromkeys(robots, PESSIMISTIC))
     # A visit's modes are known by its pictures' numbers, which are these pictures' own.
     own = Memory(known.budget, known.alone)
-    found = {r: _fit(noisy, camera, r, pictures, events, own) for r in _robots(pictures)}
+    found = {robot: _fit(noisy, camera, robot, pictures, events, own) for robot in robots}
     return {robot: fit for robot, fit in found.items() if fit is not None}
 
 
@@ -114,11 +115,6 @@ def runs(data: DataSet, camera: str, pictures: Sequence[Picture]) -> list[list[P
 
 def _robots(pictures: Sequence[Picture]) -> list[str]:
     return list(dict.fromkeys(name for p in pictures for face in p.faces for name in face))
-
-
-def _noisy(data: DataSet, pictures: Sequence[Picture]) -> DataSet:
-    """With the noise that a decision must survive."""
-    return with_noise(data, dict.fromkeys(_robots(pictures), PESSIMISTIC))
 
 
 def _fit(

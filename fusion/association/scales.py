@@ -12,9 +12,10 @@ import msgspec
 import numpy as np
 from scipy.special import chdtri
 
+from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
-from trigpoint.fusion.model.odometry import PARTS
+from trigpoint.fusion.model.odometry import PARTS, OdometryTrack
 from trigpoint.geometry.rotation import Array
 
 from .events import EVIDENCE, Events
@@ -65,13 +66,11 @@ def with_solved_scales(draft: DataSet, solved: DataSet, scales: dict[str, Array]
         if robot not in scales:
             continue
         draft = with_scales(draft, robot, scales[robot], np.full(2, _STEP))
-        track, config = solved.tracks[robot], draft.site.robots[robot]
+        track = solved.tracks[robot]
         parts = {part: getattr(track.noise, part) for part in PARTS}
-        noise = msgspec.structs.replace(config.odometry, **parts)
-        robots = {**draft.site.robots, robot: msgspec.structs.replace(config, odometry=noise)}
+        noise = msgspec.structs.replace(draft.site.robots[robot].odometry, **parts)
         noisy = draft.tracks[robot].noisy(noise, slip=track.slip, skid=track.skid)
-        site = msgspec.structs.replace(draft.site, robots=robots)
-        draft = replace(draft, site=site, tracks={**draft.tracks, robot: noisy})
+        draft = _with_odometry(draft, robot, noise, noisy)
     return draft
 
 
@@ -113,13 +112,17 @@ def _clear(found: VisitModes) -> tuple[Array, Array] | None:
 
 def with_scales(data: DataSet, robot: str, scales: Array, sigmas: Array) -> DataSet:
     """The data set with a robot's odometry scaled, and sigmas of what its scales still err by."""
-    config = data.site.robots[robot]
     distance, heading = sigmas.tolist()
-    noise = msgspec.structs.replace(config.odometry, distance_scale=distance, heading_scale=heading)
-    robots = {**data.site.robots, robot: msgspec.structs.replace(config, odometry=noise)}
-    track = data.tracks[robot].scaled(scales)
-    return replace(
-        data,
-        site=msgspec.structs.replace(data.site, robots=robots),
-        tracks={**data.tracks, robot: track},
+    noise = msgspec.structs.replace(
+        data.site.robots[robot].odometry, distance_scale=distance, heading_scale=heading
     )
+    return _with_odometry(data, robot, noise, data.tracks[robot].scaled(scales))
+
+
+def _with_odometry(
+    data: DataSet, robot: str, noise: OdometryNoise, track: OdometryTrack
+) -> DataSet:
+    """The data set with other odometry of a robot, and of other noise by the site file."""
+    config = msgspec.structs.replace(data.site.robots[robot], odometry=noise)
+    site = msgspec.structs.replace(data.site, robots={**data.site.robots, robot: config})
+    return replace(data, site=site, tracks={**data.tracks, robot: track})

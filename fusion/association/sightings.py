@@ -92,21 +92,11 @@ def _fit(
     wild = np.zeros(len(points), dtype=bool)
     jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
-        step, wild = without_wild(jacobian, left, events.wild_score)
+        (step,), (wild,) = all_without_wild(jacobian[None], left[None], events.wild_score)
         pose = pose.disturbed(step)
         jacobian, left = _linearised(pose, points, view, lens)
     flat = jacobian[~wild].reshape(-1, 6)
     return np.sum(left**2, axis=1), flat.T @ flat, wild
-
-
-def without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
-    """The step (6,) that corners' residuals (n, 2), in sigmas, ask for without the wild ones, and
-    which are wild: beyond χ² of `limit` where Cauchy's weights leave the others.
-
-    `by_pose`: (n, 2, 6).
-    """
-    steps, wild = all_without_wild(by_pose[None], residual[None], limit)
-    return steps[0], wild[0]
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
@@ -124,9 +114,11 @@ def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list
 
 
 def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
-    """`without_wild` of many sightings (v) with equally many corners (n), each by itself.
+    """Of sightings (v) with equally many corners (n), each by itself: the steps (v, 6) that the
+    residuals (v, n, 2), in sigmas, ask for without the wild corners, and which are wild (v, n):
+    beyond χ² of `limit` where Cauchy's weights leave the others.
 
-    `by_pose`: (v, n, 2, 6), `residual`: (v, n, 2); the steps (v, 6) and the flags (v, n).
+    `by_pose`: (v, n, 2, 6).
     """
     weight = np.ones(residual.shape[:2])
     step, square = _steps(by_pose, residual, weight)

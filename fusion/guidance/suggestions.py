@@ -25,6 +25,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import symmetric
 
 from .candidates import Candidates, Ground, candidates, nearest_cameras
 from .expected_motion import expected_motion
@@ -210,5 +211,6 @@ def _after(
 
 def _gain(information: Array, covariance: Array) -> Array:
     """(P + M⁻¹)⁻¹ where M may be singular: (I + M P)⁻¹ M."""
-    solved = np.linalg.solve(np.eye(len(covariance)) + information @ covariance, information)
-    return 0.5 * (solved + solved.T)
+    return symmetric(
+        np.linalg.solve(np.eye(len(covariance)) + information @ covariance, information)
+    )

@@ -1,5 +1,5 @@
-"""How many views read best, each where its camera is thought to be: `faces.best_reading` of all of
-them at once."""
+"""How many views read best, each where its camera is thought to be: by `faces.readings_rms_px` of
+all of them at once."""
 
 from collections.abc import Sequence
 

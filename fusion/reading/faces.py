@@ -113,16 +113,6 @@ def _half_turn(face: Face) -> Pose:
     return Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1])
 
 
-def best_reading(
-    view: View, target: Target, lens: CameraModel, camera_from_base: Pose
-) -> tuple[Reading, float, float]:
-    """The reading of least RMS (pixels) for a pose, its RMS, and that of the next best."""
-    rms = readings_rms_px(view, target, lens, Pose.stack([camera_from_base]))[0]
-    order = np.argsort(rms, kind="stable")
-    second = float(rms[order[1]]) if len(order) > 1 else np.inf
-    return view.readings[order[0]], float(rms[order[0]]), second
-
-
 def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_base: Pose) -> Array:
     """RMS of a coordinate for poses (b) and each of a view's readings, pixels, (b, r); infinite for
     a face that would be seen from behind or through another."""

@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from trigpoint.fusion.model.observations import Reading, View
+from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
@@ -24,12 +24,11 @@ _BESIDE = 1e-3
 class Body:
     """A target in the robot's base frame.
 
-    `corners`: a face's, by id, (c, 3) each, and all of them padded to one size in `table`
-    (f, c, 3), with how many a face has in `counts` (f,); `base_from_face`, `face_from_base` (f);
-    `low`, `high` (f, 2): the rectangle of a face's pattern in its own frame, metres.
+    `table` (f, c, 3): the faces' corners by id, padded to one size, with how many a face has in
+    `counts` (f,); `base_from_face`, `face_from_base` (f); `low`, `high` (f, 2): the rectangle of a
+    face's pattern in its own frame, metres.
     """
 
-    corners: tuple[Array, ...]
     table: Array
     counts: np.ndarray
     base_from_face: Pose
@@ -41,16 +40,13 @@ class Body:
 @cache
 def body_of(target: Target) -> Body:
     """The target as a solid body."""
-    poses = [face.base_from_face for face in target.faces]
     outlines = np.stack([face.outline[:, :2] for face in target.faces])
-    corners = tuple(p @ face.corners for p, face in zip(poses, target.faces, strict=True))
-    counts = np.array([len(points) for points in corners])
-    table = np.zeros((len(corners), counts.max(), 3))
-    for points, row in zip(corners, table, strict=True):
-        row[: len(points)] = points
-    base_from_face = Pose.stack(poses)
+    counts = np.array([face.corner_count for face in target.faces])
+    table = np.zeros((len(counts), counts.max(), 3))
+    for face, row in zip(target.faces, table, strict=True):
+        row[: face.corner_count] = face.base_from_face @ face.corners
+    base_from_face = base_from_faces(target)
     return Body(
-        corners,
         table,
         counts,
         base_from_face,

@@ -163,7 +163,7 @@ def test_camera_is_not_put_below_the_floor_that_the_robot_drives_on() -> None:
 def test_robot_is_not_seen_through_its_own_faces() -> None:
     target = target_of("checkerboard")
     body = body_of(target)
-    points = np.stack(body.corners)
+    points = body.table
     hidden = 0
     for azimuth in np.linspace(0, 2 * np.pi, 73):
         eye = looking_at((2 * np.cos(azimuth), 2 * np.sin(azimuth), 1.2), (0.0, 0.0, 0.72))

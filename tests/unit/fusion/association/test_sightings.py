@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from trigpoint.fusion.association.events import Events
-from trigpoint.fusion.association.sightings import all_without_wild, without_wild
+from trigpoint.fusion.association.sightings import all_without_wild
 
 LIMIT = Events().wild_score
+
+
+def without_wild(by_pose: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of one board by itself."""
+    (step,), (wild,) = all_without_wild(by_pose[None], residual[None], LIMIT)
+    return step, wild
 
 
 def board(seed: int, shift: np.ndarray, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
@@ -20,7 +26,7 @@ def board(seed: int, shift: np.ndarray, count: int = 48) -> tuple[np.ndarray, np
 def test_wild_corners_are_found_beside_a_board_that_is_off(seed: int) -> None:
     by_pose, residual = board(seed, np.full(6, 0.5))
     residual[[3, 17, 30]] += [[80.0, 0.0], [0.0, -200.0], [-40.0, 40.0]]
-    step, wild = without_wild(by_pose, residual, LIMIT)
+    step, wild = without_wild(by_pose, residual)
     assert set(np.flatnonzero(wild)) >= {3, 17, 30}
     assert wild.sum() <= 4  # one good one in ten thousand is left out too
     np.testing.assert_allclose(step, 0.5, atol=0.02)
@@ -28,14 +34,14 @@ def test_wild_corners_are_found_beside_a_board_that_is_off(seed: int) -> None:
 
 def test_no_corner_of_a_board_that_is_off_is_wild() -> None:
     by_pose, residual = board(7, np.full(6, 3.0))
-    _, wild = without_wild(by_pose, residual, LIMIT)
+    _, wild = without_wild(by_pose, residual)
     assert not np.any(wild)
 
 
 def test_corners_that_show_no_board_are_kept_as_they_are() -> None:
     random = np.random.default_rng(1)
     by_pose, residual = board(2, np.zeros(6), 12)
-    _, wild = without_wild(by_pose, residual + 500 * random.normal(size=residual.shape), LIMIT)
+    _, wild = without_wild(by_pose, residual + 500 * random.normal(size=residual.shape))
     assert np.sum(~wild) >= 4
 
 
@@ -49,7 +55,7 @@ def test_many_sightings_are_judged_as_each_by_itself() -> None:
     by_pose, residual = (np.stack(each) for each in zip(*boards, strict=True))
     steps, wild = all_without_wild(by_pose, residual, LIMIT)
     for row in range(40):
-        step, flags = without_wild(by_pose[row], residual[row], LIMIT)
+        step, flags = without_wild(by_pose[row], residual[row])
         np.testing.assert_allclose(steps[row], step, atol=1e-9)
         np.testing.assert_array_equal(wild[row], flags)
         kept = by_pose[row][~flags].reshape(-1, 6)
