@@ -6,11 +6,6 @@ from trigpoint.clock import NANOSECONDS
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift
 from trigpoint.fusion.model.problem import State
 
-BEHIND_A_JUMP = (
-    "position and orientation in the map: the robot's odometry jumped on its way here from the "
-    "other cameras; drive there without a break"
-)
-
 
 def report_changes(data: DataSet, state: State) -> None:
     """Add an event for each change of the site."""

@@ -7,6 +7,7 @@ time, or a fifth as many in all.
 """
 
 from collections import Counter
+from collections.abc import Container
 
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Alternative, CameraFinding, Explanation
@@ -20,6 +21,11 @@ _GROWTH, _LEAST_NEW = 1.2, 20
 # Of what a camera saw of a robot: unexplained is half more than there was, and a third of what came
 # since.
 _OPEN_GROWTH, _OPEN_SHARE, _LEAST_OPEN = 0.5, 1 / 3, 3
+
+_BEHIND_A_JUMP = (
+    "position and orientation in the map: the robot's odometry jumped on its way here from the "
+    "other cameras; drive there without a break"
+)
 
 _Pair = tuple[str, str]
 
@@ -80,16 +86,24 @@ class Explainer:
         unused = [e.observation for e in entries if e.observation.verdict is not Verdict.ACCEPTED]
         self._left = Counter((self._data.site_camera(o.camera), o.robot) for o in unused)
 
-    def finding(self, camera: str) -> CameraFinding | None:
+    def _finding(self, camera: str) -> CameraFinding | None:
         """What the last explanation says of a camera."""
         return self.explanation.findings.get(camera) if self.explanation is not None else None
 
-    def reason(self, camera: str) -> str:
+    def undetermined(self, placed: Container[str]) -> dict[str, tuple[str, ...]]:
+        """What is not known of each camera that saw a robot and is not among those placed."""
+        return {
+            name: (self._reason(name) or _BEHIND_A_JUMP,)
+            for name in self._data.site.cameras
+            if name not in placed and self._data.of_camera(name)
+        }
+
+    def _reason(self, camera: str) -> str:
         """Why a camera that was seen is not located; "" where the explanation does not say."""
-        finding = self.finding(camera)
+        finding = self._finding(camera)
         return finding.reason if finding is not None else "too few pictures of the robot so far"
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         """The possible poses of a camera that is not located, best first."""
-        finding = self.finding(camera)
+        finding = self._finding(camera)
         return finding.alternatives if finding is not None and not finding.is_located else ()

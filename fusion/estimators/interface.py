@@ -37,6 +37,11 @@ class CameraCount:
     rejected: int
     reprojection_rms: float | None
 
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether a located camera rests on more than one sighting."""
+        return self.sightings - self.rejected > 1
+
 
 @dataclass(frozen=True, slots=True)
 class Update:
@@ -120,10 +125,6 @@ class Estimator(Live, Protocol):
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         """The possible poses of a camera that is not located, best first."""
-        ...
-
-    def is_confirmed(self, camera: str) -> bool:
-        """Whether a located camera rests on more than one sighting."""
         ...
 
     def count(self, camera: str) -> CameraCount: ...

@@ -93,7 +93,7 @@ def _camera(
     if located is not None:
         return CameraRecord(
             status="located",
-            confirmed=estimator.is_confirmed(name),
+            confirmed=count.is_confirmed,
             map_from_camera=PoseRecord.of(located.map_from_camera),
             covariance=tuple(located.covariance.reshape(-1).tolist()),
             intrinsics=IntrinsicsRecord.of(located.lens, located.lens_sigma),

@@ -135,7 +135,7 @@ class Follower:
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         current = CurrentFilter(self.data)
         current.go_on_from(solved.known)
-        current.take_shares(solved.shares)
+        current.shares = dict(solved.shares)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(current, deque(missing))
 

@@ -76,7 +76,7 @@ class SolverWorker:
         yield Solved(
             self._count,
             known,
-            self._smoother.current.shares,
+            dict(self._smoother.current.shares),
             self._data.conclusions(),
             tuple(self._smoother.located),
         )

@@ -191,14 +191,6 @@ class Filter:
         """The robot's scale errors at the fixed point, (2,)."""
         return self.state.robots[robot].scales
 
-    def camera_sigma_px(self, camera: str, distance_m: float) -> float:
-        """By about how many pixels the camera's own uncertainty moves what it sees at a
-        distance."""
-        pose = self.layout.pose[camera]
-        variances = np.diagonal(self.known.covariance_of(pose))
-        turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
-        return float(self.state.cameras[camera].lens.fx * np.sqrt(turn + shift))
-
     def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
         """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point.
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.association.explanation import Alternative
-from trigpoint.fusion.estimators.change_reports import BEHIND_A_JUMP, report_changes
+from trigpoint.fusion.estimators.change_reports import report_changes
 from trigpoint.fusion.estimators.explained_data import explained
 from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
@@ -152,19 +152,10 @@ class SequentialEstimator:
         return self._replay.filter_state.joint_covariance(placed)
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
-        placed = self.cameras()
-        return {
-            name: (self._explainer.reason(name) or BEHIND_A_JUMP,)
-            for name in self.data.site.cameras
-            if name not in placed and self.data.of_camera(name)
-        }
+        return self._explainer.undetermined(self.cameras())
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         return self._explainer.alternatives(camera)
-
-    def is_confirmed(self, camera: str) -> bool:
-        counted = self.count(camera)
-        return counted.sightings - counted.rejected > 1
 
     def count(self, camera: str) -> CameraCount:
         entries = self.data.of_camera(camera)

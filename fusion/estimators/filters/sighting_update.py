@@ -1,13 +1,10 @@
 """How a filter uses one sighting: its reading, the robot's pose by it, and the gate on it."""
 
-import numpy as np
-
-from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.estimators.robot_alignment import align_to
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.gates import DECISIVE, is_noise
+from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.problem import CameraState
-from trigpoint.fusion.reading.alignment import PosePrior, align
 from trigpoint.fusion.solver.filter import RobotEstimate, is_placed
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -38,28 +35,14 @@ def read_sighting(
 ) -> ReadSighting | None:
     """The observation in its best reading; None where that is ambiguous or nothing fits.
     `variances`: see `ReadSighting`."""
-    estimate = filter_state.estimate(observation.camera)
-    lens, map_from_camera = estimate.lens, estimate.map_from_camera
-    target = data.targets[observation.robot]
-    prior, distance = None, 3.0
-    if predicted is not None:
-        prior = PosePrior(predicted.map_from_base, predicted.covariance + 1e-10 * np.eye(6))
-        apart = predicted.map_from_base.translation - map_from_camera.translation
-        distance = float(np.linalg.norm(apart))
-    alignment = align(
-        observation,
-        target,
-        lens,
-        map_from_camera,
-        tangent=data.tracks[observation.robot].tangent,
-        prior=prior,
-        extra_sigma_px=_camera_sigma_px(estimate, distance),
-    )
-    if alignment is None or alignment.margin < DECISIVE:
+    camera = filter_state.estimate(observation.camera)
+    lens, map_from_camera = camera.lens, camera.map_from_camera
+    alignment = align_to(data, observation, lens, map_from_camera, camera.covariance, predicted)
+    if alignment is None:
         return None
     read = alignment.read(observation)
     pose = map_from_camera.inverse() @ alignment.map_from_base
-    sound = without_wild_corners(read, target, lens, pose)
+    sound = without_wild_corners(read, data.targets[observation.robot], lens, pose)
     if sound is None:
         return None
     return ReadSighting(sound, alignment.map_from_base, variances, places_robot=predicted is None)
@@ -88,10 +71,3 @@ def first_sighting(
 def is_expected(innovation: Innovation) -> bool:
     """Whether an innovation is one that noise makes (normalised innovation squared)."""
     return innovation.freedom == 0 or is_noise(innovation.chi2, innovation.freedom)
-
-
-def _camera_sigma_px(camera: CameraEstimate, distance_m: float) -> float:
-    """About how many pixels the camera's own uncertainty moves what it sees at a distance."""
-    variances = np.diagonal(camera.covariance)
-    turn, shift = variances[3:].max(), variances[:3].max() / max(distance_m, 0.1) ** 2
-    return float(camera.lens.fx * np.sqrt(turn + shift))

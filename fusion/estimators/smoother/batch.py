@@ -3,12 +3,10 @@
 In goes the data set: observations and the robots' odometry. The association says what happened, the
 solver what follows from it:
 
-- the `state` (cameras, robots, scales), its `solution` and the `assembled` problem behind it;
+- the `state` (cameras, robots, scales), its `solution` and the `problem` behind it;
 - a `Filter` with what is known at the end, which `solve` returns;
 - in the data set's entries: verdicts, outliers, readings, shares, and where the robot stood.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,12 +15,11 @@ from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.estimators.explained_data import explained
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.estimators.smoother import odometry_noise, standstill_noise
-from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.problem import State
+from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.fusion.solver.levenberg_marquardt import Solution
-from trigpoint.fusion.solver.relinearisation import solve_consistently
+from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry.rotation import Array
 
 from .contradicting_sightings import leave_out_contradicting
@@ -37,83 +34,64 @@ _TOLERANCE = 1e-4
 _LITTLE_SPREAD = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """`assembled`, `solution`: None where nothing is located."""
-
-    state: State
-    assembled: Assembled | None
-    solution: Solution | None
-    iterations: int
-
-
 class BatchSolution:
-    """The solution over a data set, redone on demand. Not thread-safe."""
+    """The solution over a data set, redone on demand. Not thread-safe.
+
+    `problem`, `solution`: None where nothing is located.
+    """
 
     def __init__(self, data: DataSet) -> None:
-        self.data = data
-        self._solved = _Solved(data.first_state(), None, None, 0)
+        self.data, self.state = data, data.first_state()
+        self.problem: Problem | None = None
+        self.solution: Solution | None = None
         self.iterations = 0
-
-    @property
-    def state(self) -> State:
-        return self._solved.state
-
-    @property
-    def assembled(self) -> Assembled | None:
-        return self._solved.assembled
-
-    @property
-    def solution(self) -> Solution | None:
-        return self._solved.solution
 
     @property
     def scales(self) -> dict[str, Array]:
         """By robot that is part of the solution its odometry's scale errors (2,)."""
-        chains = self.assembled.problem.chains if self.assembled is not None else {}
+        chains = self.problem.chains if self.problem is not None else {}
         return {robot: self.state.robots[robot].scales for robot in chains}
 
     def solve(self, explanation: Explanation) -> Filter:
         """Solve by an explanation to the end; the estimate then. Where that fails, everything is as
         before."""
         draft, state = explained(self.data, explanation)
-        solved = _solved(draft, state)
-        if solved.assembled is None or solved.solution is None:
-            after = Filter.at_origin(draft)
+        state, solved, iterations = _solved(draft, state)
+        if solved is None:
+            after, self.problem, self.solution = Filter.at_origin(draft), None, None
         else:
-            after = Filter.after(solved.state, solved.assembled.problem, solved.solution.reduced)
-            after = after.spread(_left_open(solved.state, explanation))
+            problem, solution = solved.assembled.problem, solved.solution
+            after = Filter.after(state, problem, solution.reduced)
+            after = after.spread(_left_open(state, explanation))
             _say_earlier(draft, after)
+            self.problem, self.solution = problem, solution
         self.data.take_over(draft)
-        self._solved = solved
-        self.iterations += solved.iterations
+        self.state = state
+        self.iterations += iterations
         return after
 
 
-def _solved(data: DataSet, state: State) -> _Solved:
-    """Solve over what an explanation uses, until its noise is stable."""
-    events, iterations = Events(data.site.fusion.priors), 0
-    found = _Solved(state, None, None, 0)
+def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
+    """Solve over what an explanation uses, until its noise is stable: the state, the last solution
+    (None where nothing is located), and the iterations that all took."""
+    events, solved, iterations = Events(data.site.fusion.priors), None, 0
     for round_ in range(_MOST_ROUNDS):
-        used = data.usable(found.state.cameras)
+        used = data.usable(state.cameras)
         if not used:
-            return _Solved(found.state, None, None, iterations)
-        each = solve_consistently(data, found.state, used, tolerance=_TOLERANCE)
-        iterations += each.iterations
-        found = _Solved(each.state, each.assembled, each.solution, iterations)
-        changed = leave_out_contradicting(data, each.assembled, each.state, events)
+            return state, None, iterations
+        solved = solve_consistently(data, state, used, tolerance=_TOLERANCE)
+        state, iterations = solved.state, iterations + solved.iterations
+        changed = leave_out_contradicting(data, solved.assembled, state, events)
         if round_ < _MOST_LOOKS:
-            changed |= take_back(data, each.assembled, each.state, events)
-        changed |= standstill_noise.share_out(data, each.assembled, each.state)
-        changed |= odometry_noise.learn(data, each.assembled, each.state)
+            changed |= take_back(data, solved.assembled, state, events)
+        changed |= standstill_noise.share_out(data, solved.assembled, state)
+        changed |= odometry_noise.learn(data, solved.assembled, state)
         if not changed:
             break
-    assert found.assembled is not None
-    in_use = found.assembled.problem.layout.pose
-    cameras = {name: camera for name, camera in found.state.cameras.items() if name in in_use}
-    return _Solved(
-        State(cameras, found.state.robots), found.assembled, found.solution, found.iterations
-    )
+    assert solved is not None
+    in_use = solved.assembled.problem.layout.pose
+    cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
+    return State(cameras, state.robots), solved, iterations
 
 
 def _left_open(state: State, explanation: Explanation) -> dict[str, Array]:

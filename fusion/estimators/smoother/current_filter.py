@@ -9,13 +9,12 @@ from dataclasses import dataclass
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.marginals import camera_estimates
+from trigpoint.fusion.estimators.robot_alignment import align_before
 from trigpoint.fusion.model.assembly import true_time_ns
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
-
-from .robot_alignment import align_before
 
 # Corners err together where the lens is known less well than stated: by so much their variance may
 # be more in one place of the picture than in all of it. Beyond that the sighting, the robot or the
@@ -36,15 +35,15 @@ class _Step:
 class CurrentFilter:
     """The filter of one moment. Not thread-safe.
 
-    `known`: None before the first odometry message.
+    `known`: None before the first odometry message; `shares`: (camera, robot) -> stamp and share of
+    the last observation.
     """
 
     def __init__(self, data: DataSet) -> None:
         self.data = data
         self.known: Filter | None = None
         self._steps: list[_Step] = []
-        # (camera, robot) -> stamp and share of the last observation.
-        self._shares: dict[tuple[str, str], tuple[int, float]] = {}
+        self.shares: dict[tuple[str, str], tuple[int, float]] = {}
         # Where each robot is by its odometry since the filter's last step, and by which filter;
         # where scales are estimated, the filter carried on that far.
         self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
@@ -68,15 +67,6 @@ class CurrentFilter:
         for entry in entries:
             self._note_share(entry)
 
-    @property
-    def shares(self) -> dict[tuple[str, str], tuple[int, float]]:
-        """(camera, robot) -> stamp and share of the last observation."""
-        return dict(self._shares)
-
-    def take_shares(self, shares: dict[tuple[str, str], tuple[int, float]]) -> None:
-        """Continue from the shares of another filter."""
-        self._shares = dict(shares)
-
     # -- one observation --------------------------------------------------------------------------
 
     def use(self, entry: Entry) -> RobotEstimate | None:
@@ -84,7 +74,7 @@ class CurrentFilter:
         robot is not located. Where it fails, everything is as before."""
         if not self._is_located(entry.observation):
             return None
-        before = self.known, list(self._steps), dict(self._shares)
+        before = self.known, list(self._steps), dict(self.shares)
         try:
             time_ns = self._moment_of(entry)
             later = self._rewind(entry.observation.robot, time_ns)
@@ -92,7 +82,7 @@ class CurrentFilter:
             for step in later:
                 self._apply(step.entry, step.time_ns)
         except BaseException:
-            self.known, self._steps, self._shares = before
+            self.known, self._steps, self.shares = before
             raise
         return correction
 
@@ -101,11 +91,11 @@ class CurrentFilter:
         contradicts what is known, or came too late."""
         if not self._is_located(entry.observation):
             return None
-        known, steps, shares = self.known, list(self._steps), dict(self._shares)
+        known, steps, shares = self.known, list(self._steps), dict(self.shares)
         try:
             return self._apply(entry, self._moment_of(entry))
         finally:
-            self.known, self._steps, self._shares = known, steps, shares
+            self.known, self._steps, self.shares = known, steps, shares
 
     def _is_located(self, observation: Observation) -> bool:
         known = self.known
@@ -148,7 +138,7 @@ class CurrentFilter:
             entry.observation = entry.observation.judged(Verdict.REJECTED)
             entry.map_from_base = predicted.map_from_base
             return None
-        observation, pose = aligned
+        observation, pose = aligned.read(entry.observation), aligned.map_from_base
         moved = current.advanced(self.data, robot, time_ns, pose)
         entry.share = self._share_before(observation)
         after, surprise = moved.updated(self.data, observation, share=entry.share)
@@ -167,16 +157,16 @@ class CurrentFilter:
     def _share_before(self, observation: Observation) -> float:
         """The share of the same camera's last observation, while the robot stands as it did."""
         pair = observation.camera, observation.robot
-        if pair not in self._shares:
+        if pair not in self.shares:
             return 1.0
-        stamp_ns, share = self._shares[pair]
+        stamp_ns, share = self.shares[pair]
         track = self.data.tracks[observation.robot]
         is_still = track.is_still(*sorted([stamp_ns, observation.stamp_ns]))
         return share if is_still else 1.0
 
     def _note_share(self, entry: Entry) -> None:
         observation = entry.observation
-        self._shares[observation.camera, observation.robot] = (observation.stamp_ns, entry.share)
+        self.shares[observation.camera, observation.robot] = (observation.stamp_ns, entry.share)
 
     # -- where a robot is -------------------------------------------------------------------------
 

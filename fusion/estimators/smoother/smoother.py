@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.association.scales import rough_robots
-from trigpoint.fusion.estimators.change_reports import BEHIND_A_JUMP, report_changes
+from trigpoint.fusion.estimators.change_reports import report_changes
 from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.marginals import joint_covariance
@@ -141,19 +141,10 @@ class Smoother:
         return joint_covariance(self._current.known, list(self.data.site.cameras))
 
     def undetermined(self) -> dict[str, tuple[str, ...]]:
-        placed = self.cameras()
-        return {
-            name: (self._explainer.reason(name) or BEHIND_A_JUMP,)
-            for name in self.data.site.cameras
-            if name not in placed and self.data.of_camera(name)
-        }
+        return self._explainer.undetermined(self.cameras())
 
     def alternatives(self, camera: str) -> tuple[Alternative, ...]:
         return self._explainer.alternatives(camera)
-
-    def is_confirmed(self, camera: str) -> bool:
-        counted = self.count(camera)
-        return counted.sightings - counted.rejected > 1
 
     def count(self, camera: str) -> CameraCount:
         places = self.data.places_of(camera)
@@ -162,21 +153,19 @@ class Smoother:
         used = sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if camera in self._batch.state.cameras else 0
         rms = None
-        if self._batch.assembled is not None:
-            rms = reprojection_rms_px(self._batch.assembled.problem, self._batch.state, camera)
+        if self._batch.problem is not None:
+            rms = reprojection_rms_px(self._batch.problem, self._batch.state, camera)
         return CameraCount(sightings, rejected, rms)
 
     def trajectory(self, robot: str) -> Trajectory | None:
-        track = self.data.tracks[robot]
-        if self._batch.assembled is None or robot not in self._batch.assembled.problem.chains:
+        track, problem = self.data.tracks[robot], self._batch.problem
+        if problem is None or robot not in problem.chains:
             if robot != self.data.anchored_robot or not len(track):
                 return None
             return Trajectory(track.stamps_ns.copy(), track.odom_from_base)
-        chain = self._batch.assembled.problem.chains[robot]
         nodes = self._batch.state.robots[robot].map_from_base
-        return Trajectory(
-            track.stamps_ns.copy(), interpolated(track, chain, nodes, track.stamps_ns)
-        )
+        poses = interpolated(track, problem.chains[robot], nodes, track.stamps_ns)
+        return Trajectory(track.stamps_ns.copy(), poses)
 
     def scales(self, robot: str) -> Array:
         return self._batch.state.robots[robot].scales
@@ -185,20 +174,16 @@ class Smoother:
         return self._batch.state.robots[robot].base_from_face
 
     def guidance_world(self) -> GuidanceWorld | None:
-        assembled = self._batch.assembled
-        if self._current.known is None or assembled is None:
+        known, problem = self._current.known, self._batch.problem
+        if known is None or problem is None:
             return None
-        return GuidanceWorld.of(
-            self.data, self._current.known, assembled.problem, self._batch.state
-        )
+        return GuidanceWorld.of(self.data, known, problem, self._batch.state)
 
     def residuals(self, camera: str) -> CameraResiduals:
-        assembled = self._batch.assembled
-        problem = assembled.problem if assembled is not None else None
-        return camera_residuals(self.data, problem, self._batch.state, camera)
+        return camera_residuals(self.data, self._batch.problem, self._batch.state, camera)
 
     @property
     def chi2_per_dof(self) -> float | None:
-        if self._batch.assembled is None or self._batch.solution is None:
+        if self._batch.problem is None or self._batch.solution is None:
             return None
-        return chi2_per_dof(self._batch.assembled.problem, self._batch.solution)
+        return chi2_per_dof(self._batch.problem, self._batch.solution)

@@ -8,7 +8,7 @@ from drives import Session
 from small_problems import EPOCH_NS, first_state, small_data, true_pose
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.estimators.smoother.robot_alignment import align_before
+from trigpoint.fusion.estimators.robot_alignment import align_before, camera_sigma_px
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet
@@ -230,9 +230,10 @@ def test_estimate_carried_on_twice_is_that_carried_on_once() -> None:
 
 def test_camera_sigma_grows_with_its_turn_and_falls_with_distance(data: DataSet) -> None:
     current = batch_filter(data, len(data.entries))
-    near, far = (current.camera_sigma_px("c1", distance) for distance in (1.0, 4.0))
-    variances = np.diagonal(current.reduced.covariance())[current.reduced.layout.pose["c1"]]
-    turn_px = current.state.cameras["c1"].lens.fx * np.sqrt(variances[3:].max())
+    covariance = current.known.covariance_of(current.layout.pose["c1"])
+    lens = current.state.cameras["c1"].lens
+    near, far = (camera_sigma_px(lens, covariance, distance) for distance in (1.0, 4.0))
+    turn_px = lens.fx * np.sqrt(np.diagonal(covariance)[3:].max())
     assert near > far >= turn_px
     assert isinstance(current.state.cameras["c1"].map_from_camera, Pose)
 
@@ -312,6 +313,6 @@ def test_sighting_is_read_where_the_camera_has_the_robot(
     unread = replace(entry.observation, chosen=None, outliers=())
     found = align_before(smoother.data, wide, unread, predicted)
     assert found is not None
-    assert found[0].chosen == entry.observation.chosen
-    apart = found[1].difference(entry.map_from_base)
+    assert found.readings == entry.observation.chosen
+    apart = found.map_from_base.difference(entry.map_from_base)
     np.testing.assert_allclose(apart, 0.0, atol=0.02)
