@@ -13,11 +13,10 @@ from trigpoint.clock import to_ns
 from trigpoint.config import Site
 from trigpoint.geometry import CameraModel
 from trigpoint.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
-from trigpoint.network import Network
 from trigpoint.target import Target
 
 from .camera_announcements import CameraAnnouncements
-from .estimators.interface import CameraEstimate, Live
+from .estimators.interface import Live
 from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
@@ -357,18 +356,6 @@ class Pipeline:
     def results(self) -> Results:
         """The results as they are known now; see `reports`."""
         return self.reports.results()
-
-    def network(self) -> Network:
-        """The network as it is known now."""
-        return self.results().network
-
-    def cameras(self) -> dict[str, CameraEstimate]:
-        """The located cameras as they are known now."""
-        return self._estimator.cameras()
-
-    def robot(self, robot: str) -> RobotEstimate | None:
-        """The robot at its last odometry message."""
-        return self._estimator.robot(robot)
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or

@@ -126,7 +126,7 @@ def network_of(field: Field, fusion: Program) -> Network:
         if isinstance(message, Odometry):
             pipeline.advance()
     pipeline.finish()
-    return pipeline.network()
+    return pipeline.results().network
 
 
 def check_network(network: Network, expected: Network, fusion: Program) -> None:

@@ -129,7 +129,7 @@ class LocalProblem:
             entries.append(Entry(read.judged(Verdict.ACCEPTED), trial.poses[index]))
         small = replace(self.data, entries=entries)
         state = State({self.camera: camera}, self.data.first_state().robots)
-        return assemble(small, state, list(range(len(entries))), anchored=False, fill=False)
+        return assemble(small, state, list(range(len(entries))), anchored=False)
 
     def _move(self, trial: Trial, solved: "_Solved") -> None:
         robot = solved.state.robots[self.robot]

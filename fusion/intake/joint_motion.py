@@ -57,6 +57,6 @@ def added_chi2(
 def _chi2(data: DataSet, cameras: dict[str, CameraState], entries: list[Entry]) -> float:
     small = replace(data, entries=sorted(entries, key=lambda entry: entry.observation.stamp_ns))
     start = State(cameras, data.first_state().robots)
-    assembled = assemble(small, start, list(range(len(entries))), anchored=False, fill=False)
+    assembled = assemble(small, start, list(range(len(entries))), anchored=False)
     cost = solve(assembled.problem, assembled.start, huber=HUBER_SIGMAS, tolerance=_TOLERANCE).cost
     return cost if np.isfinite(cost) else np.inf

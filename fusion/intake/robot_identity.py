@@ -59,10 +59,10 @@ class RobotIdentification:
     `untold`: how many pictures are not identified; `problem`: why, as text.
     """
 
-    def __init__(self, data: DataSet, budget: Budget | None = None) -> None:
+    def __init__(self, data: DataSet) -> None:
         self._data, self._events = data, Events(data.site.fusion.priors)
-        self._own_budget, self._budget = budget, budget or Budget()
-        self._memory = Memory(self._budget)
+        self._memory = Memory()
+        self._budget = self._memory.budget
         self._open: dict[str, list[Picture]] = {}
         self._closed: list[tuple[str, list[Picture]]] = []
         self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)
@@ -80,8 +80,7 @@ class RobotIdentification:
         as long as anyone waits for, or of all visits at the end. The longer they are, the better
         and the quicker they tell: whoever has the time asks at the end alone."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
-        if self._own_budget is None:
-            self._budget.allowed = Budget.of(tracks, share=ALIKE_SHARE).allowed
+        self._budget.allowed = Budget.of(tracks, share=ALIKE_SHARE).allowed
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
             is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns

@@ -68,7 +68,7 @@ class Standstills:
             kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)
             found = self._found[camera, robots] = _Standstill(stamp_ns, views, kept)
         found.last_ns = max(found.last_ns, stamp_ns)
-        new = tuple(v for v in views if not any(_shows(v, w) for w in found.views))
+        new = tuple(v for v in views if not any(_common(v, w) for w in found.views))
         has_moved = any(v not in new and not _is_alike(v, found.views) for v in views)
         count = 0 if has_moved or new or not have_stood else found.count
         if count >= MOST_ALIKE or not found.kept.takes(stamp_ns, stamp_ns):
@@ -102,14 +102,9 @@ class Standstills:
 _Rows = np.ndarray | slice
 
 
-def _shows(view: View, other: View) -> bool:
-    """Whether two views can be compared: of one face, with corners in common."""
-    return _common(view, other) is not None
-
-
 def _common(view: View, other: View) -> tuple[_Rows, _Rows] | None:
-    """Where each of two views has the corners that both have; None where they cannot be
-    compared."""
+    """Where each of two views has the corners that both have; None where they cannot be compared:
+    of two faces, or with hardly a corner in common."""
     if view.readings != other.readings:
         return None
     least = min(_LEAST_CORNERS, len(view.corners))

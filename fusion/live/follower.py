@@ -181,11 +181,6 @@ class Follower:
         self._told += 1
 
     @property
-    def count(self) -> int:
-        """How many observations came."""
-        return self._told + sum(recent.number is None for recent in self._recent)
-
-    @property
     def is_idle(self) -> bool:
         """Whether the solver has answered everything."""
         return not self._asked or self.is_answered

@@ -33,12 +33,13 @@ class Assembled:
 
 
 def assemble(
-    data: DataSet, state: State, entries: list[int], *, anchored: bool = True, fill: bool = True
+    data: DataSet, state: State, entries: list[int], *, anchored: bool = True
 ) -> Assembled:
     """The problem over these entries of the data set and all cameras that they name.
 
     `state` gives the cameras, scales and faces to start from; `anchored`: the map is fixed by the
-    first robot's odometry or by the known cameras, else by the first node (a camera alone).
+    first robot's odometry or by the known cameras, and every way between is worked out with the
+    rest; else by the first node (a camera alone).
     """
     cameras = _cameras_of(data, state, entries, anchored=anchored)
     by_robot: dict[str, list[int]] = defaultdict(list)
@@ -47,7 +48,7 @@ def assemble(
     chains, nodes, node_of = {}, {}, {}
     for robot in data.site.robots:
         if robot in by_robot:
-            chain = _chain(data, state, robot, by_robot[robot], anchored=anchored, fill=fill)
+            chain = _chain(data, state, robot, by_robot[robot], anchored=anchored)
             chains[robot], nodes[robot] = chain.chain, chain.poses
             node_of |= chain.node_of
     start = State(
@@ -95,7 +96,7 @@ class _BuiltChain:
 
 
 def _chain(
-    data: DataSet, state: State, robot: str, entries: list[int], *, anchored: bool, fill: bool
+    data: DataSet, state: State, robot: str, entries: list[int], *, anchored: bool
 ) -> _BuiltChain:
     track, scales = data.tracks[robot], state.robots[robot].scales
     is_first = anchored and robot == data.anchored_robot
@@ -104,7 +105,7 @@ def _chain(
     )
     times = np.clip(times, track.first_ns, track.last_ns)
     moments = np.unique(np.concatenate([times, [track.first_ns]]) if is_first else times)
-    if fill:
+    if anchored:
         moments = _filled(moments, track)
     group = np.zeros(len(moments), dtype=int)
     motion = None

@@ -32,7 +32,6 @@ class Elimination(Protocol):
 
     information: Array
     gradient: Array
-    log_determinant: float  # of A
 
     def nodes(self, dense_step: Array) -> Array:
         """The nodes' step (n, d) that belongs to a step of the dense part."""
@@ -65,7 +64,6 @@ class BandElimination:
         coupling = equations.coupling.reshape(n * d, -1)
         right = np.column_stack([equations.gradient.reshape(-1), coupling])
         factor = cholesky_banded(band, lower=True)
-        self.log_determinant = 2 * float(np.sum(np.log(factor[0])))
         self._solved = cho_solve_banded((factor, True), right)
         reduction = coupling.T @ self._solved
         self.information, self.gradient = -reduction[:, 1:], -reduction[:, 0]
@@ -99,10 +97,8 @@ class NestedElimination:
             )
         except RuntimeError as reason:
             raise LinAlgError(str(reason)) from None
-        pivots = self._factors.U.diagonal()[:inner]
-        if np.any(pivots <= 0):
+        if np.any(self._factors.U.diagonal()[:inner] <= 0):
             raise LinAlgError("a chain's information is not positive definite")
-        self.log_determinant = float(np.sum(np.log(pivots)))
         lower, upper = self._factors.L[inner:, inner:], self._factors.U[inner:, inner:]
         self._left = lower.toarray() @ upper.toarray()
         self.information = self._left[:size, :size] - border

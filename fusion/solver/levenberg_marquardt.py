@@ -25,13 +25,11 @@ _DAMPING_END = 1e8
 
 @dataclass(frozen=True, slots=True)
 class Reduced:
-    """The dense part after the chains are eliminated: information and gradient at a state;
-    `log_determinant`: of what was eliminated."""
+    """The dense part after the chains are eliminated: information and gradient at a state."""
 
     layout: Layout
     information: Array
     gradient: Array
-    log_determinant: float = 0.0
 
     def covariance(self) -> Array:
         """Joint covariance of the dense part; infinite where nothing determines it."""
@@ -108,9 +106,8 @@ def minimise(
 
 def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
     """Eliminate the chains."""
-    information, gradient, chains = eliminate(equations, 0.0)
-    eliminated_ = sum(chain.log_determinant for chain in chains.values())
-    return Reduced(problem.layout, information, gradient, eliminated_ + equations.log_determinant)
+    information, gradient, _ = eliminate(equations, 0.0)
+    return Reduced(problem.layout, information, gradient)
 
 
 def covariance_of(information: Array) -> Array:

@@ -127,7 +127,6 @@ def _solved(
         State({camera: trial}, state.robots),
         list(range(len(entries))),
         anchored=False,
-        fill=False,
     )
     solution = solve(assembled.problem, assembled.start, huber=HUBER_SIGMAS, tolerance=1e-3)
     if not np.isfinite(solution.cost):

@@ -314,7 +314,7 @@ def test_checkpoint_of_a_standstill_is_bounded_and_gives_the_same_map(
         run.feed(standing.messages[middle:])
     run.fusion.finish()
     network = load_network(second)
-    for name, record in standing_bounded.network().cameras.items():
+    for name, record in standing_bounded.results().network.cameras.items():
         assert_same_place(network.cameras[name], record)
     keys = [key for key, _ in read_checkpoint(second / "checkpoint.bin")]
     seen = sum(

@@ -222,7 +222,7 @@ def test_sighting_that_came_out_of_order_gives_what_it_gives_in_order(charuco: S
         for node, message in (*kept, *reversed(late)):
             pipeline.push(node, message)
             pipeline.advance()
-        ends.append(pipeline.robot("r1"))
+        ends.append(pipeline._estimator.robot("r1"))
     in_order, out_of_order = ends
     assert in_order is not None
     assert out_of_order is not None

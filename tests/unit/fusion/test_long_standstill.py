@@ -62,7 +62,7 @@ def test_live_a_standstill_is_bounded_has_corrections_and_ends_where_batch_ends(
             drives_ns - to_ns(15.0),
             drives_ns,
         ):
-            known.append(np.diagonal(pipeline.cameras()["c1"].covariance))
+            known.append(np.diagonal(pipeline._estimator.cameras()["c1"].covariance))
             assert len(solver.data.entries) <= MOST_ALIKE
             assert len(solver.data.tracks["r1"]) < MOST_STANDING + 50
     pipeline.finish()

@@ -111,7 +111,7 @@ def test_robot_is_placed_by_the_first_sighting_of_a_known_camera(
     stamp_ns = session.messages[first][1].stamp_ns  # pyright: ignore[reportAttributeAccessIssue]
     few = [item for item in session.messages[: first + 20] if isinstance(item[1], Odometry)]
     pipeline = pushed(session.inputs, (*few, session.messages[first]))
-    found = pipeline.robot("r1")
+    found = pipeline._estimator.robot("r1")
     assert found is not None
     moment = found.stamp_ns
     assert moment >= stamp_ns

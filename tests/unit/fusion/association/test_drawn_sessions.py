@@ -52,7 +52,7 @@ def located_of(
     session = composed_session(kind, seed)
     recording = open_recording(write_composition(session, folder))
     pipeline = worked_out(recording, session_inputs(recording, site=None, network=None))
-    return pipeline.cameras(), session.last_places()
+    return pipeline._estimator.cameras(), session.last_places()
 
 
 def assert_where_they_say(located: dict[str, CameraEstimate], places: dict[str, Pose]) -> None:

@@ -8,7 +8,6 @@ from drives import Plan, RobotPlan, Way, circle, lab_cameras, make_session, obse
 from msgspec import structs
 
 from trigpoint.clock import to_ns
-from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
@@ -89,7 +88,8 @@ def test_runs_end_where_nobody_was_seen_for_long() -> None:
 def test_once_the_budget_is_spent_no_robot_is_told_and_it_is_said() -> None:
     data = beside(circle())
     pictures = seen_of(data, "r1")
-    identification = RobotIdentification(data, Budget(0.0))
+    identification = RobotIdentification(data)
+    identification._budget.spent = np.inf
     for picture in pictures:
         identification.add("c1", picture.stamp_ns, picture.faces)
     assert not identification.ready(is_end=True)

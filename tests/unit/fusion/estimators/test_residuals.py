@@ -47,7 +47,9 @@ def test_residuals_are_as_large_as_the_stated_noise(solved: Pipeline) -> None:
 def test_rms_is_that_of_the_network(solved: Pipeline) -> None:
     for name, found in solved.residuals().items():
         rms = np.sqrt(np.mean(found.residual_px[found.used] ** 2))
-        assert rms == pytest.approx(solved.network().cameras[name].reprojection_rms, rel=1e-6)
+        assert rms == pytest.approx(
+            solved.results().network.cameras[name].reprojection_rms, rel=1e-6
+        )
 
 
 def test_wild_corner_is_not_used_and_keeps_its_residual(solved: Pipeline) -> None:
@@ -59,7 +61,7 @@ def test_wild_corner_is_not_used_and_keeps_its_residual(solved: Pipeline) -> Non
 
 def test_rejected_sightings_are_counted_as_in_the_network(solved: Pipeline) -> None:
     for name, found in solved.residuals().items():
-        record = solved.network().cameras[name]
+        record = solved.results().network.cameras[name]
         assert found.rejected == record.rejected
         assert found.used_sightings + found.rejected + found.pending == record.sightings
     assert solved.residuals()["c2"].rejected >= 1

@@ -133,7 +133,7 @@ def visited(drive: Drive, map_from_base: Pose, worst: str) -> tuple[float, set[s
         messages.append((node, message))
     feed(pipeline, tuple(messages))
     pipeline.finish()
-    covariance = pipeline.cameras()[worst].covariance
+    covariance = pipeline._estimator.cameras()[worst].covariance
     return float(np.sqrt(np.trace(covariance[:3, :3]))), seen
 
 

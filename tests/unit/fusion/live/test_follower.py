@@ -114,7 +114,7 @@ def test_late_sighting_is_put_in_its_place_where_much_is_known(
         driven(early, kept[:until])
         early.push("c1", held)
         early.advance()
-        ends.append(early.robot("r1"))
+        ends.append(early._estimator.robot("r1"))
     assert ends[0] is not None
     assert ends[1] is not None
     np.testing.assert_allclose(ends[0].covariance, ends[1].covariance, rtol=1e-6, atol=1e-12)

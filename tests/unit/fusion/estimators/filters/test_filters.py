@@ -97,7 +97,7 @@ def test_way_of_the_robot_is_there_at_every_odometry_message(
 def test_the_same_seed_gives_the_same_bytes_and_another_one_draws_anew(drive: Session) -> None:
     part = drive.messages[: len(drive.messages) // 3]
     first, again, other = (
-        encode_network(pushed(by(drive.inputs, "particle", seed=seed), part).network())
+        encode_network(pushed(by(drive.inputs, "particle", seed=seed), part).results().network)
         for seed in (0, 0, 1)
     )
     assert first == again
@@ -110,7 +110,7 @@ def test_revisit_shrinks_what_is_not_known_of_the_robot(drive: Session) -> None:
     for node, message in drive.messages:
         pipeline.push(node, message)
         pipeline.advance()
-        robot = pipeline.robot("r1")
+        robot = pipeline._estimator.robot("r1")
         if isinstance(message, Odometry) and robot is not None:
             sigmas[message.stamp_ns] = float(np.sqrt(np.trace(robot.covariance[:3, :3])))
     first = [
@@ -158,7 +158,7 @@ def test_particles_are_said_for_the_robot_alone_by_the_particle_filter(
     assert {node for node, _ in clouds} == {"r1"}
     seconds = (arrivals[-1][0] - EPOCH_NS) / 1e9
     assert len(clouds) == pytest.approx(2 * seconds, abs=2)
-    robot = pipeline.robot("r1")
+    robot = pipeline._estimator.robot("r1")
     assert robot is not None
     poses = clouds[-1][1].poses
     assert clouds[-1][1].frame_id == "map"

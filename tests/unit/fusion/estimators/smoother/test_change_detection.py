@@ -94,7 +94,7 @@ def test_moved_camera_is_relocated_and_its_old_place_kept(seed: int) -> None:
     assert pipeline.left_out["camera_moved"] == 1
     assert "c2 was moved" in pipeline.last_problem
     assert " s of the session" in pipeline.last_problem
-    record = pipeline.network().cameras["c2"]
+    record = pipeline.results().network.cameras["c2"]
     (earlier,) = record.earlier
     assert EPOCH_NS + to_ns(20.0) < int(earlier.until) < EPOCH_NS + to_ns(25.0)
     old = make_session(lab(seed)).plan.cameras["c2"].map_from_camera
@@ -113,7 +113,7 @@ def test_known_camera_that_was_moved_is_noticed() -> None:
     pipeline = pushed(inputs, session.messages)
     assert_honest(session, pipeline)
     assert pipeline.left_out["camera_moved"] == 1
-    assert len(pipeline.network().cameras["c2"].earlier) == 1
+    assert len(pipeline.results().network.cameras["c2"].earlier) == 1
 
 
 @pytest.mark.parametrize("seed", [1])
