@@ -8,7 +8,7 @@ import numpy as np
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import PARTS
-from trigpoint.fusion.model.prediction import base_jacobian, batch_jacobian, odometry_terms
+from trigpoint.fusion.model.prediction import batch_jacobians, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
 
@@ -68,8 +68,7 @@ def linearised(
     if chain.motion is None:
         return None
     columns = _columns(problem, batch, len(chain.tangent) * (len(chain) - 1))
-    jacobian, residual, names = batch_jacobian(problem, batch, state)
-    by_base = base_jacobian(problem, batch, state)
+    jacobian, residual, names, by_base = batch_jacobians(problem, batch, state)
     d, shifts, own, by_unknowns, kept = len(chain.tangent), [], [], [], []
     for number, (row, part) in enumerate(parts):
         corners = slice(None) if part is None else part

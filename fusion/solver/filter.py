@@ -23,7 +23,6 @@ from trigpoint.fusion.model.problem import (
     Layout,
     Priors,
     Problem,
-    RobotState,
     State,
     layout_of,
 )
@@ -216,12 +215,9 @@ class Filter:
             -inverse @ terms.residual[0],
             inverse @ inverse.T,
         )
-        return Filter(
-            self._with(robot, replace(before, map_from_base=Pose.stack([guess]))),
-            self.stamps_ns | {robot: stamp_ns},
-            self.layout,
-            moved,
-        )
+        there = replace(before, map_from_base=Pose.stack([guess]))
+        state = State(self.state.cameras, self.state.robots | {robot: there})
+        return Filter(state, self.stamps_ns | {robot: stamp_ns}, self.layout, moved)
 
     def updated(
         self, data: DataSet, observation: Observation, *, share: float = 1.0
@@ -251,9 +247,6 @@ class Filter:
         after, whitened = self.known.updated(where, factor, compressed)
         left_over = residual @ residual - compressed @ compressed
         return replace(self, source=after), float(left_over + whitened @ whitened)
-
-    def _with(self, robot: str, state: RobotState) -> State:
-        return State(self.state.cameras, self.state.robots | {robot: state})
 
 
 def is_placed(covariance: Array) -> bool:
