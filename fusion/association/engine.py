@@ -34,7 +34,7 @@ def explain(
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     memory.budget = budget or Budget.of(data.tracks.values(), share=_share(data))
     memory.budget.spend_reading(views=sum(len(each.views) for each in observations))
-    data = replace(data, tracks={n: track.broken(()) for n, track in data.tracks.items()})
+    data = replace(data, tracks={n: track.mended() for n, track in data.tracks.items()})
     data = with_learnt_scales(data, observations, events, memory)
     corner_scale, noises = learnt_noise(data, observations, events, memory)
     seen = [memory.scattering(o, corner_scale[o.camera]) for o in observations]

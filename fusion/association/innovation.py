@@ -61,7 +61,7 @@ class Stood:
 
 
 def innovation_excess(
-    corners: Corners, covariance: Array, events: Events, *, is_used: bool, rest: float = 0.0
+    corners: Corners, covariance: Array, events: Events, *, is_used: bool, rest: float
 ) -> float:
     """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
     else makes the pose that a sighting shows by itself, over that of a wrong one: of a board

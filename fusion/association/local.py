@@ -67,7 +67,7 @@ class LocalProblem:
     def mode_near(
         self,
         start: CameraState,
-        wrong: dict[int, tuple[bool, ...]] | None = None,
+        wrong: dict[int, tuple[bool, ...]],
         most_wrong: int | None = None,
     ) -> Mode | None:
         """The mode that a camera near `start` leads to; None where nothing fits.
@@ -75,8 +75,7 @@ class LocalProblem:
         `wrong`: by index, which views the start takes to be wrong; `most_wrong`: with more wrong
         ones than this it is given up once it had time to take them back.
         """
-        first = {index: list(row) for index, row in (wrong or {}).items()}
-        trial = Trial(first, dict(self.poses))
+        trial = Trial({index: list(row) for index, row in wrong.items()}, dict(self.poses))
         camera, seen, settled = start, set[tuple[object, ...]](), None
         for round_ in range(_MOST_ROUNDS):
             trial.read(self.observations, self.target, camera)

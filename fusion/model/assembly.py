@@ -234,7 +234,8 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
     fusion = site.fusion
     moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
     known = data.known if anchored else KnownCameras.none()
-    owners = {name: _first(data.places_of(data.site_camera(name)), cameras) for name in cameras}
+    places = {name: data.places_of(data.site_camera(name)) for name in cameras}
+    owners = {name: next(each for each in places[name] if each in cameras) for name in cameras}
     configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}
     return Priors(
         owners=owners,
@@ -261,10 +262,6 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
         cameras=known.poses,
         camera_information=known.information,
     )
-
-
-def _first(names: list[str], present: list[str]) -> str:
-    return next(name for name in names if name in present)
 
 
 def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:

@@ -192,7 +192,7 @@ class DataSet:
         is taken over."""
         poses = {self.site_camera(name): pose for name, pose in self.known.poses.items()}
         tracks = {
-            name: self.tracks[name].broken(()).noisy(robot.odometry, slip=SLIP, skid=0.0)
+            name: self.tracks[name].mended().noisy(robot.odometry, slip=SLIP, skid=0.0)
             for name, robot in self.site.robots.items()
         }
         known = KnownCameras(poses, self.known.information)

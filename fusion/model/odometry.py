@@ -224,13 +224,11 @@ class OdometryTrack:
         self._jump_rows = [r + (r >= row) for r in self._jump_rows]
         self._broken_rows = [r + (r >= row) for r in self._broken_rows]
 
-    def broken(self, breaks: Iterable[tuple[int, int]]) -> "OdometryTrack":
-        """The same odometry so far, broken between these pairs of moments and nowhere else."""
+    def mended(self) -> "OdometryTrack":
+        """The same odometry so far without a break, to be broken where that is thought now."""
         track = copy.copy(self)
         track._jumps, track._jump_rows = self._jumps.copy(), list(self._jump_rows)
         track.mend()
-        for after_ns, before_ns in breaks:
-            track.break_between(after_ns, before_ns)
         return track
 
     def noisy(self, noise: OdometryNoise, *, slip: float, skid: float) -> "OdometryTrack":

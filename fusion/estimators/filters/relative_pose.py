@@ -87,7 +87,7 @@ def without_wild_corners(
 
     None where too many are wild, or nothing is left to fit.
     """
-    points = points_of(observation.read_as(_readings(observation)), target)
+    points = points_of(observation.with_outliers(()), target)
     found = projected(lens, camera_from_base, points.in_base(base_from_faces(target)))
     if not np.all(found.is_ahead):
         return None
@@ -105,11 +105,6 @@ def without_wild_corners(
         if (~kept).sum() > most:
             return None
     return None
-
-
-def _readings(observation: Observation):
-    assert observation.chosen is not None  # it was aligned
-    return observation.chosen
 
 
 def _unexplained(jacobian: Array, residual: Array, kept: np.ndarray) -> Array:
