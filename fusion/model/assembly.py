@@ -38,8 +38,8 @@ def assemble(
     """The problem over these entries of the data set and all cameras that they name.
 
     `state` gives the cameras, scales and faces to start from; `anchored`: the map is fixed by the
-    first robot's odometry or by the known cameras, and every way between is worked out with the
-    rest; else by the first node (a camera alone).
+    first robot's odometry or by the known cameras, and long ways between sightings have nodes of
+    their own; else by the first node (a camera alone).
     """
     cameras = _cameras_of(data, state, entries, anchored=anchored)
     by_robot: dict[str, list[int]] = defaultdict(list)
