@@ -20,9 +20,10 @@ def report_changes(data: DataSet, state: State) -> None:
 
 def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
     robots = " or ".join(dict.fromkeys(lift.robot for lift in lifts))
+    first_ns, last_ns = min(lift.after_ns for lift in lifts), max(lift.before_ns for lift in lifts)
     text = (
-        f"robot {robots} was put down elsewhere {_between(data, lifts)} while its odometry showed "
-        "nothing; its way is broken there, and it is located anew"
+        f"robot {robots} was put down elsewhere {_span(data, first_ns, last_ns)} while its "
+        "odometry showed nothing; its way is broken there, and it is located anew"
     )
     if len(lifts) > 1:
         text += "; a camera that it met only in between has no place until it drives there again"
@@ -41,11 +42,6 @@ def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
         f"camera {move.camera} was moved{by} {_span(data, move.until_ns, move.since_ns)}; it is "
         "located anew, and what it saw before stays with its earlier place"
     )
-
-
-def _between(data: DataSet, lifts: list[Lift]) -> str:
-    first, last = min(lift.after_ns for lift in lifts), max(lift.before_ns for lift in lifts)
-    return _span(data, first, last)
 
 
 def _span(data: DataSet, first_ns: int, last_ns: int) -> str:

@@ -8,7 +8,7 @@ from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
-from trigpoint.fusion.model.problem import Batch, Layout, Problem, State
+from trigpoint.fusion.model.problem import Layout, Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
@@ -109,14 +109,9 @@ class GuidanceWorld:
 
 def _views(problem: Problem, state: State, camera: str) -> CameraViews:
     mine = [batch for batch in problem.batches if batch.camera == camera]
-    places = [state.robots[b.robot].map_from_base.translation[b.nodes] for b in mine]
-    weights = [_corner_weights(batch) for batch in mine]
     if not mine:
         return CameraViews(np.zeros((0, 3)), 1.0)
+    places = [state.robots[b.robot].map_from_base.translation[b.nodes] for b in mine]
+    # 1/sigma of the used corners, their observations' shares taken out.
+    weights = [(b.weights / np.sqrt(b.shares)[:, None])[b.weights > 0] for b in mine]
     return CameraViews(np.concatenate(places), float(1 / np.median(np.concatenate(weights))))
-
-
-def _corner_weights(batch: Batch) -> Array:
-    """1/sigma of the used corners, their observations' shares taken out."""
-    weights = batch.weights / np.sqrt(batch.shares)[:, None]
-    return weights[weights > 0]
