@@ -19,7 +19,7 @@ from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
-from trigpoint.terminal import Progress, table
+from trigpoint.terminal import Progress, table, waiting
 from trigpoint.tools.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.calibration_report import REPORT, write_report
 from trigpoint.tools.truth import NetworkError, load_truth, network_error
@@ -121,6 +121,7 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
             if isinstance(message, Odometry):
                 pipeline.advance()
             progress.step()
+    with waiting("calibrate: working out what happened"):
         pipeline.finish()
     for reason, count in sorted(pipeline.left_out.items()):
         typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)

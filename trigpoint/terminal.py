@@ -6,8 +6,10 @@ is imported only when needed: half of the commands never use it.
 
 import io
 import sys
+import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -65,29 +67,50 @@ class Progress:
             return
         self._due_s = now_s + _PERIOD_S
         if self._bar is None:
-            self._bar = self._started()
+            self._bar = _started(self._what, self._total)
         task = self._bar.tasks[0].id
         self._bar.update(task, completed=self._done, refresh=True)
-
-    def _started(self) -> "Bar":
-        from rich.console import Console
-        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
-        from rich.progress import Progress as Bar
-
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-        bar = Bar(
-            *columns,
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-            transient=True,
-            auto_refresh=False,  # refreshed by `step`, without a thread of its own
-        )
-        bar.add_task(self._what, total=self._total)
-        bar.start()
-        return bar
 
     def close(self) -> None:
         """Remove the line."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
+
+
+@contextmanager
+def waiting(what: str) -> Iterator[None]:
+    """A line that moves and says how long it has been, from the third second on, while something
+    is done of which nobody knows how far it is; nothing if standard error is not a terminal."""
+    bars: list[Bar] = []
+    timer = threading.Timer(_QUIET_S, lambda: bars.append(_started(what, None)))
+    if sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if timer.is_alive():
+            timer.join()
+        for bar in bars:
+            bar.stop()
+
+
+def _started(what: str, total: float | None) -> "Bar":
+    """A line on the terminal; one without a total is refreshed by a thread of its own."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = [TextColumn("{task.description}"), BarColumn()]
+    bar = Bar(
+        *columns,
+        *([TaskProgressColumn()] if total is not None else []),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        auto_refresh=total is None,
+    )
+    bar.add_task(what, total=total)
+    bar.start()
+    return bar

@@ -25,10 +25,11 @@ _STEP = 1200.0
 _CORNER = 1.2
 _AROUND = 3
 # Of where hypotheses put everything: those of one layout together, each of them, and a number of a
-# dense factor's arithmetic.
+# dense factor's arithmetic, or an unknown of a sparse one.
 _LAYOUT = 8000.0
 _PLACED = 300.0
 _NUMBER = 0.0004
+_UNKNOWN = 5.0
 # Of starts: a way to read a sighting by itself, and a pair of those.
 _WAY = 1000.0
 _PAIR = 6.0
@@ -83,7 +84,7 @@ class Budget:
     def spend_placing(self, *, layouts: int, unknowns: Iterable[int]) -> None:
         """Note hypotheses that are placed, of so many layouts; `unknowns`: of each."""
         self.spent += _LAYOUT * layouts
-        self.spent += sum(_PLACED + _NUMBER * count**3 for count in unknowns)
+        self.spent += sum(_PLACED + min(_NUMBER * n**3, _UNKNOWN * n) for n in unknowns)
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
         """Note a search for starts among so many ways to read sightings."""

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
@@ -20,6 +19,7 @@ from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .equations import Factor
 from .events import Events
 from .mode import Mode
 from .modes import VisitModes, odometry_poses
@@ -58,20 +58,17 @@ class Layout:
 @dataclass(frozen=True, slots=True)
 class Placed:
     """A graph at its minimum: `score`; `nodes`: by robot its poses at its visits; `places`: where
-    cameras are; `factor`: the lower Cholesky factor of the information, rows as in `layout`."""
+    cameras are; `factor`: of the information, rows as in `layout`."""
 
     score: float
     nodes: dict[str, Pose]
     places: dict[Place, Pose]
     layout: Layout
-    factor: Array
+    factor: Factor
 
     def covariance(self, rows: np.ndarray) -> Array:
         """(k, k) of these unknowns."""
-        unit = np.zeros((self.layout.size, len(rows)))
-        unit[rows, np.arange(len(rows))] = 1.0
-        half = solve_triangular(self.factor, unit, lower=True, check_finite=False)
-        return half.T @ half
+        return self.factor.covariance(rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +151,15 @@ class Graph:
             int(np.searchsorted(self.paths[v.visit.robot].stamps_ns, _moment(data, v)))
             for v in visits
         ]
+        self._begin_at: dict[tuple[str, int], list[int]] = {}
+        for number, (found, node) in enumerate(zip(visits, self.node_of, strict=True)):
+            self._begin_at.setdefault((found.visit.robot, node), []).append(number)
         self._across: dict[Break, Across | None] = {}
         self._clocks = [_clock(data, v) for v in visits]
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
+        self._own_values = [
+            np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
+        ]
         self._covariance = [np.linalg.inv(one)[:, :6, :6] for _, one in self._relative]
         self.own_prior = {
             camera: prior
@@ -181,6 +184,10 @@ class Graph:
         """base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
         return self._relative[number]
 
+    def own_values(self, number: int) -> Array:
+        """What a visit's modes say of its camera's own unknowns, (k, o)."""
+        return self._own_values[number]
+
     def spread(self, number: int) -> Array:
         """The covariance (k, 6, 6) of where a visit's modes put the camera, in the robot's axes."""
         return self._covariance[number]
@@ -203,7 +210,7 @@ class Graph:
         robot, step = gap
         path, found = self.paths[robot], self.visits[number]
         begin, end = path.stamps_ns[step : step + 2].tolist()
-        first, last = self._numbers_at(robot, step), self._numbers_at(robot, step + 1)
+        first, last = (self._begin_at.get((robot, node), []) for node in (step, step + 1))
         before = [
             one
             for one in found.right
@@ -227,14 +234,6 @@ class Graph:
         (whole,) = path.track.motion(moments, np.zeros(2)).covariance
         covariance = whole[np.ix_(path.tangent, path.tangent)] + HELD**2 * np.eye(len(path.tangent))
         return Across(motion, covariance, float(error @ np.linalg.solve(covariance, error)))
-
-    def _numbers_at(self, robot: str, node: int) -> list[int]:
-        """The visits that begin at a robot's node."""
-        return [
-            n
-            for n, v in enumerate(self.visits)
-            if v.visit.robot == robot and self.node_of[n] == node
-        ]
 
     def _precedes(self, first: int, first_ns: int, second: int, second_ns: int) -> bool:
         """Whether what one visit's camera stamped is surely not after what another's did."""

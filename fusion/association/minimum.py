@@ -5,6 +5,7 @@ problems is spent in saying what to compute.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
 
-from .graph import HELD, Graph, Layout, Place, Placed, RobotPath, Variant, own_values
+from .equations import Equations, Factor, Pattern
+from .graph import HELD, Graph, Layout, Place, Placed, RobotPath, Variant
 
 _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
@@ -60,6 +62,47 @@ def _minima(
         return [each for part in parts for each in _minima(graph, layout, shape, part)]
 
 
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Equations of k groups of m unknowns: `hessian` (b, k, m, m), `gradient` (b, k, m), and
+    `cost` (b,), all of it."""
+
+    hessian: Array
+    gradient: Array
+    cost: Array
+
+
+def _block(jacobian: Array, residual: Array, information: Array) -> _Block:
+    """Of residuals (b, k, r) with their derivatives (b, k, r, m) and information (b, k, r, r)."""
+    weighted = np.swapaxes(jacobian, -1, -2) @ information
+    gradient = (weighted @ residual[..., None])[..., 0]
+    cost = np.einsum("bki,bkij,bkj->b", residual, information, residual)
+    return _Block(weighted @ jacobian, gradient, cost)
+
+
+def _prior(error: Array, information: Array) -> _Block:
+    """Of errors (b, m) of the unknowns themselves, with their information (m, m)."""
+    shape = len(error), 1, *information.shape
+    jacobian = np.broadcast_to(np.eye(error.shape[-1]), shape)
+    return _block(jacobian, error[:, None], np.broadcast_to(information, shape))
+
+
+@dataclass(frozen=True, slots=True)
+class _Ties:
+    """The ties (k) of one robot to cameras with o unknowns of their own, of b variants: nodes,
+    places and `cameras` (k,) by number; what each says, base_from_camera (b, k), of the camera's
+    own unknowns (b, k, o), and its information (b, k, 6 + o, 6 + o); `rows` (k, d + 6 + o)."""
+
+    robot: str
+    nodes: np.ndarray
+    places: np.ndarray
+    cameras: list[str]
+    relative: Pose
+    own: Array
+    information: Array
+    rows: np.ndarray
+
+
 class _Minimum:
     """Gauss-Newton over graphs of one layout; arrays lead with the variants (b)."""
 
@@ -85,75 +128,104 @@ class _Minimum:
         }
         for order, (camera, _) in enumerate(self.keys):
             if camera in self.own:
-                self.own[camera] = self._own_values(order)
+                self.own[camera] = graph.own_values(self.numbers[order])[self.modes[:, order]]
+        self.ties = self._tied()
+        self.pattern = Pattern(layout.size, self._rows())
 
-    def _start_places(self) -> dict[Place, Pose]:
-        places = {(camera, 0): pose for camera, pose in self.graph.data.known.poses.items()}
-        found = {key: pose.repeated(len(self.variants)) for key, pose in places.items()}
+    def _start_places(self) -> Pose:
+        """(b, p), in the order of the layout."""
+        known, count = self.graph.data.known.poses, len(self.variants)
+        first: dict[Place, int] = {}
         for order, key in enumerate(self.keys):
-            if key in found:
+            first.setdefault(key, order)
+        found = []
+        for key in self.layout.places:
+            if key[1] == 0 and key[0] in known:
+                found.append(known[key[0]].repeated(count))
                 continue
-            seen = self._nodes_of(order) @ self._relative(order)[0]
             near = [v.near.places.get(key) if v.near is not None else None for v in self.variants]
-            chosen = [there or seen[row] for row, there in enumerate(near)]
-            found[key] = Pose.stack(chosen)
-        return found
+            if None in near:
+                seen = self._seen_from_nodes(first[key])
+                near = [there or seen[row] for row, there in enumerate(near)]
+            found.append(Pose.stack([there for there in near if there is not None]))
+        rotations = np.array([pose.rotation for pose in found]).reshape(-1, count, 3, 3)
+        translations = np.array([pose.translation for pose in found]).reshape(-1, count, 3)
+        return Pose(rotations.swapaxes(0, 1).copy(), translations.swapaxes(0, 1).copy())
 
-    def _nodes_of(self, order: int) -> Pose:
-        """Where the robot of a tie was, (b)."""
+    def _seen_from_nodes(self, order: int) -> Pose:
+        """Where a tie puts its camera, (b)."""
         number = self.numbers[order]
         nodes = self.nodes[self.graph.visits[number].visit.robot]
         node = self.graph.node_of[number]
-        return Pose(nodes.rotation[:, node], nodes.translation[:, node])
+        base = Pose(nodes.rotation[:, node], nodes.translation[:, node])
+        return base @ self.graph.relative(number)[0][self.modes[:, order]]
 
-    def _relative(self, order: int) -> tuple[Pose, Array]:
-        """What a tie says: base_from_camera (b) and its information (b, q, q)."""
-        seen, information = self.graph.relative(self.numbers[order])
-        return seen[self.modes[:, order]], information[self.modes[:, order]]
-
-    def _own_values(self, order: int) -> Array:
-        """What a tie says of its camera's own unknowns, (b, o)."""
-        modes = self.graph.visits[self.numbers[order]].modes
-        camera = self.keys[order][0]
-        values = np.array([own_values(self.graph.data, camera, mode) for mode in modes])
-        return values[self.modes[:, order]]
+    def _tied(self) -> list[_Ties]:
+        """The ties, those together that have equations of one shape."""
+        graph, layout = self.graph, self.layout
+        alike: dict[tuple[str, int], list[int]] = {}
+        for order, (number, key) in enumerate(zip(self.numbers, self.keys, strict=True)):
+            own = len(layout.own.get(key[0], ()))
+            alike.setdefault((graph.visits[number].visit.robot, own), []).append(order)
+        index = {key: place for place, key in enumerate(layout.places)}
+        found = []
+        for (robot, own), orders in alike.items():
+            numbers, keys = [self.numbers[o] for o in orders], [self.keys[o] for o in orders]
+            modes = [self.modes[:, o] for o in orders]
+            said = [graph.relative(n) for n in numbers]
+            values = [graph.own_values(n) for n in numbers]
+            nodes = np.array([graph.node_of[n] for n in numbers])
+            rows = [layout.nodes[robot][nodes], np.array([layout.places[key] for key in keys])]
+            if own:
+                rows.append(np.array([layout.own[camera] for camera, _ in keys]))
+            pairs = list(zip(said, modes, strict=True))
+            found.append(
+                _Ties(
+                    robot,
+                    nodes,
+                    np.array([index[key] for key in keys]),
+                    [camera for camera, _ in keys],
+                    Pose(
+                        np.stack([seen.rotation[m] for (seen, _), m in pairs], axis=1),
+                        np.stack([seen.translation[m] for (seen, _), m in pairs], axis=1),
+                    ),
+                    np.stack([v[m] for v, m in zip(values, modes, strict=True)], axis=1),
+                    np.stack([information[m] for (_, information), m in pairs], axis=1),
+                    np.concatenate(rows, axis=1),
+                )
+            )
+        return found
 
     # -- steps ------------------------------------------------------------------------------------
 
     def found(self) -> list[Placed | None]:
         """The minima."""
         for _ in range(_MOST_STEPS):
-            self._linearise()
-            scale = self._scale()
-            scaled = self.matrix * scale[:, :, None] * scale[:, None]
-            step = -scale * np.linalg.solve(scaled, (scale * self.gradient)[..., None])[..., 0]
-            gain = -np.sum(step * self.gradient, axis=1)
+            equations, _ = self._linearised()
+            step = equations.step()
+            gain = -np.sum(step * equations.gradient, axis=1)
             self._move(step)
             if np.all((np.abs(step).max(axis=1, initial=0.0) < _SMALL_STEP) | (gain < _SMALL_GAIN)):
                 break
-        self._linearise()
-        scale = self._scale()
-        factor = np.linalg.cholesky(self.matrix * scale[:, :, None] * scale[:, None])
-        factor = factor / scale[..., None]
-        diagonal = np.diagonal(factor, axis1=1, axis2=2)
-        score = self.cost + 2 * np.sum(np.log(diagonal), axis=1)
-        return [self._placed(row, factor, score[row]) for row in range(len(self.variants))]
+        equations, cost = self._linearised()
+        factors = equations.factors()
+        return [self._placed(row, factor, cost[row]) for row, factor in enumerate(factors)]
 
-    def _scale(self) -> Array:
-        """(b, n): what is known exactly and what is hardly known have equations of one size."""
-        return 1 / np.sqrt(np.diagonal(self.matrix, axis1=1, axis2=2))
-
-    def _placed(self, row: int, factor: Array, score: float) -> Placed | None:
-        score += self._constant(row)
+    def _placed(self, row: int, factor: Factor, cost: float) -> Placed | None:
+        score = cost + factor.log_determinant + self._constant(row)
         if not np.isfinite(score):
             return None
         return Placed(
             float(score),
             {robot: nodes[row] for robot, nodes in self.nodes.items()},
-            {key: pose[row] for key, pose in self.places.items()},
+            dict(zip(self.layout.places, self._places_of(row), strict=True)),
             self.layout,
-            factor[row].copy(),
+            factor,
         )
+
+    def _places_of(self, row: int) -> list[Pose]:
+        rotations, translations = self.places.rotation[row], self.places.translation[row]
+        return [Pose(r, t) for r, t in zip(rotations, translations, strict=True)]
 
     def _constant(self, row: int) -> float:
         """What does not hang on where things are."""
@@ -164,7 +236,7 @@ class _Minimum:
             score += len(broken) * float(np.sum(np.log(graph.room(path))))
             score -= sum(one.surprise for gap in broken if (one := graph.across(gap)))
         known = graph.data.known.poses
-        unknown = sum(place > 0 or camera not in known for camera, place in self.places)
+        unknown = sum(place > 0 or camera not in known for camera, place in self.layout.places)
         score += unknown * graph.events.pose_score
         for camera in self.layout.own:
             score += 2 * float(np.sum(np.log(graph.own_prior[camera][1])))
@@ -177,54 +249,66 @@ class _Minimum:
             self.nodes[robot] = self.nodes[robot].disturbed(whole)
         for robot, rows in self.layout.scales.items():
             self.scales[robot] = np.clip(self.scales[robot] + step[:, rows], -_FAR_OFF, _FAR_OFF)
-        for key, rows in self.layout.places.items():
-            self.places[key] = self.places[key].disturbed(step[:, rows])
+        if self.layout.places:
+            rows = np.array(list(self.layout.places.values()))
+            self.places = self.places.disturbed(step[:, rows])
         for camera, rows in self.layout.own.items():
             self.own[camera] = self.own[camera] + step[:, rows]
 
     # -- equations --------------------------------------------------------------------------------
 
-    def _linearise(self) -> None:
-        count, size = len(self.variants), self.layout.size
-        self.matrix = np.zeros((count, size, size))
-        self.gradient, self.cost = np.zeros((count, size)), np.zeros(count)
+    def _rows(self) -> list[np.ndarray]:
+        """The unknowns of all blocks, in the order in which `_linearised` has them."""
+        rows = []
         for robot, path in self.graph.paths.items():
-            self._add_first(robot, path)
+            nodes = self.layout.nodes[robot]
+            rows.append(nodes[:1])
+            if robot in self.scales:
+                rows.append(self.layout.scales[robot][None])
             if len(path.stamps_ns) > 1:
-                self._add_steps(robot, path)
-        for order in range(len(self.numbers)):
-            self._add_tie(order)
-        for camera, rows in self.layout.own.items():
+                parts = [nodes[:-1], nodes[1:]]
+                if robot in self.scales:
+                    parts.append(np.tile(self.layout.scales[robot], (len(nodes) - 1, 1)))
+                rows.append(np.concatenate(parts, axis=1))
+        rows += [ties.rows for ties in self.ties]
+        rows += [each[None] for each in self.layout.own.values()]
+        rows += [self.layout.places[name, 0][None] for name in self.graph.data.known.poses]
+        return rows
+
+    def _linearised(self) -> tuple[Equations, Array]:
+        """The equations where everything is now, and their cost (b,)."""
+        blocks: list[_Block] = []
+        for robot, path in self.graph.paths.items():
+            blocks += self._beginning(robot, path)
+            if len(path.stamps_ns) > 1:
+                blocks.append(self._steps(robot, path))
+        blocks += [self._said(ties) for ties in self.ties]
+        for camera in self.layout.own:
             mean, sigma = self.graph.own_prior[camera]
             # Each tie has the prior once; together they have it once.
             times = 1 - sum(name == camera for name, _ in self.keys)
-            self._add(rows, np.eye(len(rows)), self.own[camera] - mean, np.diag(times / sigma**2))
-        self._add_known()
+            blocks.append(_prior(self.own[camera] - mean, np.diag(times / sigma**2)))
+        blocks += self._known()
+        cost = np.zeros(len(self.variants)) + sum(block.cost for block in blocks)
+        hessians, gradients = [b.hessian for b in blocks], [b.gradient for b in blocks]
+        return self.pattern.equations(hessians, gradients, count=len(self.variants)), cost
 
-    def _add(self, rows: np.ndarray, jacobian: Array, residual: Array, information: Array) -> None:
-        """Equations (b, k) of unknowns in these rows (m,), no row twice."""
-        weighted = np.swapaxes(jacobian, -1, -2) @ information
-        self.matrix[:, rows[:, None], rows] += weighted @ jacobian
-        self.gradient[:, rows] += (weighted @ residual[..., None])[..., 0]
-        self.cost += np.sum(residual * (information @ residual[..., None])[..., 0], axis=-1)
-
-    def _add_first(self, robot: str, path: RobotPath) -> None:
+    def _beginning(self, robot: str, path: RobotPath) -> list[_Block]:
         """Where a path begins, and its scales' prior."""
         tangent = path.tangent
         nodes = self.nodes[robot]
         first = Pose(nodes.rotation[:, 0], nodes.translation[:, 0])
         error = first.difference(path.odometry[0])[:, tangent]
         variance = np.full(len(tangent), HELD**2) if path.is_anchored else self.graph.room(path)
-        rows = self.layout.nodes[robot][0]
-        self._add(rows, np.eye(len(tangent)), error, np.diag(1 / variance))
+        found = [_prior(error, np.diag(1 / variance))]
         if robot in self.scales:
             held = np.where(path.scale_sigma > 0, path.scale_sigma, HELD)
-            rows = self.layout.scales[robot]
-            self._add(rows, np.eye(2), self.scales[robot], np.diag(held**-2.0))
+            found.append(_prior(self.scales[robot], np.diag(held**-2.0)))
+        return found
 
-    def _add_steps(self, robot: str, path: RobotPath) -> None:
+    def _steps(self, robot: str, path: RobotPath) -> _Block:
         """What odometry says between a robot's nodes; where it was lifted, what a visit does."""
-        nodes, tangent, d = self.nodes[robot], path.tangent, len(path.tangent)
+        nodes, tangent = self.nodes[robot], path.tangent
         earlier = Pose(nodes.rotation[:, :-1], nodes.translation[:, :-1])
         later = Pose(nodes.rotation[:, 1:], nodes.translation[:, 1:])
         reported, by_scale = self._reported(robot, path)
@@ -249,26 +333,7 @@ class _Minimum:
                     residual[row, step] = moved[row][step].difference(across.motion)[tangent]
         if robot in self.scales:
             parts.append(-by_scale)
-        jacobian = np.concatenate(parts, axis=-1)
-        weighted = np.swapaxes(jacobian, -1, -2) @ information
-        hessian, gradient = weighted @ jacobian, (weighted @ residual[..., None])[..., 0]
-        self.cost += np.einsum("bmi,bmij,bmj->b", residual, information, residual)
-        rows = self.layout.nodes[robot]
-        ends = [(rows[:-1], slice(0, d)), (rows[1:], slice(d, 2 * d))]
-        for here, part in ends:
-            self.gradient[:, here] += gradient[..., part]
-            for there, other in ends:
-                self.matrix[:, here[:, :, None], there[:, None, :]] += hessian[..., part, other]
-        if robot in self.scales:
-            scales, last = self.layout.scales[robot], slice(2 * d, None)
-            self.gradient[:, scales] += gradient[..., last].sum(axis=1)
-            self.matrix[:, scales[:, None], scales] += hessian[..., last, last].sum(axis=1)
-            for here, part in ends:
-                crossed = hessian[..., part, last]
-                self.matrix[:, here[:, :, None], scales] += crossed
-                self.matrix[:, scales[None, :, None], here[:, None, :]] += np.swapaxes(
-                    crossed, -1, -2
-                )
+        return _block(np.concatenate(parts, axis=-1), residual, information)
 
     def _reported(self, robot: str, path: RobotPath) -> tuple[Pose, Array]:
         """The motions that odometry reports (b, m) by the scales, and their derivatives."""
@@ -281,38 +346,37 @@ class _Minimum:
         reported = motion.disturbed((by_scale @ change[:, None, :, None])[..., 0])
         return reported, by_scale[..., tangent, :]
 
-    def _add_tie(self, order: int) -> None:
-        """What a visit says of where its camera is from the robot."""
-        number, key = self.numbers[order], self.keys[order]
-        robot, node = self.graph.visits[number].visit.robot, self.graph.node_of[number]
-        relative, information = self._relative(order)
-        base, there = self._nodes_of(order), self.places[key]
-        residual = (base.inverse() @ there).difference(relative)
+    def _said(self, ties: _Ties) -> _Block:
+        """What visits say of where their cameras are from the robot."""
+        nodes = self.nodes[ties.robot]
+        base = Pose(nodes.rotation[:, ties.nodes], nodes.translation[:, ties.nodes])
+        there = Pose(self.places.rotation[:, ties.places], self.places.translation[:, ties.places])
+        residual = (base.inverse() @ there).difference(ties.relative)
         by_base, by_place = relative_jacobians(base, there)
-        jacobian = np.concatenate(
-            [by_base[..., self.graph.paths[robot].tangent], by_place], axis=-1
-        )
-        rows = [self.layout.nodes[robot][node], self.layout.places[key]]
-        if key[0] in self.own:
-            mine = self.own[key[0]] - self._own_values(order)
+        tangent = self.graph.paths[ties.robot].tangent
+        jacobian = np.concatenate([by_base[..., tangent], by_place], axis=-1)
+        own = ties.own.shape[-1]
+        if own:
+            mine = np.stack([self.own[camera] for camera in ties.cameras], axis=1) - ties.own
             residual = np.concatenate([residual, mine], axis=-1)
-            whole = np.zeros(
-                (len(residual), residual.shape[-1], jacobian.shape[-1] + mine.shape[-1])
-            )
-            whole[:, :6, : jacobian.shape[-1]] = jacobian
-            whole[:, 6:, jacobian.shape[-1] :] = np.eye(mine.shape[-1])
+            before = jacobian.shape[-1]
+            whole = np.zeros((*residual.shape, before + own))
+            whole[..., :6, :before] = jacobian
+            whole[..., 6:, before:] = np.eye(own)
             jacobian = whole
-            rows.append(self.layout.own[key[0]])
-        self._add(np.concatenate(rows), jacobian, residual, information)
+        return _block(jacobian, residual, ties.information)
 
-    def _add_known(self) -> None:
+    def _known(self) -> list[_Block]:
         """What is known of cameras from before, each for itself."""
-        known = self.graph.data.known
+        known, found = self.graph.data.known, []
+        index = {key: place for place, key in enumerate(self.layout.places)}
         for order, (name, pose) in enumerate(known.poses.items()):
             part = slice(6 * order, 6 * order + 6)
             information = np.linalg.inv(np.linalg.inv(known.information)[part, part])
-            error = self.places[name, 0].difference(pose)
-            self._add(self.layout.places[name, 0], np.eye(6), error, information)
+            place = index[name, 0]
+            there = Pose(self.places.rotation[:, place], self.places.translation[:, place])
+            found.append(_prior(there.difference(pose), information))
+        return found
 
 
 # -- where it starts ------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from contextlib import closing
 import pytest
 
 from trigpoint import terminal
-from trigpoint.terminal import Progress, table
+from trigpoint.terminal import Progress, table, waiting
 
 HEAD = ("camera", "sigma cm", "")
 ROWS = [("c1", "0.84", ""), ("entrance_hall", "12.30", "not [bold]determined[/bold]")]
@@ -59,3 +59,27 @@ def test_progress_says_nothing_into_a_file(capsys: pytest.CaptureFixture[str]) -
         progress._due_s = time.monotonic() - 1
         progress.step()
     assert capsys.readouterr().err == ""
+
+
+def test_what_takes_long_moves_and_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(terminal, "_QUIET_S", 0.01)
+    with waiting("working it out"):
+        until_s = time.monotonic() + 20.0
+        while "working it out" not in screen.getvalue() and time.monotonic() < until_s:
+            time.sleep(0.01)
+        first = screen.getvalue()
+        while screen.getvalue() == first and time.monotonic() < until_s:
+            time.sleep(0.01)
+    assert "working it out" in first
+    assert len(screen.getvalue()) > len(first)  # by itself
+    assert screen.getvalue().endswith("\x1b[2K")
+
+
+def test_what_is_done_soon_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    with waiting("working it out"):
+        pass
+    assert screen.getvalue() == ""
