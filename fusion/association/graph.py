@@ -210,6 +210,10 @@ class Graph:
         robot, step = gap
         path, found = self.paths[robot], self.visits[number]
         begin, end = path.stamps_ns[step : step + 2].tolist()
+        stamps = [stamp_ns for stamp_ns, _ in found.right]
+        goes_on = bool(stamps) and min(stamps) <= begin and max(stamps) >= end
+        if found.visit.robot != robot or not found.modes or not goes_on:
+            return None
         first, last = (self._begin_at.get((robot, node), []) for node in (step, step + 1))
         before = [
             one
@@ -221,7 +225,7 @@ class Graph:
             for one in found.right
             if one[0] >= end and all(self._precedes(n, end, number, one[0]) for n in last)
         ]
-        if found.visit.robot != robot or not found.modes or not before or not after:
+        if not before or not after:
             return None
         (until_ns, earlier), (since_ns, later) = before[-1], after[0]
         moments = np.clip([until_ns, since_ns], path.track.first_ns, path.track.last_ns)
