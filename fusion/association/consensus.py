@@ -14,6 +14,7 @@ import numpy as np
 
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation, base_from_faces
 from trigpoint.fusion.model.projection import by_disturbance
 from trigpoint.fusion.model.thinning import thinned
@@ -273,25 +274,10 @@ def drift_between(data: DataSet, robot: str, stamps_ns: np.ndarray, there: Pose)
     moments, rows = np.unique(
         np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True
     )
-    found = np.zeros((len(rows), len(rows), 6, 6))
-    if len(moments) < 2:
-        return found
-    motion = track.motion(moments, np.zeros(2))
     sigma = np.array([noise.distance_scale, noise.heading_scale])
-    at = [int(np.argmax(rows == step)) for step in range(len(moments))]
-    turn = turned_axes(there.rotation[at[:-1]])
-    steps = turn @ motion.covariance @ np.swapaxes(turn, 1, 2)
-    scaled = turn @ motion.by_scale
-    ends = there.translation[at]
-    for later in range(1, len(moments)):
-        swing = lever(ends[later] - ends[1 : later + 1])
-        noisy = swing @ steps[:later] @ np.swapaxes(swing, 1, 2)
-        # From each earlier moment on: what all steps since then add.
-        noisy = np.cumsum(noisy[::-1], axis=0)[::-1]
-        by_scale = np.cumsum((swing @ scaled[:later])[::-1], axis=0)[::-1] * sigma
-        total = noisy + by_scale @ np.swapaxes(by_scale, 1, 2)
-        for earlier in range(later):
-            pair = np.ix_(rows == earlier, rows == later)
-            found[pair] = total[earlier]
-            found[pair[1].T, pair[0].T] = total[earlier]
-    return found
+    at = np.array([int(np.argmax(rows == step)) for step in range(len(moments))])
+    drift = Drift.of(track, moments, np.zeros(2), there[at])
+    earlier, later = np.minimum.outer(rows, rows), np.maximum.outer(rows, rows)
+    noisy, by_scale = drift.between(earlier, later)
+    scaled = by_scale * sigma
+    return noisy + scaled @ np.swapaxes(scaled, -1, -2)

@@ -21,14 +21,12 @@ from trigpoint.geometry.rotation import Array
 
 from .equations import Factor
 from .events import Events
+from .linear import HELD
 from .mode import Mode
 from .modes import VisitModes, odometry_poses
 
 _SCALE_STEP = 0.01
 _CLOCK_SIGMAS = 5.0
-HELD = 1e-6
-"""Sigma (m, rad, and of scales) of what is known exactly: far below what any sighting tells, and
-not so far that beside a gap in odometry nothing is left of it in a number's digits."""
 Place = tuple[str, int]
 """A camera and which of its places, counted from 0 in the order in which it hung there."""
 Break = tuple[str, int]
@@ -154,6 +152,7 @@ class Graph:
         self._begin_at: dict[tuple[str, int], list[int]] = {}
         for number, (found, node) in enumerate(zip(visits, self.node_of, strict=True)):
             self._begin_at.setdefault((found.visit.robot, node), []).append(number)
+        self._known_covariance = np.linalg.inv(data.known.information)
         self._across: dict[Break, Across | None] = {}
         self._clocks = [_clock(data, v) for v in visits]
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
@@ -191,6 +190,11 @@ class Graph:
     def spread(self, number: int) -> Array:
         """The covariance (k, 6, 6) of where a visit's modes put the camera, in the robot's axes."""
         return self._covariance[number]
+
+    def known_information(self, order: int) -> Array:
+        """(6, 6) of a camera known from before, by itself."""
+        part = slice(6 * order, 6 * order + 6)
+        return np.linalg.inv(self._known_covariance[part, part])
 
     def room(self, path: RobotPath) -> Array:
         """Variances (d,) of where a robot may be put down."""

@@ -13,6 +13,9 @@ from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
 
 _EXACT = 1e-9
+HELD = 1e-6
+"""Sigma (m, rad, s, and of scales) of what is known exactly: far below what any sighting tells, and
+not so far that beside a gap in odometry nothing is left of it in a number's digits."""
 # Of the eigenvalues of a scaled information: a pose is not determined.
 _FLAT = 1e-12
 
@@ -168,7 +171,7 @@ def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
 
     def put(names: np.ndarray, sigma: Array) -> None:
         at = [columns.place[name] for name in names]
-        information[at] = np.where(sigma > 0, sigma, _EXACT) ** -2.0
+        information[at] = np.where(sigma > 0, sigma, HELD) ** -2.0
 
     layout = problem.layout
     if batch.camera in priors.lens:

@@ -14,7 +14,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .equations import Equations, Factor, Pattern
-from .graph import HELD, Graph, Layout, Place, Placed, RobotPath, Variant
+from .graph import Graph, Layout, Place, Placed, RobotPath, Variant
+from .linear import HELD
 
 _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
@@ -371,9 +372,7 @@ class _Minimum:
         known, found = self.graph.data.known, []
         index = {key: place for place, key in enumerate(self.layout.places)}
         for order, (name, pose) in enumerate(known.poses.items()):
-            part = slice(6 * order, 6 * order + 6)
-            information = np.linalg.inv(np.linalg.inv(known.information)[part, part])
-            place = index[name, 0]
+            information, place = self.graph.known_information(order), index[name, 0]
             there = Pose(self.places.rotation[:, place], self.places.translation[:, place])
             found.append(_prior(there.difference(pose), information))
         return found

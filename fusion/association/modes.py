@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation, Reading, View
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.reading.faces import candidates, is_same_pose
@@ -26,7 +27,7 @@ from .visits import Visit
 # A mode that is worse than the best of its visit by this can only be made up for by other visits
 # whose evidence is as strong: none is that often.
 _WINDOW = 2 * window()
-_MOST_STARTS = 8
+_MOST_STARTS = 24
 _MOST_SPLITS = 3
 _MORE_WRONG = 2
 
@@ -184,8 +185,7 @@ class ModeFinder:
             found = self._found(visit, problem, self._starts(visit, poses))
         if not found:  # so much is wrong that no two agree, or none was left out in time
             found = self._found(visit, problem, self._single_starts(visit, poses))
-        best = min((mode.evidence for mode in found), default=np.inf)
-        near = tuple(mode for mode in found if mode.evidence < best + _WINDOW)
+        near = self._plausible(visit, found)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
         moments = tuple((chosen[index].stamp_ns, index) for index in right)
         return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
@@ -197,11 +197,11 @@ class ModeFinder:
             fewest = min((mode.wrong for mode in found), default=None)
             most = None if fewest is None else fewest + _MORE_WRONG
             mode = problem.mode_near(CameraState(start.map_from_camera, lens), start.wrong, most)
-            if mode is not None and not self._is_below_floor(visit, mode):
+            if mode is not None:
                 found.append(mode)
-        return distinct(found + self._unmasked(visit, problem, distinct(found)))
+        return distinct(found + self._unmasked(problem, distinct(found)))
 
-    def _unmasked(self, visit: Visit, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
+    def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
         """Modes beside the best ones, in which other sightings are wrong."""
         others = []
         known = {tuple(wrong_by(mode).items()) for mode in found}
@@ -213,7 +213,7 @@ class ModeFinder:
                     continue
                 known.add(tuple(wrong.items()))
                 other = problem.mode_near(mode.camera, wrong)
-                if other is not None and not self._is_below_floor(visit, other):
+                if other is not None:
                     others.append(other)
         return others
 
@@ -278,16 +278,13 @@ class ModeFinder:
         inside = np.clip(stamps, track.first_ns, track.last_ns)
         odometry = odometry_poses(self.data, visit.robot, inside)
         moments, row_of = np.unique(inside, return_inverse=True)
-        drift = np.zeros((len(moments), 6, 6))
-        if len(moments) > 1:
-            steps = track.motion(moments, np.zeros(2)).covariance
-            drift[1:] = np.cumsum(steps, axis=0)
         anchors = np.array([row for row, i in enumerate(visit.indices) if i in mode.poses])
         near = anchors[np.argmin(np.abs(stamps[anchors] - stamps[:, None]), axis=1)]
         start = Pose.stack([mode.poses[visit.indices[row]] for row in near.tolist()])
-        apart = drift[row_of] - drift[row_of[near]]
-        sign = np.where(row_of >= row_of[near], 1.0, -1.0)
-        return start @ (odometry[near].inverse() @ odometry), sign[:, None, None] * apart
+        poses = start @ (odometry[near].inverse() @ odometry)
+        at = np.unique(row_of, return_index=True)[1]
+        drift = Drift.of(track, moments, np.zeros(2), poses[at])
+        return poses, drift.between(row_of[near], row_of)[0]
 
     def odometry(self, visit: Visit) -> dict[int, Pose]:
         """Where odometry puts the robot at each chosen picture."""
@@ -309,9 +306,16 @@ class ModeFinder:
             self.data, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
         )
 
-    def _is_below_floor(self, visit: Visit, mode: Mode) -> bool:
-        """Whether the camera would look up through the floor that the robot drives on."""
-        return self.data.tracks[visit.robot].planar and mode.map_from_camera.translation[2] < 0
+    def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:
+        """The modes within the window; of those that fit alike, none that has the camera look up
+        through the floor that the robot drives on (decisions/0611)."""
+        best = min((mode.evidence for mode in found), default=np.inf)
+        near = [mode for mode in found if mode.evidence < best + _WINDOW]
+        if self.data.tracks[visit.robot].planar:
+            above = [mode for mode in near if mode.map_from_camera.translation[2] >= 0]
+            if above and above[0].evidence < best + window():
+                near = above
+        return tuple(near)
 
 
 def renumbered(found: VisitModes, visit: Visit) -> VisitModes:

@@ -59,13 +59,16 @@ def rough_robots(data: DataSet) -> list[str]:
     return [robot for robot in data.tracks if _sigmas(data, robot).max() > _ROUGH]
 
 
-def with_solved_scales(draft: DataSet, solved: DataSet, scales: dict[str, Array]) -> DataSet:
-    """A draft with the odometry of such robots as a solution has it: scaled by (2,), as noisy as
-    its tracks are by now."""
+def with_solved_scales(
+    draft: DataSet, solved: DataSet, scales: dict[str, tuple[Array, Array]]
+) -> DataSet:
+    """A draft with the odometry of such robots as a solution has it: `scales` (2,) with their
+    sigmas (2,), as noisy as its tracks are by now."""
     for robot in rough_robots(draft):
         if robot not in scales:
             continue
-        draft = with_scales(draft, robot, scales[robot], np.full(2, _STEP))
+        mean, sigma = scales[robot]
+        draft = with_scales(draft, robot, mean, np.maximum(sigma, _STEP))
         track = solved.tracks[robot]
         parts = {part: getattr(track.noise, part) for part in PARTS}
         noise = msgspec.structs.replace(draft.site.robots[robot].odometry, **parts)

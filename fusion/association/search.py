@@ -18,7 +18,7 @@ from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
 # A partial explanation may win back what it lost so far; beyond this none was seen to.
-_WINDOW = 2 * window()
+_WINDOW = 6 * window()
 _MOST_HYPOTHESES = 64
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24

@@ -71,9 +71,9 @@ class Explainer:
             for p, count in self._open.items()
         )
 
-    def explain(self, scales: dict[str, Array] | None = None) -> Explanation:
+    def explain(self, scales: dict[str, tuple[Array, Array]] | None = None) -> Explanation:
         """What explains everything that came. `scales`: by robot the odometry's scale errors (2,)
-        as a solution has them, of use where little is known of them."""
+        and their sigmas (2,) as a solution has them, of use where little is known of them."""
         self._observations.sort(key=lambda observation: observation.stamp_ns)
         self._explained = len(self._observations)
         self._came, self._open = Counter(), Counter()

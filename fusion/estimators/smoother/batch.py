@@ -37,20 +37,16 @@ _LITTLE_SPREAD = 0.01
 class BatchSolution:
     """The solution over a data set, redone on demand. Not thread-safe.
 
-    `problem`, `solution`: None where nothing is located.
+    `problem`, `solution`: None where nothing is located; `scales`: by robot the odometry's scale
+    errors (2,) that are estimated, and their sigmas (2,).
     """
 
     def __init__(self, data: DataSet) -> None:
         self.data, self.state = data, data.first_state()
         self.problem: Problem | None = None
         self.solution: Solution | None = None
+        self.scales: dict[str, tuple[Array, Array]] = {}
         self.iterations = 0
-
-    @property
-    def scales(self) -> dict[str, Array]:
-        """By robot that is part of the solution its odometry's scale errors (2,)."""
-        chains = self.problem.chains if self.problem is not None else {}
-        return {robot: self.state.robots[robot].scales for robot in chains}
 
     def solve(self, explanation: Explanation) -> Filter:
         """Solve by an explanation to the end; the estimate then. Where that fails, everything is as
@@ -58,15 +54,15 @@ class BatchSolution:
         draft, state = explained(self.data, explanation)
         state, solved, iterations = _solved(draft, state)
         if solved is None:
-            after, self.problem, self.solution = Filter.at_origin(draft), None, None
+            after, problem, solution = Filter.at_origin(draft), None, None
         else:
             problem, solution = solved.assembled.problem, solved.solution
             after = Filter.after(state, problem, solution.reduced)
-            after = after.spread(_left_open(state, explanation))
-            _say_earlier(draft, after)
-            self.problem, self.solution = problem, solution
+        after = after.spread(_left_open(state, explanation, Events(draft.site.fusion.priors)))
+        _say_earlier(draft, after)
         self.data.take_over(draft)
-        self.state = state
+        self.state, self.problem, self.solution = state, problem, solution
+        self.scales = _scales(state, after) if problem is not None else {}
         self.iterations += iterations
         return after
 
@@ -94,13 +90,27 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
     return State(cameras, state.robots), solved, iterations
 
 
-def _left_open(state: State, explanation: Explanation) -> dict[str, Array]:
-    """By located camera, the covariance (6, 6) of what explanations that put it at one place
-    leave open there: which of two faces that contradict each other is wrong, say."""
+def _scales(state: State, after: Filter) -> dict[str, tuple[Array, Array]]:
+    columns = after.layout.scales
+    return {
+        robot: (
+            state.robots[robot].scales,
+            np.sqrt(np.diagonal(after.known.covariance_of(columns[robot]))),
+        )
+        for robot in columns
+    }
+
+
+def _left_open(state: State, explanation: Explanation, events: Events) -> dict[str, Array]:
+    """By camera, the covariance (6, 6) of what explanations leave open of its place: which of two
+    faces that contradict each other is wrong, say; or all of it, where they have it at several."""
     found = {}
     for camera in state.cameras:
         finding = explanation.findings.get(camera)
-        if finding is None or not finding.is_located:
+        if finding is None:
+            continue
+        if not finding.is_located:  # known from before, and perhaps not there any more
+            found[camera] = np.diag(events.room_variances)
             continue
         place = finding.alternatives[0]
         if np.trace(np.linalg.solve(place.covariance, place.spread)) > _LITTLE_SPREAD:

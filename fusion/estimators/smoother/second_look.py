@@ -12,6 +12,7 @@ from trigpoint.fusion.association.pictures import PictureReader
 from trigpoint.fusion.estimators.explained_data import as_read
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.model.trajectory import interpolated
@@ -48,6 +49,8 @@ def _read_again(
         for entry in data.of_camera(camera)
         if entry.observation.robot == robot and entry.observation.verdict is Verdict.ACCEPTED
     ]
+    if not seen:
+        return False
     stamps = np.array([entry.observation.stamp_ns for entry in entries])
     poses, drift, is_reached = _there(data, assembled, state, robot, stamps, np.unique(seen))
     rows = np.flatnonzero(is_reached)
@@ -78,15 +81,13 @@ def _there(
     track, chain = data.tracks[robot], assembled.problem.chains[robot]
     moments = np.clip(stamps_ns, track.first_ns, track.last_ns)
     seen = np.unique(np.clip(seen_ns, track.first_ns, track.last_ns))
-    poses = interpolated(track, chain, state.robots[robot].map_from_base, moments)
     every = np.unique(np.concatenate([seen, moments]))
-    drift = np.zeros((len(every), 6, 6))
-    if len(every) > 1:
-        drift[1:] = np.cumsum(track.motion(every, chain.scales).covariance, axis=0)
+    poses = interpolated(track, chain, state.robots[robot].map_from_base, every)
+    drift = Drift.of(track, every, chain.scales, poses)
     after = np.minimum(np.searchsorted(seen, moments), len(seen) - 1)
     before = np.maximum(after - 1, 0)
     is_before = np.abs(seen[before] - moments) <= np.abs(seen[after] - moments)
     nearest = seen[np.where(is_before, before, after)]
-    here, there = np.searchsorted(every, moments), np.searchsorted(every, nearest)
-    apart = drift[np.maximum(here, there)] - drift[np.minimum(here, there)]
-    return poses, apart, track.pieces(moments) == track.pieces(nearest)
+    here = np.searchsorted(every, moments)
+    apart, _ = drift.between(np.searchsorted(every, nearest), here)
+    return poses[here], apart, track.pieces(moments) == track.pieces(nearest)

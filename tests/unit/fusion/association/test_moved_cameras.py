@@ -1,0 +1,84 @@
+"""Cameras that hang otherwise than one would think: pushed along the floor, below it, and known
+from before but moved since."""
+
+from dataclasses import replace
+
+import numpy as np
+from drives import (
+    EPOCH_NS,
+    CameraPlan,
+    Plan,
+    RobotPlan,
+    Session,
+    circle,
+    lab_cameras,
+    looking_at,
+    make_session,
+    offline,
+    pushed,
+    straight,
+)
+
+from trigpoint.clock import to_ns
+from trigpoint.fusion.model.dataset import KnownCameras
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.messages import Odometry
+from trigpoint.network import CameraRecord
+from trigpoint.tools.simulation.targets import target_of
+
+
+def assert_there(camera: CameraRecord, map_from_camera: Pose) -> None:
+    assert camera.status == "located"
+    assert camera.map_from_camera is not None
+    error = camera.map_from_camera.pose.difference(map_from_camera)
+    assert error @ np.linalg.solve(camera.covariance_matrix, error) < 6 * 5.0
+
+
+def with_moved(plan: Plan, camera: str, pose: Pose, at_s: float) -> Session:
+    """A session in which a camera hangs elsewhere from a moment on."""
+    moved = {**plan.cameras, camera: replace(plan.cameras[camera], map_from_camera=pose)}
+    before, after = make_session(plan), make_session(replace(plan, cameras=moved))
+    at_ns = EPOCH_NS + to_ns(at_s)
+    kept = [m for m in before.messages if m[0] != camera or m[1].stamp_ns < at_ns]
+    kept += [m for m in after.messages if m[0] == camera and m[1].stamp_ns >= at_ns]
+    kept.sort(key=lambda sent: (sent[1].stamp_ns, not isinstance(sent[1], Odometry)))
+    return replace(before, messages=tuple(kept))
+
+
+def test_camera_that_was_pushed_along_the_floor_is_noticed() -> None:
+    """A robot in the plane can be thought to stand otherwise instead: for long that costs less."""
+    cameras = lab_cameras(3)
+    there = Pose.planar(0.15, 0.0, 0.0) @ cameras["c1"].map_from_camera
+    turn = Pose.planar(0.0, 0.0, 0.03).rotation
+    pushed_to = Pose(turn @ there.rotation, there.translation)
+    robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
+    plan = Plan(cameras, robots, seconds=180.0, picture_rate=0.7)
+    session = with_moved(plan, "c1", pushed_to, 60.0)
+    network = pushed(session.inputs, session.messages).results().network
+    assert_there(network.cameras["c1"], pushed_to)
+    for name in ("c2", "c3"):
+        assert_there(network.cameras[name], cameras[name].map_from_camera)
+
+
+def test_camera_below_the_floor_is_there_where_nothing_else_fits() -> None:
+    eye = looking_at((1.9, 0.3, -0.1), (0.3, 0.0, 0.65))
+    robots = {"r1": RobotPlan(straight(), target_of("charuco"))}
+    plan = Plan({"c1": CameraPlan(eye)}, robots, seconds=4.0, picture_rate=4.0)
+    assert_there(offline(make_session(plan)).network.cameras["c1"], eye)
+
+
+def test_known_camera_that_may_have_been_moved_is_not_given_out() -> None:
+    cameras = lab_cameras(2)
+    old = cameras["c1"].map_from_camera
+    turn = so3.exp(np.array([0.0046, 0.0, 0.0])) @ Pose.planar(0.0, 0.0, 0.1).rotation
+    now = Pose(turn @ old.rotation, old.translation + np.array([0.3, 0.0, 0.0046]))
+    robots = {"r1": RobotPlan(circle(), target_of("charuco"))}
+    plan = Plan({**cameras, "c1": replace(cameras["c1"], map_from_camera=now)}, robots, seconds=6.0)
+    session = make_session(plan)
+    poses = {name: camera.map_from_camera for name, camera in cameras.items()}
+    known = KnownCameras(poses, 1e6 * np.eye(12))
+    network = pushed(replace(session.inputs, known=known), session.messages).results().network
+    camera = network.cameras["c1"]
+    assert camera.status == "undetermined"
+    assert any("fit alike" in reason for reason in camera.undetermined)
