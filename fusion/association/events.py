@@ -2,8 +2,8 @@
 
 Every decision of the association compares posteriors (`score` is minus twice the logarithm of one,
 up to a constant that all explanations of a session share); the site file states its priors
-(`[fusion.priors]`), and `EVIDENCE` is the one level at which it is held. Nothing else in the
-package is a threshold.
+(`[fusion.priors]`), and `EVIDENCE` is the one level at which it is held. Thresholds elsewhere only
+say what is not worth a look, or what is too little to matter.
 """
 
 import math

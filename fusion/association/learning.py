@@ -32,8 +32,8 @@ def learnt_noise(
 ) -> tuple[dict[str, float], list[SessionNoise]]:
     """By camera how many times as much as stated its corners scatter, and what the robots' noise
     may be: one where the session tells, else as stated and as a decision must survive it; also as
-    it is by events that it may be taken for. Who states the one wrongly states the other wrongly
-    sooner than not."""
+    it is by events that it may be taken for. Where corners scatter otherwise than stated, odometry
+    that does costs nothing more."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)

@@ -25,8 +25,9 @@ from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
 
 # A mode that is worse than the best of its visit by this can only be made up for by other visits
-# whose evidence is as strong: none is that often.
+# whose evidence is as strong.
 _WINDOW = 2 * window()
+# A robot that stands with six equal faces has six modes, and of each some starts.
 _MOST_STARTS = 24
 _MOST_SPLITS = 3
 _MORE_WRONG = 2

@@ -17,7 +17,7 @@ from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
-# A partial explanation may win back what it lost so far; beyond this none was seen to.
+# What a partial explanation lost so far it may win back: no bound, but more than was seen to be.
 _WINDOW = 6 * window()
 _MOST_HYPOTHESES = 64
 _MOST_BREAKS = 3
@@ -176,12 +176,12 @@ class Search:
             if join is not None:
                 joins.append(join)
         tied = self._tied([(join, join.before.breaks) for join in joins])
-        unhappy = []
+        unexplained = []
         for join, mine in zip(joins, tied, strict=True):
             found += mine
             if self._may_be_lifted(join, mine):
-                unhappy.append(join)
-        return found + self._lifted(unhappy)
+                unexplained.append(join)
+        return found + self._lifted(unexplained)
 
     def _beside(self, before: Hypothesis, number: int) -> tuple[list[Hypothesis], _Join | None]:
         """What a visit may be that binds nothing: all of it wrong, its camera's first or anew, or
