@@ -7,7 +7,6 @@ import numpy as np
 from trigpoint.fusion.association.events import EVIDENCE, window
 from trigpoint.fusion.association.evidence import Place, alternatives_of, is_same_place
 from trigpoint.geometry import Pose
-from trigpoint.geometry.uncertainty import lever
 
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
@@ -42,15 +41,3 @@ def test_same_place_goes_by_sigmas_in_each_direction() -> None:
 
 def test_nothing_explained_is_no_place() -> None:
     assert alternatives_of([]) == ()
-
-
-def test_shift_that_a_turn_would_have_to_go_with_is_another_place() -> None:
-    """Ten metres down a way its end is uncertain by 10 cm, but not without the heading."""
-    turned = lever(np.array([10.0, 0.0, 0.0])) @ np.eye(6)[:, 5]
-    covariance = 1e-6 * np.eye(6) + 0.01**2 * np.outer(turned, turned)
-    first, turn_too, alone = (
-        Place(Pose.from_vector([10, y, 1, 0, 0, heading]), covariance, 0.0)
-        for y, heading in ((0.0, 0.0), (0.3, 0.03), (0.3, 0.0))
-    )
-    assert is_same_place(first, turn_too)
-    assert not is_same_place(first, alone)
