@@ -17,9 +17,12 @@ from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
-# What a partial explanation lost so far it may win back: no bound, but more than was seen to be.
-_WINDOW = 6 * window()
+# What a partial explanation lost so far it may win back. All within the window are kept; of those
+# that are further behind, which no window bounds, a few of the best.
+_WINDOW = 2 * window()
+_FAR_WINDOW = 6 * window()
 _MOST_HYPOTHESES = 64
+_MOST_FAR = 4
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24
 
@@ -157,10 +160,12 @@ class Search:
 
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
         grown.sort(key=lambda hypothesis: hypothesis.score)
-        near = [h for h in grown if h.score < grown[0].score + _WINDOW]
+        best = grown[0].score
+        near = [h for h in grown if h.score < best + _WINDOW]
+        far = [h for h in grown[len(near) :] if h.score < best + _FAR_WINDOW]
         dropped = near[_MOST_HYPOTHESES:]
-        self.is_cut |= bool(dropped) and dropped[0].score < grown[0].score + window()
-        return near[:_MOST_HYPOTHESES]
+        self.is_cut |= bool(dropped) and dropped[0].score < best + window()
+        return near[:_MOST_HYPOTHESES] + far[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------
 
