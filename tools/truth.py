@@ -67,14 +67,11 @@ def load_truth(path: Path) -> TruthFile:
 def network_error(network: Network, covariance: Array, truth: TruthFile) -> NetworkError:
     """Errors of the located cameras that the truth knows; `covariance`: joint, (6n, 6n)."""
     names = [name for name in network.located if name in truth.cameras]
-    cameras, errors, about_origin = {}, [], []
+    cameras = {}
     for name in names:
         record = network.cameras[name]
         assert record.map_from_camera is not None  # it is located
         error = record.map_from_camera.pose.difference(truth.cameras[name].pose)
-        true = truth.cameras[name].pose
-        errors.append(_twist(record.map_from_camera.pose @ true.inverse()))
-        about_origin.append(_about_origin(record.map_from_camera.pose))
         position = record.covariance_matrix[:3, :3]
         cameras[name] = CameraError(
             float(np.linalg.norm(error[:3])),
@@ -83,11 +80,27 @@ def network_error(network: Network, covariance: Array, truth: TruthFile) -> Netw
         )
     if len(names) < 2:
         return NetworkError(cameras, None, None)
-    rows = np.concatenate([np.arange(6) + 6 * network.located.index(name) for name in names])
-    joint, turned = np.concatenate(errors), np.asarray(block_diag(*about_origin), dtype=float)
-    spread = turned @ covariance[np.ix_(rows, rows)] @ turned.T
-    nees = joint @ np.linalg.solve(spread, joint) / len(joint)
-    return NetworkError(cameras, _distance_error(network, truth, names), float(nees))
+    nees = joint_error(network, covariance, {name: truth.cameras[name].pose for name in names})
+    return NetworkError(cameras, _distance_error(network, truth, names), nees)
+
+
+def joint_error(network: Network, covariance: Array, true: dict[str, Pose]) -> float:
+    """eᵀP⁻¹e over all 6n errors of located cameras whose pose is known, per degree of freedom.
+
+    `covariance`: joint, of all that are located. `NetworkError` says what the errors are.
+    """
+    errors, about_origin, rows = [], [], []
+    for name, pose in true.items():
+        record = network.cameras[name]
+        assert record.map_from_camera is not None  # it is located
+        estimate = record.map_from_camera.pose
+        errors.append(_twist(estimate @ pose.inverse()))
+        about_origin.append(_about_origin(estimate))
+        rows.append(np.arange(6) + 6 * network.located.index(name))
+    all_rows, error = np.concatenate(rows), np.concatenate(errors)
+    turned = np.asarray(block_diag(*about_origin), dtype=float)
+    spread = turned @ covariance[np.ix_(all_rows, all_rows)] @ turned.T
+    return float(error @ np.linalg.solve(spread, error)) / len(error)
 
 
 def _twist(motion: Pose) -> Array:
