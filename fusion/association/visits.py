@@ -13,7 +13,10 @@ from trigpoint.geometry import rotation as so3
 # a tenth of what a camera's distance is.
 _DRIFT_M = 0.15
 _DRIFT_RAD = 0.1
+# Nor is its robot out of sight for longer than this, or for so many times as long as it mostly is
+# between two pictures: nobody watched it then.
 _LONGEST_GAP_NS = 30_000_000_000
+_LONGEST_GAP_PERIODS = 50
 # So many pictures of a visit tell what it shows; the others are read by what they told.
 _MOST_VIEWS = 12
 # Pictures of so few visits tell a session's noise and scales well enough.
@@ -93,12 +96,13 @@ def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
         axis=1,
     )
     pieces = track.pieces(moments)
+    longest_ns = min(_LONGEST_GAP_NS, _LONGEST_GAP_PERIODS * float(np.median(np.diff(moments))))
     ends, drift, since = [], np.zeros(2), 0
     for row in range(1, len(moments)):
         drift = drift + steps[row - 1]
         gap = moments[row] - moments[row - 1]
         far = drift[0] > _DRIFT_M**2 or drift[1] > _DRIFT_RAD**2
-        if far or gap > _LONGEST_GAP_NS or pieces[row] != pieces[since]:
+        if far or gap > longest_ns or pieces[row] != pieces[since]:
             ends.append(int(np.argmax(row_of == row)))
             drift, since = np.zeros(2), row
     return ends
