@@ -164,7 +164,10 @@ class LocalProblem:
             [each @ system.step[mine] for each, mine in zip(jacobian, rows, strict=True)]
         )
         wild = self._wild(by_base, left)
-        stood = _stood(assembled.problem, batch, state, jacobian, left)
+        good = np.zeros(batch.weights.shape, dtype=bool)
+        for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
+            good[row, part] = ~flags & (not trial.wrong[index][order])
+        stood = _stood(assembled.problem, whole, state, jacobian, left, good)
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
         for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
             trial.wild[index][order] = flags
@@ -297,9 +300,24 @@ class LocalProblem:
             },
             {index: tuple(row) for index, row in trial.wild.items()},
             dict(trial.poses),
+            self._poses_covariance(assembled, system),
+            self._early_s(assembled),
             self._scales(problem, state, system),
             trial.faces,
         )
+
+    def _poses_covariance(self, assembled: Assembled, system: System) -> Array:
+        """(m, d, m, d) of where the robot stood."""
+        count = len(self.observations)
+        nodes = [system.node_rows(self.robot, assembled.node_of[row]) for row in range(count)]
+        rows = np.concatenate(nodes)
+        return system.covariance[np.ix_(rows, rows)].reshape(count, -1, count, len(nodes[0]))
+
+    def _early_s(self, assembled: Assembled) -> float:
+        """By how much before a picture is stamped its node stands."""
+        first_ns = next(iter(self.observations.values())).stamp_ns
+        since_epoch_s = self.data.since_epoch_s(first_ns)
+        return float(assembled.start.cameras[self.camera].offset_s(since_epoch_s))
 
     def _scales(self, problem: Problem, state: State, system: System) -> tuple[Array, Array] | None:
         if self.robot not in problem.layout.scales:
@@ -340,13 +358,12 @@ class _Solved:
 
 
 def _stood(
-    problem: Problem, batch: Batch, state: State, jacobian: Array, residual: Array
+    problem: Problem, batch: Batch, state: State, jacobian: Array, residual: Array, good: np.ndarray
 ) -> Stood | None:
-    """How the robot stood in each picture by its used corners; None where it stands as its odometry
-    says. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
-    jitter = PictureJitter.of(problem, batch, state)
+    """How the robot stood in each picture by its `good` corners (n, K); None where it stands as its
+    odometry says. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
+    jitter = PictureJitter.of(problem, replace(batch, weights=batch.weights * good), state)
     if jitter is None:
         return None
-    used = (batch.weights > 0)[..., None]
-    by_state = (jacobian * used[..., None]).reshape(len(residual), -1, jacobian.shape[-1])
-    return Stood.of(jitter, by_state, (residual * used).reshape(len(residual), -1))
+    by_state = (jacobian * good[..., None, None]).reshape(len(residual), -1, jacobian.shape[-1])
+    return Stood.of(jitter, by_state, (residual * good[..., None]).reshape(len(residual), -1))
