@@ -97,6 +97,11 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (PriorConfig, "wild_corner"): "that a corner of a good sighting is far off",
     (PriorConfig, "disturbed"): "that somebody carries a robot or moves a camera in a session",
     (PriorConfig, "event"): "then, from one visit to the next, that it happens in between",
+    (
+        PriorConfig,
+        "push_translation",
+    ): "m; sigma of how far a camera is pushed, if not hung elsewhere",
+    (PriorConfig, "push_rotation"): "rad; the same",
     (PriorConfig, "noise"): "that noise is far from what is stated, unless the session tells",
     (PriorConfig, "room"): "m; the box in which cameras hang and robots drive",
     (RecorderConfig, "directory"): "where recordings go",

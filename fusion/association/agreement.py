@@ -23,13 +23,22 @@ class Seen:
     evidence: Array
 
 
-def agreement(graph: Graph, placed: Placed, first: int | Place, second: int) -> Array:
-    """-2 ln of how probable it is that both show one place, for each pair of modes, (k, m).
+def agreement(
+    graph: Graph,
+    placed: Placed,
+    first: int | Place,
+    second: int | Place,
+    beside: Array | float = 0.0,
+) -> Array:
+    """-2 ln of how probable it is that both show one place, or two that are apart by no more than
+    a covariance `beside` (6, 6), for each pair of modes, (k, m).
 
-    `first`: a visit, or a place that the graph knows (k = 1); `second`: a visit.
+    `first`, `second`: a visit, or a place that the graph knows, which has one mode.
     """
-    old = seen_by(graph, placed, first) if isinstance(first, int) else _known(placed, first)
-    new = seen_by(graph, placed, second)
+    old, new = (
+        seen_by(graph, placed, each) if isinstance(each, int) else _known(placed, each)
+        for each in (first, second)
+    )
     rows = np.concatenate([old.rows, new.rows])
     shared = placed.covariance(rows)
     count, other = len(old.evidence), len(new.evidence)
@@ -40,7 +49,7 @@ def agreement(graph: Graph, placed: Placed, first: int | Place, second: int) -> 
         ],
         axis=-1,
     )
-    spread = by @ shared @ np.swapaxes(by, -1, -2) + old.own[:, None] + new.own[None]
+    spread = by @ shared @ np.swapaxes(by, -1, -2) + old.own[:, None] + new.own[None] + beside
     error = Pose(new.pose.rotation[None], new.pose.translation[None]).difference(
         Pose(old.pose.rotation[:, None], old.pose.translation[:, None])
     )

@@ -24,12 +24,15 @@ def explain(
     observations: list[Observation],
     memory: Memory | None = None,
     budget: Budget | None = None,
+    *,
+    is_draft: bool = False,
 ) -> Explanation:
     """What explains all observations, in order of their stamps, of the site's cameras.
 
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
     `memory`: of the last search over fewer observations of the same session; `budget`: of work, by
-    the session's length if not given.
+    the session's length if not given; `is_draft`: cameras are where the likeliest explanation alone
+    has them.
     """
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     memory.budget = budget or Budget.of(data.tracks.values(), share=_share(data))
@@ -44,7 +47,7 @@ def explain(
         parts = [each.visit for each in worlds[0].visits] if worlds else None
         worlds.append(World(data, seen, events, noise, memory, parts))
     memory.forget_unused()
-    return Outcome(worlds, seen, corner_scale).explanation()
+    return Outcome(worlds, seen, corner_scale, is_draft=is_draft).explanation()
 
 
 def _share(data: DataSet) -> float:

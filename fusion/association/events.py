@@ -32,6 +32,17 @@ class Events:
         return 2 * math.log(volume) - 6 * math.log(2 * math.pi)
 
     @property
+    def push(self) -> Array:
+        """The covariance (6, 6) of how far a camera is pushed, in any axes."""
+        sigmas = self.priors.push_translation, self.priors.push_rotation
+        return np.diag(np.square(np.repeat(sigmas, 3)))
+
+    def moved(self, apart: float) -> float:
+        """Of a camera that was moved, beside its pose anywhere in the room: every other one was
+        only pushed. `apart`: νᵀS⁻¹ν + ln |S| of how far, with the covariance of a push in S."""
+        return -2 * float(np.logaddexp(0.0, 0.5 * (self.pose_score - apart)) - math.log(2))
+
+    @property
     def wrong_score(self) -> float:
         """Of a sighting that is wrong, beside the pose that its board has then."""
         return 2 * math.log((1 - self.priors.wrong_sighting) / self.priors.wrong_sighting)

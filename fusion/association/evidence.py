@@ -12,8 +12,9 @@ from trigpoint.geometry.rotation import Array
 from .events import EVIDENCE
 from .explanation import Alternative
 
-# Two places are one where they are this many sigmas apart in each direction at the most, or so
-# little (m, rad) that nobody who acts on them can tell.
+# Two places are one where they are at most so many sigmas of the likelier one apart in each
+# direction, since that is what is given out, or so little (m, rad) that nobody who acts on them can
+# tell.
 _SAME_SIGMAS = 5.0
 _SAME_M = 0.01
 _SAME_RAD = 0.01
@@ -63,9 +64,9 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
 
 
 def is_same_place(first: Place, second: Place) -> bool:
-    """Whether two explanations put a camera at one place."""
+    """Whether two explanations put a camera at one place, the likelier one's."""
     apart = np.abs(second.map_from_camera.difference(first.map_from_camera))
     if np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3)):
         return True
-    sigma = np.sqrt(np.diagonal(first.covariance) + np.diagonal(second.covariance))
+    sigma = np.sqrt(np.diagonal(first.covariance))
     return bool(np.all(apart < _SAME_SIGMAS * sigma + 1e-4))

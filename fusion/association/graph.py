@@ -15,17 +15,17 @@ import numpy as np
 from trigpoint.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
-from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import turned_axes
 
 from .equations import Factor
 from .events import Events
 from .linear import HELD
 from .mode import Mode
-from .modes import VisitModes, odometry_poses
+from .modes import VisitModes
+from .path import Picture, RobotPath, VisualStep, visual_step, watched_step
 
-_SCALE_STEP = 0.01
 _CLOCK_SIGMAS = 5.0
 Place = tuple[str, int]
 """A camera and which of its places, counted from 0 in the order in which it hung there."""
@@ -71,66 +71,13 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Something to place: visits' ties and breaks; `near`: what it is like, to start from."""
+    """Something to place: visits' ties, those all of whose sightings are wrong, and breaks; `near`:
+    what it is like, to start from."""
 
     ties: Mapping[int, Tie]
+    nothing: frozenset[int]
     breaks: frozenset[Break]
     near: Placed | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """Motions (m) between a robot's nodes near scale errors `about` (2,), and their derivatives by
-    those (m, 6, 2)."""
-
-    motion: Pose
-    by_scale: Array
-    about: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Across:
-    """A robot's motion across a gap in which its odometry broke, as a visit has it that saw it
-    before and after, and the covariance (d, d) of what odometry says beside the gap. `surprise`:
-    what the visit's own score has for that motion, taken to be odometry's, which it is not then.
-    """
-
-    motion: Pose
-    covariance: Array
-    surprise: float
-
-
-class RobotPath:
-    """One robot's nodes, a moment each: odometry's poses (n), the information of the motions
-    between them in their free directions (m, d, d), and ln |covariance| (m,)."""
-
-    def __init__(self, data: DataSet, robot: str, moments: list[int]) -> None:
-        self.track = track = data.tracks[robot]
-        self.is_anchored = robot == data.anchored_robot
-        first = [track.first_ns] if self.is_anchored else []
-        self.stamps_ns = np.unique([*first, *moments]).astype(np.int64)
-        self.tangent = PLANAR if track.planar else SPATIAL
-        noise = data.site.robots[robot].odometry
-        self.scale_sigma = np.array([noise.distance_scale, noise.heading_scale])
-        self.odometry = odometry_poses(data, robot, self.stamps_ns)
-        self._steps: dict[tuple[int, ...], Steps] = {}
-        d = len(self.tangent)
-        covariance = np.zeros((0, d, d))
-        if len(self.stamps_ns) > 1:
-            whole = track.motion(self.stamps_ns, np.zeros(2)).covariance
-            covariance = whole[:, self.tangent][:, :, self.tangent] + HELD**2 * np.eye(d)
-        self.information = np.linalg.inv(covariance)
-        self.log_covariance = np.linalg.slogdet(covariance)[1]
-
-    def steps(self, scales: Array) -> Steps:
-        """The motions near scale errors (2,): to first order, from so near that what is left of
-        the second is less than noise."""
-        cell = tuple(np.round(scales / _SCALE_STEP).astype(int).tolist())
-        if cell not in self._steps:
-            about = _SCALE_STEP * np.array(cell, dtype=float)
-            motion = self.track.motion(self.stamps_ns, about)
-            self._steps[cell] = Steps(motion.earlier_from_later, motion.by_scale, about)
-        return self._steps[cell]
 
 
 class Graph:
@@ -153,8 +100,9 @@ class Graph:
         for number, (found, node) in enumerate(zip(visits, self.node_of, strict=True)):
             self._begin_at.setdefault((found.visit.robot, node), []).append(number)
         self._known_covariance = np.linalg.inv(data.known.information)
-        self._across: dict[Break, Across | None] = {}
+        self._across: dict[Break, list[VisualStep]] = {}
         self._clocks = [_clock(data, v) for v in visits]
+        self._visual = self._visual_steps()
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
         self._own_values = [
             np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
@@ -166,18 +114,79 @@ class Graph:
             if len((prior := own_prior(data, camera))[0])
         }
 
+    def _visual_steps(self) -> dict[str, dict[int, list[VisualStep]]]:
+        """By robot and step, what visits show of it, the tightest first."""
+        found: dict[str, dict[int, list[VisualStep]]] = {robot: {} for robot in self.paths}
+        for number, visit in enumerate(self.visits):
+            if not visit.modes:
+                continue
+            robot, stamps = visit.visit.robot, [stamp_ns for stamp_ns, _ in visit.right]
+            path = self.paths[robot]
+            last = int(np.searchsorted(path.stamps_ns, max(stamps, default=0)))
+            for step in range(self.node_of[number], min(last, len(path.stamps_ns) - 1)):
+                one = visual_step(path, step, number, visit, self._on_the_way(step, number))
+                if one is not None:
+                    found[robot].setdefault(step, []).append(one)
+        for steps in found.values():
+            for seen in steps.values():
+                seen.sort(key=lambda each: each.log_covariance)
+        return found
+
+    def _on_the_way(self, step: int, number: int) -> list[Picture]:
+        """A visit's pictures that were surely taken between a node of its robot and the next."""
+        found = self.visits[number]
+        robot = found.visit.robot
+        begin, end = self.paths[robot].stamps_ns[step : step + 2].tolist()
+        first, last = (self._begin_at.get((robot, node), []) for node in (step, step + 1))
+        return [
+            self._taken(number, one)
+            for one in found.right
+            if begin <= one[0] <= end
+            and all(self._precedes(n, begin, number, one[0]) for n in first)
+            and all(self._precedes(number, one[0], n, end) for n in last)
+        ]
+
+    def _taken(self, number: int, picture: Picture) -> Picture:
+        """A picture of a visit when it was taken, not as it is stamped."""
+        stamp_ns, index = picture
+        return stamp_ns - to_ns(self.visits[number].modes[0].early_s), index
+
+    def seen(self, robot: str, nothing: frozenset[int]) -> dict[int, VisualStep]:
+        """By step, what shows most of it where the visits `nothing` show nothing."""
+        found = {}
+        for step, seen in self._visual[robot].items():
+            best = next((each for each in seen if each.number not in nothing), None)
+            if best is not None:
+                found[step] = best
+        return found
+
+    def shows_steps(self, number: int) -> bool:
+        """Whether a visit shows more of how its robot moved than odometry."""
+        steps = self._visual[self.visits[number].visit.robot].values()
+        return any(each.number == number for seen in steps for each in seen)
+
     def _seen_from(self, number: int, modes: Sequence[Mode]) -> tuple[Pose, Array]:
         """A visit's modes (k) from the robot's pose at its beginning: base_from_camera, and the
-        information (k, q, q) in those axes."""
+        information (k, q, q) in those axes. A mode has the camera from where the robot was when the
+        first picture was taken, by the time offset that it began with."""
         robot = self.visits[number].visit.robot
         start = self.paths[robot].odometry[self.node_of[number]]
         if not modes:
             return Pose.stack([]), np.zeros((0, 6, 6))
+        back = self.seen_since(number, modes)
+        turn = np.tile(np.eye(modes[0].information.shape[-1]), (len(modes), 1, 1))
+        turn[:, :6, :6] = turned_axes(back.rotation @ start.rotation.T)
         information = np.array([mode.information for mode in modes])
-        turn = np.eye(information.shape[-1])
-        turn[:3, :3] = turn[3:6, 3:6] = start.rotation.T
-        seen = start.inverse() @ Pose.stack([mode.map_from_camera for mode in modes])
-        return seen, turn @ information @ turn.T
+        seen = back @ start.inverse() @ Pose.stack([mode.map_from_camera for mode in modes])
+        return seen, turn @ information @ np.swapaxes(turn, 1, 2)
+
+    def seen_since(self, number: int, modes: Sequence[Mode]) -> Pose:
+        """From where the robot was as a visit's first picture is stamped to where it was when that
+        was taken, by modes (k)."""
+        path = self.paths[self.visits[number].visit.robot]
+        moments = np.full(len(modes), path.stamps_ns[self.node_of[number]])
+        early_s = np.array([mode.early_s for mode in modes])
+        return path.track.carried(moments, -early_s, np.zeros(2))[0]
 
     def relative(self, number: int) -> tuple[Pose, Array]:
         """base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
@@ -200,17 +209,16 @@ class Graph:
         """Variances (d,) of where a robot may be put down."""
         return self.events.room_variances[path.tangent]
 
-    def across(self, gap: Break) -> Across | None:
-        """The motion across a gap by the visit that tells most of it; None where no visit goes on
-        from before it to after it."""
+    def across(self, gap: Break, nothing: frozenset[int] = frozenset()) -> VisualStep | None:
+        """The motion across a gap in which odometry broke, by the visit that shows most of it; None
+        where no visit goes on from before it to after it. `nothing`: visits that show nothing."""
         if gap not in self._across:
             numbers = range(len(self.visits))
-            each = [one for n in numbers if (one := self._told_across(gap, n)) is not None]
-            tight = min(each, key=lambda one: np.linalg.slogdet(one.covariance)[1], default=None)
-            self._across[gap] = tight
-        return self._across[gap]
+            each = [one for n in numbers if (one := self._seen_across(gap, n)) is not None]
+            self._across[gap] = sorted(each, key=lambda one: one.log_covariance)
+        return next((one for one in self._across[gap] if one.number not in nothing), None)
 
-    def _told_across(self, gap: Break, number: int) -> Across | None:
+    def _seen_across(self, gap: Break, number: int) -> VisualStep | None:
         robot, step = gap
         path, found = self.paths[robot], self.visits[number]
         begin, end = path.stamps_ns[step : step + 2].tolist()
@@ -231,17 +239,13 @@ class Graph:
         ]
         if not before or not after:
             return None
-        (until_ns, earlier), (since_ns, later) = before[-1], after[0]
-        moments = np.clip([until_ns, since_ns], path.track.first_ns, path.track.last_ns)
-        odometry = odometry_poses(self.data, robot, moments)
-        poses = found.modes[0].poses
-        seen = poses[earlier].inverse() @ poses[later]
-        error = seen.difference(odometry[0].inverse() @ odometry[1])[path.tangent]
-        motion = path.odometry[step].inverse() @ odometry[0] @ seen
-        motion = motion @ odometry[1].inverse() @ path.odometry[step + 1]
-        (whole,) = path.track.motion(moments, np.zeros(2)).covariance
-        covariance = whole[np.ix_(path.tangent, path.tangent)] + HELD**2 * np.eye(len(path.tangent))
-        return Across(motion, covariance, float(error @ np.linalg.solve(covariance, error)))
+        return watched_step(
+            path,
+            step,
+            number,
+            found,
+            (self._taken(number, before[-1]), self._taken(number, after[0])),
+        )
 
     def _precedes(self, first: int, first_ns: int, second: int, second_ns: int) -> bool:
         """Whether what one visit's camera stamped is surely not after what another's did."""

@@ -14,8 +14,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .equations import Equations, Factor, Pattern
-from .graph import Graph, Layout, Place, Placed, RobotPath, Variant
+from .graph import Graph, Layout, Place, Placed, Variant
 from .linear import HELD
+from .path import RobotPath, VisualStep
 
 _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
@@ -117,6 +118,7 @@ class _Minimum:
         self.graph, self.layout, self.variants = graph, layout, variants
         self.numbers = [number for number, _ in shape]
         self.keys: list[Place] = [(graph.visits[n].visit.camera, place) for n, place in shape]
+        self.shown = {robot: _shown(graph, robot, variants) for robot in graph.paths}
         self.modes = np.array([[v.ties[n].mode for n in self.numbers] for v in variants], dtype=int)
         self.nodes = {
             robot: _stacked([_start(graph, robot, variant) for variant in variants])
@@ -230,12 +232,8 @@ class _Minimum:
 
     def _constant(self, row: int) -> float:
         """What does not hang on where things are."""
-        graph, variant, score = self.graph, self.variants[row], 0.0
-        for robot, path in graph.paths.items():
-            broken = [gap for gap in variant.breaks if gap[0] == robot]
-            score += float(np.sum(np.delete(path.log_covariance, [step for _, step in broken])))
-            score += len(broken) * float(np.sum(np.log(graph.room(path))))
-            score -= sum(one.surprise for gap in broken if (one := graph.across(gap)))
+        graph, variant = self.graph, self.variants[row]
+        score = sum(float(shown.log_covariance[row]) for shown in self.shown.values())
         known = graph.data.known.poses
         unknown = sum(place > 0 or camera not in known for camera, place in self.layout.places)
         score += unknown * graph.events.pose_score
@@ -308,36 +306,28 @@ class _Minimum:
         return found
 
     def _steps(self, robot: str, path: RobotPath) -> _Block:
-        """What odometry says between a robot's nodes; where it was lifted, what a visit does."""
+        """What odometry says between a robot's nodes, or a visit where that shows more; where the
+        robot was lifted, a visit alone."""
         nodes, tangent = self.nodes[robot], path.tangent
         earlier = Pose(nodes.rotation[:, :-1], nodes.translation[:, :-1])
         later = Pose(nodes.rotation[:, 1:], nodes.translation[:, 1:])
+        shown = self.shown[robot]
         reported, by_scale = self._reported(robot, path)
         moved = earlier.inverse() @ later
         residual = moved.difference(reported)[..., tangent]
+        residual[shown.is_anywhere], by_scale[shown.is_anywhere] = 0.0, 0.0
         by_earlier, by_later = relative_jacobians(earlier, later)
         parts: list[Array] = [
             by_earlier[..., tangent, :][..., tangent],
             by_later[..., tangent, :][..., tangent],
         ]
-        information = np.tile(path.information, (len(self.variants), 1, 1, 1))
-        for row, variant in enumerate(self.variants):
-            for name, step in variant.breaks:
-                if name != robot:
-                    continue
-                across, by_scale[row, step] = self.graph.across((name, step)), 0.0
-                if across is None:  # anywhere: the width alone keeps it determined
-                    information[row, step] = np.diag(1 / self.graph.room(path))
-                    residual[row, step] = 0.0
-                else:
-                    information[row, step] = np.linalg.inv(across.covariance)
-                    residual[row, step] = moved[row][step].difference(across.motion)[tangent]
         if robot in self.scales:
             parts.append(-by_scale)
-        return _block(np.concatenate(parts, axis=-1), residual, information)
+        return _block(np.concatenate(parts, axis=-1), residual, shown.information)
 
     def _reported(self, robot: str, path: RobotPath) -> tuple[Pose, Array]:
-        """The motions that odometry reports (b, m) by the scales, and their derivatives."""
+        """The motions that odometry reports or visits show (b, m) by the scales, and their
+        derivatives."""
         count, tangent = len(self.variants), path.tangent
         scales = self.scales.get(robot, np.zeros((count, 2)))
         steps = [path.steps(row) for row in scales]
@@ -345,6 +335,13 @@ class _Minimum:
         change = scales - np.array([each.about for each in steps])
         motion = _stacked([each.motion for each in steps])
         reported = motion.disturbed((by_scale @ change[:, None, :, None])[..., 0])
+        shown = self.shown[robot]
+        if shown.motion is not None:
+            at = shown.rows, shown.steps
+            along = (shown.by_scale @ scales[shown.rows][..., None])[..., 0]
+            seen = shown.motion.disturbed(along)
+            reported.rotation[at], reported.translation[at] = seen.rotation, seen.translation
+            by_scale[at] = shown.by_scale
         return reported, by_scale[..., tangent, :]
 
     def _said(self, ties: _Ties) -> _Block:
@@ -376,6 +373,58 @@ class _Minimum:
             there = Pose(self.places.rotation[:, place], self.places.translation[:, place])
             found.append(_prior(there.difference(pose), information))
         return found
+
+
+# -- what is said of the steps ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What is said of a robot's steps (m) for b variants: `information` (b, m, d, d) and the sum of
+    ln |covariance| (b,), where the robot was lifted that of where it may be put down, too; which
+    are anywhere, (b, m); and where visits show them (k): `rows` and `steps` (k,), their motions
+    (None: nowhere), `by_scale` (k, 6, 2)."""
+
+    information: Array
+    log_covariance: Array
+    is_anywhere: np.ndarray
+    rows: np.ndarray
+    steps: np.ndarray
+    motion: Pose | None
+    by_scale: Array
+
+
+def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
+    path = graph.paths[robot]
+    room = graph.room(path)
+    information = np.tile(path.information, (len(variants), 1, 1, 1))
+    log_covariance = np.tile(path.log_covariance, (len(variants), 1))
+    is_anywhere = np.zeros(log_covariance.shape, dtype=bool)
+    at: list[tuple[int, int]] = []
+    found: list[VisualStep] = []
+    for row, variant in enumerate(variants):
+        shown: dict[int, VisualStep | None] = {**graph.seen(robot, variant.nothing)}
+        broken = {step for name, step in variant.breaks if name == robot}
+        shown |= {step: graph.across((robot, step), variant.nothing) for step in broken}
+        for step, seen in shown.items():
+            log_covariance[row, step] = np.sum(np.log(room)) if step in broken else 0.0
+            if seen is None:  # the width alone keeps it determined
+                is_anywhere[row, step], information[row, step] = True, np.diag(1 / room)
+                continue
+            log_covariance[row, step] += seen.log_covariance - seen.surprise
+            information[row, step] = seen.information
+            at.append((row, step))
+            found.append(seen)
+    rows, columns = np.array(at, dtype=int).reshape(-1, 2).T
+    return _Shown(
+        information,
+        log_covariance.sum(axis=1),
+        is_anywhere,
+        rows,
+        columns,
+        Pose.stack([seen.motion for seen in found]) if found else None,
+        np.array([seen.by_scale for seen in found]).reshape(-1, 6, 2),
+    )
 
 
 # -- where it starts ------------------------------------------------------------------------------

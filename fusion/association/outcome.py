@@ -43,14 +43,18 @@ _LATE = (
 
 
 class Outcome:
-    """What all worlds say together; how pictures are read is the best one's word."""
+    """What all worlds say together; how pictures are read is the best one's word. `is_draft`: so is
+    where each camera is, whatever else it may be."""
 
     def __init__(
         self,
         worlds: list[World],
         observations: list[Observation],
         corner_scale: dict[str, float],
+        *,
+        is_draft: bool = False,
     ) -> None:
+        self.is_draft = is_draft
         self.worlds, self.observations, self.corner_scale = worlds, observations, corner_scale
         self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.noise.score)
         self.chosen = self.best.hypotheses[0]
@@ -91,6 +95,8 @@ class Outcome:
             mine = [v for v in self.best.visits if v.visit.camera == camera]
             reason = _NOTHING if any(v.modes for v in mine) else _FEW
             return CameraFinding((), reason)
+        if self.is_draft and is_placed(alternatives[0].covariance):
+            return CameraFinding(alternatives[:1])
         if camera in self.crowded:  # of its places some may be missing here
             return CameraFinding(alternatives, _LATE)
         if len(alternatives) > 1:
@@ -180,7 +186,8 @@ class Outcome:
         visit = self.best.visits[number].visit
         node = self.best.graph.node_of[number]
         start = self.best.graph.paths[visit.robot].odometry[node]
-        map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ start.inverse()
+        seen = self.best.graph.seen_since(number, [mode])[0]
+        map_from_odom = self.chosen.placed.nodes[visit.robot][node] @ seen @ start.inverse()
         return {
             index: Read(
                 mode.readings[index],

@@ -8,6 +8,7 @@ camera was moved, the robot was lifted in one of the gaps.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice, pairwise, product
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
 # What a partial explanation lost so far it may win back. All within the window are kept; of those
-# that are further behind, which no window bounds, a few of the best.
+# that are further behind, which no window bounds, a few of the best of which different things
+# happened.
 _WINDOW = 2 * window()
 _FAR_WINDOW = 6 * window()
 _MOST_HYPOTHESES = 64
@@ -33,7 +35,8 @@ class Hypothesis:
 
     `ties`: visits that tie a robot to a place seen more than once; `open`: the only visits to their
     places, by number -> place; `nothing`: visits all of whose sightings are wrong; `breaks`:
-    (robot, the node before it was lifted); `placed`: the graph of it; `score`: of all of it.
+    (robot, the node before it was lifted); `placed`: the graph of it; `score`: of all of it;
+    `is_stale`: the graph still has as right what is not, which shows of the robot's way.
     """
 
     ties: dict[int, Tie] = field(default_factory=dict)
@@ -42,6 +45,7 @@ class Hypothesis:
     breaks: frozenset[Break] = frozenset()
     placed: Placed | None = None
     score: float = 0.0
+    is_stale: bool = False
 
     def place_of(self, number: int) -> int | None:
         """The place that a visit is of; None where its sightings are wrong."""
@@ -84,16 +88,17 @@ class Search:
         hypotheses = [start]
         for number in numbers:
             if number == wrong:
-                hypotheses = [self._wrong(before, number) for before in hypotheses]
-                continue
-            hypotheses = self._pruned(self._with(hypotheses, number))
+                grown = [self._wrong(before, number) for before in hypotheses]
+            else:
+                grown = self._with(hypotheses, number)
+            hypotheses = self._pruned(grown)
             if not hypotheses:
                 return []
         return hypotheses
 
     def beginning(self) -> Hypothesis:
         """Nothing explained yet."""
-        (start,) = self.placed([(Hypothesis(), Variant({}, frozenset()))])
+        (start,) = self.placed([(Hypothesis(), Variant({}, frozenset(), frozenset()))])
         return start
 
     def placed(self, wanted: Sequence[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
@@ -103,9 +108,13 @@ class Search:
         minima = self._minima([variant for _, variant in wanted])
         for (like, variant), there in zip(wanted, minima, strict=True):
             if there is not None:
-                ties, breaks = dict(variant.ties), variant.breaks
-                found.append(self.scored(replace(like, ties=ties, breaks=breaks, placed=there)))
+                found.append(self._of(like, variant, there))
         return found
+
+    def _of(self, like: Hypothesis, variant: Variant, placed: Placed) -> Hypothesis:
+        """A hypothesis by what was placed for it."""
+        ties, breaks = dict(variant.ties), variant.breaks
+        return self.scored(replace(like, ties=ties, breaks=breaks, placed=placed, is_stale=False))
 
     def _minima(self, variants: Sequence[Variant]) -> list[Placed | None]:
         found = placed(self.graph, variants)
@@ -121,7 +130,38 @@ class Search:
         score += sum(self._open_score[number] for number in hypothesis.open)
         score += sum(self.visits[number].nothing for number in hypothesis.nothing)
         score += self.events.happened(self.happened(hypothesis))
+        score += sum(
+            self._moved_score(hypothesis.placed, earlier, later)
+            for places in self._places(hypothesis).values()
+            for earlier, later in pairwise(places)
+        )
         return replace(hypothesis, score=score)
+
+    def _places(self, hypothesis: Hypothesis) -> dict[str, list[int | Place]]:
+        """By camera that was moved its places one after another, each as the graph has it or the
+        visit that alone sees it."""
+        placed = hypothesis.placed
+        assert placed is not None
+        places: dict[Place, int | Place] = {place: place for place in placed.layout.places}
+        for number, place in hypothesis.open.items():
+            places[self.visits[number].visit.camera, place] = number
+        found: dict[str, list[int | Place]] = {}
+        for camera, _ in sorted(place for place in places if place[1] > 0):
+            found[camera] = [places[key] for key in sorted(places) if key[0] == camera]
+        return found
+
+    def _moved_score(self, placed: Placed, earlier: int | Place, later: int | Place) -> float:
+        """What it adds that a camera which was moved hangs where it does. A picture by itself that
+        is off by little is sooner wrong than shows a push."""
+        visits = [self.visits[each].visit for each in (earlier, later) if isinstance(each, int)]
+        if any(len(visit.chosen) == 1 for visit in visits):
+            return self.events.moved(np.inf)
+        cost = agreement(self.graph, placed, earlier, later, self.events.push)
+        apart = _log_sum(cost.reshape(-1).tolist())
+        for each in (earlier, later):
+            if isinstance(each, int):
+                apart -= _log_sum([mode.evidence for mode in self.visits[each].modes])
+        return self.events.moved(apart)
 
     def happened(self, hypothesis: Hypothesis) -> int:
         """How many lifts and moves there were."""
@@ -137,7 +177,7 @@ class Search:
     def lifted_elsewhere(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """The same with each lift of a robot in every other gap of its way."""
         wanted = [
-            (hypothesis, Variant(hypothesis.ties, hypothesis.breaks - {(robot, gap)} | {other}))
+            (hypothesis, _variant(hypothesis, hypothesis.breaks - {(robot, gap)} | {other}))
             for robot, gap in hypothesis.breaks
             for step in range(len(self.graph.paths[robot].stamps_ns) - 1)
             if (other := (robot, step)) not in hypothesis.breaks
@@ -159,13 +199,22 @@ class Search:
         return sorted({*lifts.values(), *moves.values()})
 
     def _pruned(self, grown: list[Hypothesis]) -> list[Hypothesis]:
+        least = min(hypothesis.score for hypothesis in grown)
+        grown = [
+            self._fresh(each) if each.is_stale else each
+            for each in grown
+            if each.score < least + _FAR_WINDOW
+        ]
         grown.sort(key=lambda hypothesis: hypothesis.score)
         best = grown[0].score
         near = [h for h in grown if h.score < best + _WINDOW]
-        far = [h for h in grown[len(near) :] if h.score < best + _FAR_WINDOW]
+        far: dict[object, Hypothesis] = {}
+        for hypothesis in grown[len(near) :]:
+            if hypothesis.score < best + _FAR_WINDOW:
+                far.setdefault(_happening(hypothesis), hypothesis)
         dropped = near[_MOST_HYPOTHESES:]
         self.is_cut |= bool(dropped) and dropped[0].score < best + window()
-        return near[:_MOST_HYPOTHESES] + far[:_MOST_FAR]
+        return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
 
     # -- one more visit ---------------------------------------------------------------------------
 
@@ -205,13 +254,27 @@ class Search:
         there = tuple(n for n in mine if before.place_of(n) == place)
         found = [wrong]
         if not any(self._still_sees(n, visit.visit.stamp_ns) for n in there):
-            found.append(self.scored(replace(before, open=before.open | {number: place + 1})))
-        if len(there) == 1 and there[0] in before.open:
-            left = {n: p for n, p in before.open.items() if n != there[0]}
-            nothing = before.nothing | {there[0]}
-            opened = left | {number: place}
-            found.append(self.scored(replace(before, open=opened, nothing=nothing)))
+            found += self._opened(before, number, place + 1)
+        if len(there) == 1:
+            found += self._opened(self._wrong(before, there[0]), number, place)
         return found, _Join(before, number, place, there)
+
+    def _opened(self, before: Hypothesis, number: int, place: int) -> list[Hypothesis]:
+        """A visit that alone sees a place. Where its camera has a lens or a clock of its own to
+        tell, its places share that: then each of them is in the graph, by each mode."""
+        camera = self.visits[number].visit.camera
+        others = self._of_camera(before, camera)
+        if camera not in self.graph.own_prior or not others:
+            return [self.scored(replace(before, open=before.open | {number: place}))]
+        alone = [n for n in others if n in before.open]
+        left = replace(before, open={n: p for n, p in before.open.items() if n not in alone})
+        places = {n: before.open[n] for n in alone} | {number: place}
+        modes = [range(len(self.visits[n].modes)) for n in places]
+        variants = []
+        for chosen in islice(product(*modes), _MOST_PAIRS):
+            ties = {n: Tie(m, places[n]) for n, m in zip(places, chosen, strict=True)}
+            variants.append(Variant(before.ties | ties, before.nothing, before.breaks))
+        return self.placed([(left, variant) for variant in variants])
 
     def _still_sees(self, number: int, stamp_ns: int) -> bool:
         """Whether a visit goes on from where it began, right, after a moment: nobody moved its
@@ -219,7 +282,18 @@ class Search:
         return any(seen_ns > stamp_ns for seen_ns, _ in self.visits[number].right)
 
     def _wrong(self, before: Hypothesis, number: int) -> Hypothesis:
-        return self.scored(replace(before, nothing=before.nothing | {number}))
+        """With all sightings of a visit wrong."""
+        ties = {n: tie for n, tie in before.ties.items() if n != number}
+        opened = {n: place for n, place in before.open.items() if n != number}
+        after = replace(before, ties=ties, open=opened, nothing=before.nothing | {number})
+        if number in before.ties:
+            return self._fresh(after)
+        return self.scored(replace(after, is_stale=self.graph.shows_steps(number)))
+
+    def _fresh(self, hypothesis: Hypothesis) -> Hypothesis:
+        """With a graph of its own."""
+        found = self.placed([(hypothesis, _variant(hypothesis, hypothesis.breaks))])
+        return found[0] if found else self.scored(replace(hypothesis, is_stale=False))
 
     def _of_camera(self, hypothesis: Hypothesis, camera: str) -> list[int]:
         used = [*hypothesis.ties, *hypothesis.open]
@@ -237,9 +311,7 @@ class Search:
         minima = self._minima([variant for _, variant in wanted])
         for order, (like, variant), there in zip(source, wanted, minima, strict=True):
             if there is not None:
-                ties, breaks = dict(variant.ties), variant.breaks
-                after = replace(like, ties=ties, breaks=breaks, placed=there)
-                found[order].append(self.scored(after))
+                found[order].append(self._of(like, variant, there))
         return found
 
     def _joined(
@@ -249,10 +321,10 @@ class Search:
         before, (first, second) = join.before, pair
         ties = before.ties | {join.number: Tie(second, join.place)}
         if first is None:
-            return before, Variant(ties, breaks, before.placed)
+            return before, Variant(ties, before.nothing, breaks, before.placed)
         ties = ties | {join.there[0]: Tie(first, join.place)}
         opened = {n: p for n, p in before.open.items() if n != join.there[0]}
-        return replace(before, open=opened), Variant(ties, breaks, before.placed)
+        return replace(before, open=opened), Variant(ties, before.nothing, breaks, before.placed)
 
     # -- lifts ------------------------------------------------------------------------------------
 
@@ -274,7 +346,7 @@ class Search:
         some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
         broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
         loose = self._minima(
-            [Variant(join.before.ties, b) for (join, _), b in zip(some, broken, strict=True)]
+            [_variant(join.before, each) for (join, _), each in zip(some, broken, strict=True)]
         )
         relaxed, left = [], []
         for (join, mine), breaks, there in zip(some, broken, loose, strict=True):
@@ -291,7 +363,7 @@ class Search:
                     found.append(hypothesis)
                     for gap in mine[:-1]:
                         breaks = join.before.breaks | {(self._robot(join), gap)}
-                        elsewhere.append((hypothesis, Variant(hypothesis.ties, breaks)))
+                        elsewhere.append((hypothesis, _variant(hypothesis, breaks)))
         return found + self.placed(elsewhere)
 
     def _robot(self, join: _Join) -> str:
@@ -322,6 +394,19 @@ class Search:
             for row, column in zip(rows, columns, strict=True)
             if cost[row, column] < best + _WINDOW
         ]
+
+
+def _happening(hypothesis: Hypothesis) -> object:
+    """What happened by a hypothesis, whichever way faces are read and in whichever gap a robot was
+    lifted: other gaps are tried in the end."""
+    places = {n: tie.place for n, tie in hypothesis.ties.items()} | hypothesis.open
+    lifted = sorted(robot for robot, _ in hypothesis.breaks)
+    return tuple(sorted(places.items())), hypothesis.nothing, tuple(lifted)
+
+
+def _variant(hypothesis: Hypothesis, breaks: frozenset[Break]) -> Variant:
+    """A hypothesis with these breaks, to be placed from the beginning."""
+    return Variant(hypothesis.ties, hypothesis.nothing, breaks)
 
 
 def _log_sum(scores: list[float]) -> float:

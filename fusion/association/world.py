@@ -120,7 +120,8 @@ class World:
             open={n: place for n, place in hypothesis.open.items() if n not in numbers},
             nothing=hypothesis.nothing - numbers,
         )
-        found = self.search.placed([(rest, Variant(ties, hypothesis.breaks, hypothesis.placed))])
+        variant = Variant(ties, rest.nothing, rest.breaks, hypothesis.placed)
+        found = self.search.placed([(rest, variant)])
         return found[0] if found else None
 
     def loose(self) -> list[tuple[float, set[str]]]:

@@ -71,14 +71,19 @@ class Explainer:
             for p, count in self._open.items()
         )
 
-    def explain(self, scales: dict[str, tuple[Array, Array]] | None = None) -> Explanation:
+    def explain(
+        self, scales: dict[str, tuple[Array, Array]] | None = None, *, is_draft: bool = False
+    ) -> Explanation:
         """What explains everything that came. `scales`: by robot the odometry's scale errors (2,)
-        and their sigmas (2,) as a solution has them, of use where little is known of them."""
+        and their sigmas (2,) as a solution has them, of use where little is known of them;
+        `is_draft`: the likeliest explanation alone, from which they are found."""
         self._observations.sort(key=lambda observation: observation.stamp_ns)
         self._explained = len(self._observations)
         self._came, self._open = Counter(), Counter()
         draft = with_solved_scales(self._data.draft(), self._data, scales or {})
-        self.explanation = explain(draft, list(self._observations), memory=self._memory)
+        self.explanation = explain(
+            draft, list(self._observations), memory=self._memory, is_draft=is_draft
+        )
         return self.explanation
 
     def note(self, entries: list[Entry]) -> None:

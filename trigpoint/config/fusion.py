@@ -14,15 +14,19 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     `wild_corner`: a corner of a good sighting lies so far off that it is left out; `disturbed`:
     somebody carried a robot or moved a camera at some time in the session; `event`: in such a
     session, a robot is put down elsewhere or a camera is moved between one visit and the next
-    (who interferes once is likely to do so again); `noise`: the noise is far from what the site
-    file states, in a session too short to tell; `room`: the box, metres, in which cameras hang and
-    robots drive.
+    (who interferes once is likely to do so again); `push_translation`, `push_rotation`: every other
+    camera that was moved was only pushed, by about so much along and about each axis (standard
+    deviations, m and rad), and is not elsewhere in the room; `noise`: the noise is far from what
+    the site file states, in a session too short to tell; `room`: the box, metres, in which cameras
+    hang and robots drive.
     """
 
     wrong_sighting: Probability = 0.02
     wild_corner: Probability = 1e-4
     disturbed: Probability = 1e-6
     event: Probability = 1e-2
+    push_translation: Positive = 0.1
+    push_rotation: Positive = 0.1
     noise: Probability = 5e-4
     room: tuple[Positive, Positive, Positive] = (30.0, 30.0, 5.0)
 

@@ -96,10 +96,10 @@ class Smoother:
         before = list(self.data.changes)
         # Scales of which little is known are found by a solution, and by them the rest.
         is_rough = self._batch.solution is None and bool(rough_robots(self.data))
-        known = None
         try:
-            for _ in range(1 + is_rough):
-                known = self._batch.solve(self._explainer.explain(self._batch.scales))
+            if is_rough:
+                self._batch.solve(self._explainer.explain(is_draft=True))
+            known = self._batch.solve(self._explainer.explain(self._batch.scales))
         except (LinAlgError, ValueError) as reason:
             self.data.note("unsolved", f"what came last could not be solved for yet ({reason})")
             return

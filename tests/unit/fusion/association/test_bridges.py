@@ -30,7 +30,7 @@ def test_variants_together_are_placed_as_each_alone() -> None:
     count = len(graph.visits[2].modes)
     assert count > 1
     variants = [
-        Variant({0: Tie(0, 0), 2: Tie(mode, 0)}, breaks)
+        Variant({0: Tie(0, 0), 2: Tie(mode, 0)}, frozenset(), breaks)
         for mode in range(count)
         for breaks in (frozenset(), frozenset({("r1", 1)}))
     ]

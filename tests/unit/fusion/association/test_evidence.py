@@ -35,8 +35,14 @@ def test_explanations_that_agree_on_the_place_are_one() -> None:
 
 
 def test_same_place_goes_by_sigmas_in_each_direction() -> None:
-    assert is_same_place(place(0, 0), place(0.07, 0))
-    assert not is_same_place(place(0, 0), place(0.08, 0))
+    assert is_same_place(place(0, 0), place(0.049, 0))
+    assert not is_same_place(place(0, 0), place(0.051, 0))
+
+
+def test_place_that_is_hardly_known_is_no_excuse_for_one_that_is_well_known() -> None:
+    """A camera given out to a centimetre is not there if it may be half a metre off."""
+    vague = Place(place(0.5, 1.0).map_from_camera, np.diag([0.1] * 6), 1.0)
+    assert len(alternatives_of([place(0, 0.0), vague])) == 2
 
 
 def test_nothing_explained_is_no_place() -> None:

@@ -4,6 +4,7 @@ from before but moved since."""
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from drives import (
     EPOCH_NS,
     CameraPlan,
@@ -61,6 +62,22 @@ def test_camera_that_was_pushed_along_the_floor_is_noticed() -> None:
         assert_there(network.cameras[name], cameras[name].map_from_camera)
 
 
+@pytest.mark.parametrize(("push_m", "more"), [(0.03, ""), (0.07, 'intrinsics = "estimate"')])
+def test_small_push_shows_by_what_two_cameras_see_together(push_m: float, more: str) -> None:
+    """A robot could have slipped as far, but not as the other camera sees it meanwhile. Each was
+    located where it no longer hangs, and c2 and c3 as far off, at 20 to 90 sigmas."""
+    cameras = lab_cameras(3, more=more)
+    old = cameras["c1"].map_from_camera
+    pushed_to = Pose(old.rotation, old.translation + np.array([push_m, 0.0, 0.0]))
+    robots = {"r1": RobotPlan(circle(speed=0.08), target_of("charuco"))}
+    plan = Plan(cameras, robots, seconds=120.0, picture_rate=0.7)
+    session = with_moved(plan, "c1", pushed_to, 60.0)
+    network = pushed(session.inputs, session.messages).results().network
+    assert_there(network.cameras["c1"], pushed_to)
+    for name in ("c2", "c3"):
+        assert_there(network.cameras[name], cameras[name].map_from_camera)
+
+
 def test_camera_below_the_floor_is_there_where_nothing_else_fits() -> None:
     eye = looking_at((1.9, 0.3, -0.1), (0.3, 0.0, 0.65))
     robots = {"r1": RobotPlan(straight(), target_of("charuco"))}
@@ -72,7 +89,7 @@ def test_known_camera_that_may_have_been_moved_is_not_given_out() -> None:
     cameras = lab_cameras(2)
     old = cameras["c1"].map_from_camera
     turn = so3.exp(np.array([0.0046, 0.0, 0.0])) @ Pose.planar(0.0, 0.0, 0.1).rotation
-    now = Pose(turn @ old.rotation, old.translation + np.array([0.3, 0.0, 0.0046]))
+    now = Pose(turn @ old.rotation, old.translation + np.array([0.6, 0.0, 0.0046]))
     robots = {"r1": RobotPlan(circle(), target_of("charuco"))}
     plan = Plan({**cameras, "c1": replace(cameras["c1"], map_from_camera=now)}, robots, seconds=6.0)
     session = make_session(plan)

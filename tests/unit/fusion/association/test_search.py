@@ -18,7 +18,7 @@ def search() -> Search:
 
 def test_lift_is_tried_in_every_other_gap(search: Search) -> None:
     ties = {0: Tie(0, 0), 2: Tie(0, 0), 3: Tie(0, 0)}
-    variant = Variant(ties, frozenset({("r1", 2)}))
+    variant = Variant(ties, frozenset(), frozenset({("r1", 2)}))
     (lifted,) = search.placed([(Hypothesis(open={1: 0}), variant)])
     assert search.first_after_events(lifted) == [2]
     others = search.lifted_elsewhere(lifted)

@@ -1,0 +1,205 @@
+"""How a robot moved between the moments at which visits begin: by its odometry, or, where one visit
+goes on meanwhile, by what that shows of it.
+
+The pictures of one visit say where the robot stood at each, before a camera that hangs somewhere:
+so also how it moved between them, often ten times as well as its wheels do. Without that, what two
+cameras see together says of where they are to each other no more than odometry between the two
+visits' first pictures.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, relative_jacobians, turned_axes
+
+from .events import EVIDENCE
+from .linear import HELD
+from .modes import VisitModes, odometry_poses
+
+_SCALE_STEP = 0.01
+# What a visit shows of a motion beside odometry, of all that it shows of it: less is nothing.
+_LEAST_OWN = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Motions (m) between a robot's nodes near scale errors `about` (2,), and their derivatives by
+    those (m, 6, 2)."""
+
+    motion: Pose
+    by_scale: Array
+    about: Array
+
+
+class RobotPath:
+    """One robot's nodes, a moment each: odometry's poses (n), the information of the motions
+    between them in their free directions (m, d, d), and ln |covariance| (m,)."""
+
+    def __init__(self, data: DataSet, robot: str, moments: list[int]) -> None:
+        self.track = track = data.tracks[robot]
+        self.is_anchored = robot == data.anchored_robot
+        first = [track.first_ns] if self.is_anchored else []
+        self.stamps_ns = np.unique([*first, *moments]).astype(np.int64)
+        self.tangent = PLANAR if track.planar else SPATIAL
+        noise = data.site.robots[robot].odometry
+        self.scale_sigma = np.array([noise.distance_scale, noise.heading_scale])
+        self.odometry = odometry_poses(data, robot, self.stamps_ns)
+        self._steps: dict[tuple[int, ...], Steps] = {}
+        d = len(self.tangent)
+        covariance = np.zeros((0, d, d))
+        if len(self.stamps_ns) > 1:
+            whole = track.motion(self.stamps_ns, np.zeros(2)).covariance
+            covariance = whole[:, self.tangent][:, :, self.tangent] + HELD**2 * np.eye(d)
+        self.information = np.linalg.inv(covariance)
+        self.log_covariance = np.linalg.slogdet(covariance)[1]
+
+    def steps(self, scales: Array) -> Steps:
+        """The motions near scale errors (2,): to first order, from so near that what is left of
+        the second is less than noise."""
+        cell = tuple(np.round(scales / _SCALE_STEP).astype(int).tolist())
+        if cell not in self._steps:
+            about = _SCALE_STEP * np.array(cell, dtype=float)
+            motion = self.track.motion(self.stamps_ns, about)
+            self._steps[cell] = Steps(motion.earlier_from_later, motion.by_scale, about)
+        return self._steps[cell]
+
+
+@dataclass(frozen=True, slots=True)
+class VisualStep:
+    """A robot's motion between two nodes as visit `number` shows it, with its derivative (6, 2) by
+    the odometry's scale errors, its information (d, d) and ln |covariance|. `surprise`: of the
+    visit's own score what goes with odometry on the way, where that broke."""
+
+    number: int
+    motion: Pose
+    by_scale: Array
+    information: Array
+    log_covariance: float
+    surprise: float = 0.0
+
+
+Picture = tuple[int, int]
+"""When it was taken, in ns, and the index of the observation."""
+
+
+def visual_step(
+    path: RobotPath, step: int, number: int, found: VisitModes, pictures: list[Picture]
+) -> VisualStep | None:
+    """What a visit's pictures on the way from node `step` to the next show of that, in order of
+    time; None where odometry says more, or something else: where that broke, the visit goes by it
+    too."""
+    if len(pictures) < 2:
+        return None
+    ends = pictures[0], pictures[-1]
+    seen = _moved(path, found, *ends)
+    error, noise = _beside_odometry(path, seen, ends)
+    if error @ np.linalg.solve(noise, error) > chdtri(len(error), EVIDENCE):
+        return None
+    one = _visual_step(path, step, number, ends, seen)
+    return one if one.log_covariance < path.log_covariance[step] else None
+
+
+def watched_step(
+    path: RobotPath, step: int, number: int, found: VisitModes, pictures: tuple[Picture, Picture]
+) -> VisualStep | None:
+    """The same of a step in which odometry broke, by a picture before it and one after it. What
+    odometry between these has to do with how a visit has the motion is taken out of it, to first
+    order: it is no better known than by odometry that did not break. None where nothing is left."""
+    free = np.ix_(path.tangent, path.tangent)
+    seen = _moved(path, found, *pictures)
+    error, noise = _beside_odometry(path, seen, pictures)
+    information = np.linalg.inv(noise)
+    root = np.linalg.cholesky(seen.covariance[free] + HELD**2 * np.eye(len(path.tangent)))
+    own = np.eye(len(root)) - root.T @ information @ root
+    if np.linalg.eigvalsh(own)[0] < _LEAST_OWN:
+        return None
+    alone = root @ np.linalg.inv(own) @ root.T
+    more, whole = np.zeros(6), np.zeros((6, 6))
+    more[path.tangent], whole[free] = alone @ information @ error, alone + noise
+    error = error + more[path.tangent]
+    surprise = float(error @ np.linalg.solve(alone + noise, error))
+    surprise += float(np.linalg.slogdet(alone + noise)[1])
+    seen = replace(seen, pose=seen.pose.disturbed(more), covariance=whole)
+    return replace(_visual_step(path, step, number, pictures, seen), surprise=surprise)
+
+
+def _beside_odometry(
+    path: RobotPath, seen: "_Step", pictures: tuple[Picture, Picture]
+) -> tuple[Array, Array]:
+    """By how much a motion between two pictures is another than odometry's (d,), and the latter's
+    covariance (d, d), scales included."""
+    driven = _driven(path, pictures[0][0], pictures[1][0])
+    by_scale = driven.by_scale[path.tangent] * path.scale_sigma
+    noise = driven.covariance[np.ix_(path.tangent, path.tangent)] + by_scale @ by_scale.T
+    error = seen.pose.difference(driven.pose)[path.tangent]
+    return error, noise + HELD**2 * np.eye(len(error))
+
+
+def _visual_step(
+    path: RobotPath, step: int, number: int, pictures: tuple[Picture, Picture], seen: "_Step"
+) -> VisualStep:
+    """From node to node: by odometry to the first picture, as `seen` between the two, and by
+    odometry from the last."""
+    begin, end = path.stamps_ns[step : step + 2].tolist()
+    (first_ns, _), (last_ns, _) = pictures
+    after = _chained(seen, _driven(path, last_ns, end))
+    whole = _chained(_driven(path, begin, first_ns), after)
+    covariance = whole.covariance[np.ix_(path.tangent, path.tangent)]
+    covariance = covariance + HELD**2 * np.eye(len(covariance))
+    log_covariance = float(np.linalg.slogdet(covariance)[1])
+    information = np.linalg.inv(covariance)
+    return VisualStep(number, whole.pose, whole.by_scale, information, log_covariance)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A motion, its covariance (6, 6), and its derivative (6, 2) by scale errors."""
+
+    pose: Pose
+    covariance: Array
+    by_scale: Array
+
+
+def _moved(path: RobotPath, found: VisitModes, earlier: Picture, later: Picture) -> _Step:
+    """Between two pictures that none of a visit's modes has as wrong: as the best one has it, no
+    better known than they differ."""
+    moved = [mode.moved(earlier[1], later[1], path.tangent) for mode in found.modes]
+    (motion, covariance), *others = moved
+    for other, _ in others:
+        apart = other.difference(motion)[path.tangent]
+        covariance = covariance + np.outer(apart, apart)
+    whole = np.zeros((6, 6))
+    whole[np.ix_(path.tangent, path.tangent)] = covariance
+    return _Step(motion, whole, np.zeros((6, 2)))
+
+
+def _driven(path: RobotPath, from_ns: int, to_ns: int) -> _Step:
+    """By odometry from one moment to another, also backwards."""
+    moments = np.clip([from_ns, to_ns], path.track.first_ns, path.track.last_ns)
+    if moments[0] == moments[1]:
+        return _Step(Pose.identity(), np.zeros((6, 6)), np.zeros((6, 2)))
+    motion = path.track.motion(np.sort(moments), np.zeros(2))
+    one = _Step(motion.earlier_from_later[0], motion.covariance[0], motion.by_scale[0])
+    if moments[0] < moments[1]:
+        return one
+    by_pose, _ = relative_jacobians(one.pose, Pose.identity())
+    covariance = by_pose @ one.covariance @ by_pose.T
+    return _Step(one.pose.inverse(), covariance, by_pose @ one.by_scale)
+
+
+def _chained(first: _Step, second: _Step) -> _Step:
+    """One motion after another."""
+    end = first.pose @ second.pose
+    by_first = lever(end.translation - first.pose.translation)
+    by_second = turned_axes(first.pose.rotation)
+    return _Step(
+        end,
+        by_first @ first.covariance @ by_first.T + by_second @ second.covariance @ by_second.T,
+        by_first @ first.by_scale + by_second @ second.by_scale,
+    )
