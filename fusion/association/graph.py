@@ -24,7 +24,7 @@ from .events import Events
 from .linear import HELD
 from .mode import Mode
 from .modes import VisitModes
-from .path import Picture, RobotPath, VisualStep, visual_step, watched_step
+from .path import Picture, RobotPath, VisualStep, Way, visual_step, watched_step
 
 _CLOCK_SIGMAS = 5.0
 Place = tuple[str, int]
@@ -103,6 +103,13 @@ class Graph:
         self._across: dict[Break, list[VisualStep]] = {}
         self._clocks = [_clock(data, v) for v in visits]
         self._visual = self._visual_steps()
+        self._showing = {
+            each.number
+            for steps in self._visual.values()
+            for seen in steps.values()
+            for each in seen
+        }
+        self._ways: dict[tuple[str, frozenset[int]], Way] = {}
         self._relative = [self._seen_from(number, v.modes) for number, v in enumerate(visits)]
         self._own_values = [
             np.array([own_values(data, v.visit.camera, mode) for mode in v.modes]) for v in visits
@@ -151,6 +158,14 @@ class Graph:
         stamp_ns, index = picture
         return stamp_ns - to_ns(self.visits[number].modes[0].early_s), index
 
+    def way(self, robot: str, nothing: frozenset[int]) -> Way:
+        """What is said of a robot's steps where the visits `nothing` show nothing."""
+        silent = nothing & self._showing
+        if (robot, silent) not in self._ways:
+            way = Way.of(self.paths[robot]).with_seen(self.seen(robot, silent))
+            self._ways[robot, silent] = way
+        return self._ways[robot, silent]
+
     def seen(self, robot: str, nothing: frozenset[int]) -> dict[int, VisualStep]:
         """By step, what shows most of it where the visits `nothing` show nothing."""
         found = {}
@@ -162,8 +177,7 @@ class Graph:
 
     def shows_steps(self, number: int) -> bool:
         """Whether a visit shows more of how its robot moved than odometry."""
-        steps = self._visual[self.visits[number].visit.robot].values()
-        return any(each.number == number for seen in steps for each in seen)
+        return number in self._showing
 
     def _seen_from(self, number: int, modes: Sequence[Mode]) -> tuple[Pose, Array]:
         """A visit's modes (k) from the robot's pose at its beginning: base_from_camera, and the

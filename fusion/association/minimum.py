@@ -16,7 +16,7 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 from .equations import Equations, Factor, Pattern
 from .graph import Graph, Layout, Place, Placed, Variant
 from .linear import HELD
-from .path import RobotPath, VisualStep
+from .path import RobotPath
 
 _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
@@ -336,12 +336,10 @@ class _Minimum:
         motion = _stacked([each.motion for each in steps])
         reported = motion.disturbed((by_scale @ change[:, None, :, None])[..., 0])
         shown = self.shown[robot]
-        if shown.motion is not None:
-            at = shown.rows, shown.steps
-            along = (shown.by_scale @ scales[shown.rows][..., None])[..., 0]
-            seen = shown.motion.disturbed(along)
-            reported.rotation[at], reported.translation[at] = seen.rotation, seen.translation
-            by_scale[at] = shown.by_scale
+        at = shown.rows, shown.steps
+        seen = shown.motion.disturbed((shown.by_scale @ scales[shown.rows][..., None])[..., 0])
+        reported.rotation[at], reported.translation[at] = seen.rotation, seen.translation
+        by_scale[at] = shown.by_scale
         return reported, by_scale[..., tangent, :]
 
     def _said(self, ties: _Ties) -> _Block:
@@ -382,48 +380,48 @@ class _Minimum:
 class _Shown:
     """What is said of a robot's steps (m) for b variants: `information` (b, m, d, d) and the sum of
     ln |covariance| (b,), where the robot was lifted that of where it may be put down, too; which
-    are anywhere, (b, m); and where visits show them (k): `rows` and `steps` (k,), their motions
-    (None: nowhere), `by_scale` (k, 6, 2)."""
+    are anywhere, (b, m); and where visits show them (k): `rows` and `steps` (k,), their motions,
+    `by_scale` (k, 6, 2)."""
 
     information: Array
     log_covariance: Array
     is_anywhere: np.ndarray
     rows: np.ndarray
     steps: np.ndarray
-    motion: Pose | None
+    motion: Pose
     by_scale: Array
 
 
 def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
     path = graph.paths[robot]
     room = graph.room(path)
-    information = np.tile(path.information, (len(variants), 1, 1, 1))
-    log_covariance = np.tile(path.log_covariance, (len(variants), 1))
-    is_anywhere = np.zeros(log_covariance.shape, dtype=bool)
-    at: list[tuple[int, int]] = []
-    found: list[VisualStep] = []
+    ways = []
+    information = np.zeros((len(variants), *path.information.shape))
+    log_covariance = np.zeros(len(variants))
+    is_anywhere = np.zeros(information.shape[:2], dtype=bool)
     for row, variant in enumerate(variants):
-        shown: dict[int, VisualStep | None] = {**graph.seen(robot, variant.nothing)}
-        broken = {step for name, step in variant.breaks if name == robot}
-        shown |= {step: graph.across((robot, step), variant.nothing) for step in broken}
-        for step, seen in shown.items():
-            log_covariance[row, step] = np.sum(np.log(room)) if step in broken else 0.0
-            if seen is None:  # the width alone keeps it determined
-                is_anywhere[row, step], information[row, step] = True, np.diag(1 / room)
-                continue
-            log_covariance[row, step] += seen.log_covariance - seen.surprise
-            information[row, step] = seen.information
-            at.append((row, step))
-            found.append(seen)
-    rows, columns = np.array(at, dtype=int).reshape(-1, 2).T
+        way = graph.way(robot, variant.nothing)
+        for step in sorted(step for name, step in variant.breaks if name == robot):
+            across = graph.across((robot, step), variant.nothing)
+            way = way.broken(step, across)
+            log_covariance[row] += np.sum(np.log(room))
+            if across is None:  # the width alone keeps it determined
+                is_anywhere[row, step] = True
+        ways.append(way)
+        information[row] = way.information
+        log_covariance[row] += way.log_covariance.sum()
+    information[is_anywhere] = np.diag(1 / room)
     return _Shown(
         information,
-        log_covariance.sum(axis=1),
+        log_covariance,
         is_anywhere,
-        rows,
-        columns,
-        Pose.stack([seen.motion for seen in found]) if found else None,
-        np.array([seen.by_scale for seen in found]).reshape(-1, 6, 2),
+        np.repeat(np.arange(len(ways)), [len(way.steps) for way in ways]),
+        np.concatenate([way.steps for way in ways]),
+        Pose(
+            np.concatenate([way.motion.rotation for way in ways]),
+            np.concatenate([way.motion.translation for way in ways]),
+        ),
+        np.concatenate([way.by_scale for way in ways]),
     )
 
 

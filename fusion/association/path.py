@@ -8,6 +8,7 @@ visits' first pictures.
 """
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.special import chdtri
@@ -82,6 +83,62 @@ class VisualStep:
     information: Array
     log_covariance: float
     surprise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What is said of a path's steps (m) by odometry and visits: `information` (m, d, d) and
+    ln |covariance| (m,); the `steps` (k,) that visits show, their `motion` (k) and `by_scale`
+    (k, 6, 2)."""
+
+    information: Array
+    log_covariance: Array
+    steps: np.ndarray
+    motion: Pose
+    by_scale: Array
+
+    @classmethod
+    def of(cls, path: RobotPath) -> Self:
+        """By odometry alone."""
+        nothing = Pose.stack([])
+        steps, by_scale = np.zeros(0, dtype=int), np.zeros((0, 6, 2))
+        return cls(path.information, path.log_covariance, steps, nothing, by_scale)
+
+    def with_seen(self, seen: dict[int, VisualStep]) -> Self:
+        """With these steps as visits show them."""
+        steps, shown = np.array(list(seen), dtype=int), list(seen.values())
+        kept = ~np.isin(self.steps, steps)
+        motions = Pose.stack([one.motion for one in shown])
+        information, log_covariance = self.information.copy(), self.log_covariance.copy()
+        for step, one in seen.items():
+            information[step] = one.information
+            log_covariance[step] = one.log_covariance - one.surprise
+        by_scale = np.array([one.by_scale for one in shown]).reshape(-1, 6, 2)
+        return replace(
+            self,
+            information=information,
+            log_covariance=log_covariance,
+            steps=np.concatenate([self.steps[kept], steps]),
+            motion=Pose(
+                np.concatenate([self.motion.rotation[kept], motions.rotation]),
+                np.concatenate([self.motion.translation[kept], motions.translation]),
+            ),
+            by_scale=np.concatenate([self.by_scale[kept], by_scale]),
+        )
+
+    def broken(self, step: int, across: VisualStep | None) -> Self:
+        """With a step in which odometry broke, as a visit shows it, or anywhere."""
+        if across is not None:
+            return self.with_seen({step: across})
+        kept, log_covariance = self.steps != step, self.log_covariance.copy()
+        log_covariance[step] = 0.0
+        return replace(
+            self,
+            log_covariance=log_covariance,
+            steps=self.steps[kept],
+            motion=self.motion[kept],
+            by_scale=self.by_scale[kept],
+        )
 
 
 Picture = tuple[int, int]
