@@ -80,26 +80,23 @@ def network_error(network: Network, covariance: Array, truth: TruthFile) -> Netw
         )
     if len(names) < 2:
         return NetworkError(cameras, None, None)
-    nees = joint_error(network, covariance, {name: truth.cameras[name].pose for name in names})
+    rows = np.concatenate([np.arange(6) + 6 * network.located.index(name) for name in names])
+    records = [network.cameras[name].map_from_camera for name in names]
+    nees = joint_error(
+        [record.pose for record in records if record is not None],
+        [truth.cameras[name].pose for name in names],
+        covariance[np.ix_(rows, rows)],
+    )
     return NetworkError(cameras, _distance_error(network, truth, names), nees)
 
 
-def joint_error(network: Network, covariance: Array, true: dict[str, Pose]) -> float:
-    """eᵀP⁻¹e over all 6n errors of located cameras whose pose is known, per degree of freedom.
-
-    `covariance`: joint, of all that are located. `NetworkError` says what the errors are.
-    """
-    errors, about_origin, rows = [], [], []
-    for name, pose in true.items():
-        record = network.cameras[name]
-        assert record.map_from_camera is not None  # it is located
-        estimate = record.map_from_camera.pose
-        errors.append(_twist(estimate @ pose.inverse()))
-        about_origin.append(_about_origin(estimate))
-        rows.append(np.arange(6) + 6 * network.located.index(name))
-    all_rows, error = np.concatenate(rows), np.concatenate(errors)
-    turned = np.asarray(block_diag(*about_origin), dtype=float)
-    spread = turned @ covariance[np.ix_(all_rows, all_rows)] @ turned.T
+def joint_error(estimated: list[Pose], true: list[Pose], covariance: Array) -> float:
+    """eᵀP⁻¹e of the poses of n cameras in the map, per degree of freedom, by their joint covariance
+    (6n, 6n). `NetworkError` says what the errors are."""
+    pairs = zip(estimated, true, strict=True)
+    error = np.concatenate([_twist(pose @ other.inverse()) for pose, other in pairs])
+    turned = np.asarray(block_diag(*map(_about_origin, estimated)), dtype=float)
+    spread = turned @ covariance @ turned.T
     return float(error @ np.linalg.solve(spread, error)) / len(error)
 
 

@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.network import load_covariance, load_network
 from trigpoint.tools.truth import joint_error
 
 from .files import write_composition
@@ -122,7 +121,6 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
         _camera(name, said_of.get(name), place, pictures[name]) for name, place in places.items()
     ]
     is_any_wrong = any(camera.is_wrong for camera in cameras)
-    is_judged = outcome is Outcome.DONE and not is_any_wrong
     return Score(
         kind=recipe.kind,
         seed=recipe.seed,
@@ -133,7 +131,7 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
         seconds=seconds,
         lasts_s=session.lasts_s,
         cameras=cameras,
-        honesty=_honesty(out, places) if is_judged else None,
+        honesty=None if is_any_wrong else _honesty(out, said_of, places),
         why=why,
     )
 
@@ -194,10 +192,17 @@ def _among(said: dict[str, Any] | None, place: Pose) -> bool | None:
     return False
 
 
-def _honesty(out: Path, places: dict[str, Pose]) -> float | None:
-    network = load_network(out)
-    true = {name: places[name] for name in network.located if name in places}
-    return joint_error(network, load_covariance(out, network), true) if true else None
+def _honesty(
+    out: Path, said_of: dict[str, dict[str, Any]], places: dict[str, Pose]
+) -> float | None:
+    located = [n for n, said in said_of.items() if said.get("map_from_camera") and n in places]
+    if not located or not (out / "covariance.npz").exists():
+        return None
+    with np.load(out / "covariance.npz") as archive:
+        order, joint = [str(name) for name in archive["cameras"]], archive["covariance"]
+    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in located])
+    estimated = [_pose(said_of[name]["map_from_camera"]) for name in located]
+    return joint_error(estimated, [places[name] for name in located], joint[np.ix_(rows, rows)])
 
 
 def _pose(said: dict[str, Any]) -> Pose:
