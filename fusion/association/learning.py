@@ -14,7 +14,7 @@ from .modes import Memory, ModeFinder, VisitModes, wrong_by
 from .noise import PESSIMISTIC, STATED, Noise
 from .session_noise import with_noise
 from .variances import corner_scale, learn
-from .visits import Visit, telling, visits_of
+from .visits import Visit, telling, telling_of_lenses, visits_of
 
 _MOST_SCATTERS = 40
 
@@ -40,10 +40,11 @@ def learnt_noise(
     common = corner_scale(list(scales.values()))
     seen = [memory.scattering(o, scales.get(o.camera, common)) for o in observations]
     finder = ModeFinder(wide, seen, events, memory)
-    found = [finder.modes_of(visit) for visit in telling(visits_of(data, observations))]
-    lenses = {f.visit.camera: f.modes[0].camera.lens for f in found if f.modes}
-    relensed = replace(data, lenses=data.lenses | lenses)
-    scales |= _corner_scales(relensed, observations, events, set(lenses) - known_lens, memory)
+    visits = visits_of(data, observations)
+    found = [finder.modes_of(visit) for visit in telling(visits)]
+    for visit in telling_of_lenses(visits, data.site.cameras.keys() - known_lens):
+        memory.learn_lens(finder.modes_of(visit))
+    scales |= _corner_scales(data, observations, events, set(memory.lenses), memory)
     scales = {o.camera: scales.get(o.camera, common) for o in observations}
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     visits = [_with_neighbours(each.visit) for each in found if each.modes]

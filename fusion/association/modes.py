@@ -47,7 +47,8 @@ class VisitModes:
 class Memory:
     """What was found of visits, kept from one search to the next: most visits of a session that
     grows stay what they were; `budget`: for what is not; `alone`: by view and lens what each view
-    says by itself. Not thread-safe."""
+    says by itself; `lenses`: by camera, of those that are estimated, the one that its most telling
+    visit so far told. Not thread-safe."""
 
     def __init__(
         self,
@@ -58,6 +59,8 @@ class Memory:
         self._kept: dict[tuple[object, ...], VisitModes] = {}
         self._used: dict[tuple[object, ...], VisitModes] = {}
         self.alone = alone if alone is not None else {}
+        self.lenses: dict[str, CameraModel] = {}
+        self._told_by: dict[str, int] = {}
         # What the noise was learnt from the last time, and what it was by that.
         self.learnt: tuple[object, dict[str, tuple[Noise | None, ...]]] = None, {}
         self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
@@ -82,13 +85,25 @@ class Memory:
     def put(self, key: tuple[object, ...], found: VisitModes) -> None:
         self._kept[key] = self._used[key] = found
 
+    def learn_lens(self, found: VisitModes) -> None:
+        """Take the lens of a visit that tells more of it than any one did before: one that is a
+        little better is not worth working out everything anew."""
+        camera, pictures = found.visit.camera, len(found.visit.chosen)
+        if found.modes and pictures > self._told_by.get(camera, 0):
+            self.lenses[camera] = found.modes[0].camera.lens
+            self._told_by[camera] = pictures
+
     def forget_unused(self) -> None:
         """Drop what nobody asked for since the last time."""
         self._kept, self._used = self._used, {}
 
 
 class ModeFinder:
-    """Finds the modes of visits over one session's observations."""
+    """Finds the modes of visits over one session's observations.
+
+    Single sightings are judged, and searches start, with the `lenses` that other visits told; the
+    priors of those that are estimated are the data set's.
+    """
 
     def __init__(
         self,
@@ -99,6 +114,7 @@ class ModeFinder:
     ) -> None:
         self.data, self.observations, self.events = data, observations, events
         self.memory = memory if memory is not None else Memory()
+        self.lenses = data.lenses | self.memory.lenses
         self._alone: dict[int, tuple[Alone, ...]] = {}
         self._tame: dict[int, Observation] = {}
 
@@ -117,7 +133,7 @@ class ModeFinder:
 
     def _by_itself(self, index: int, order: int) -> Alone:
         observation = self.observations[index]
-        target, lens = self.data.targets[observation.robot], self.data.lenses[observation.camera]
+        target, lens = self.data.targets[observation.robot], self.lenses[observation.camera]
         key = observation.views[order], lens
         if key not in self.memory.alone:
             self.memory.budget.spend_looking()
@@ -172,7 +188,8 @@ class ModeFinder:
         chosen = [self.observations[index] for index in visit.chosen]
         seen = tuple((each.stamp_ns, each.views) for each in chosen)
         noise = track.noise, track.scales, track.slip, track.skid, jitter
-        return visit.camera, visit.robot, seen, noise, self.data.lenses[visit.camera]
+        lenses = self.data.lenses[visit.camera], self.lenses[visit.camera]
+        return visit.camera, visit.robot, seen, noise, lenses
 
     def _modes_of(self, visit: Visit) -> VisitModes:
         chosen = {index: self.observations[index] for index in visit.chosen}
@@ -192,7 +209,7 @@ class ModeFinder:
         return VisitModes(visit, near, sum(sum(row) for row in scores.values()), moments)
 
     def _found(self, visit: Visit, problem: LocalProblem, starts: list[Start]) -> list[Mode]:
-        lens, found = self.data.lenses[visit.camera], list[Mode]()
+        lens, found = self.lenses[visit.camera], list[Mode]()
         for start in starts:
             # A mode with some more wrong sightings is far outside the window.
             fewest = min((mode.wrong for mode in found), default=None)
@@ -220,7 +237,7 @@ class ModeFinder:
 
     def _single_starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
         """Where each sighting puts the camera by itself, all others taken to be wrong."""
-        target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
+        target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
         views = {index: len(self.observations[index].views) for index in visit.chosen}
         found: list[Start] = []
         for index, count in views.items():
@@ -238,7 +255,7 @@ class ModeFinder:
         as that would, by one of them with the others wrong."""
         (index,) = visit.chosen
         observation = self.tame(index)
-        target, lens = self.data.targets[visit.robot], self.data.lenses[visit.camera]
+        target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
         together = candidates(observation, target, lens)
         starts = [Start(poses[index] @ c.camera_from_base.inverse(), {}) for c in together]
         found = self._found(visit, problem, starts)
@@ -303,8 +320,9 @@ class ModeFinder:
         sizes = [len(view.readings) for seen in tame.values() for view in seen.views]
         seeds = math.ceil(sum(sizes) * min(1, MOST_SEEDS / len(sizes)))
         self.memory.budget.spend_starting(ways=sum(sizes), seeds=seeds)
+        known = replace(self.data, lenses=self.lenses)
         return starts_of(
-            self.data, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
+            known, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
         )
 
     def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:

@@ -1,5 +1,6 @@
 """Visits: runs of pictures of one robot by one camera between which odometry hardly drifts."""
 
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,15 @@ def telling(visits: list[Visit]) -> list[Visit]:
         mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_TELL]
         found += sorted(mine, key=lambda visit: -len(visit.indices))[:_MOST_TELLING]
     return found
+
+
+def telling_of_lenses(visits: list[Visit], cameras: Set[str]) -> list[Visit]:
+    """Of each of these cameras the visit with most pictures, where these tell a lens."""
+    longest: dict[str, Visit] = {}
+    for visit in sorted(visits, key=lambda visit: len(visit.indices)):
+        if visit.camera in cameras and len(visit.indices) >= _LEAST_TO_TELL:
+            longest[visit.camera] = visit
+    return list(longest.values())
 
 
 def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
