@@ -59,3 +59,8 @@ class Mode:
     def wrong(self) -> int:
         """How many sightings are wrong by it."""
         return sum(reading is None for row in self.readings.values() for reading in row)
+
+    @property
+    def right_pictures(self) -> int:
+        """How many pictures show the robot by it."""
+        return sum(any(reading is not None for reading in row) for row in self.readings.values())

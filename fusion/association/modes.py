@@ -43,6 +43,11 @@ class VisitModes:
     nothing: float
     right: tuple[tuple[int, int], ...]
 
+    @property
+    def is_one_picture(self) -> bool:
+        """Whether each mode rests on one picture alone, the others being wrong."""
+        return all(mode.right_pictures == 1 for mode in self.modes)
+
 
 class Memory:
     """What was found of visits, kept from one search to the next: most visits of a session that

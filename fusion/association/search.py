@@ -153,8 +153,7 @@ class Search:
     def _moved_score(self, placed: Placed, earlier: int | Place, later: int | Place) -> float:
         """What it adds that a camera which was moved hangs where it does. A picture by itself that
         is off by little is sooner wrong than shows a push."""
-        visits = [self.visits[each].visit for each in (earlier, later) if isinstance(each, int)]
-        if any(len(visit.chosen) == 1 for visit in visits):
+        if any(self.visits[n].is_one_picture for n in (earlier, later) if isinstance(n, int)):
             return self.events.moved(np.inf)
         cost = agreement(self.graph, placed, earlier, later, self.events.push)
         apart = _log_sum(cost.reshape(-1).tolist())
