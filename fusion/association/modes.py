@@ -326,9 +326,7 @@ class ModeFinder:
         seeds = math.ceil(sum(sizes) * min(1, MOST_SEEDS / len(sizes)))
         self.memory.budget.spend_starting(ways=sum(sizes), seeds=seeds)
         known = replace(self.data, lenses=self.lenses)
-        return starts_of(
-            known, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW
-        )
+        return starts_of(known, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW)
 
     def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:
         """The modes within the window; of those that fit alike, none that has the camera look up

@@ -12,11 +12,11 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Target
 
 from .dataset import DataSet, KnownCameras
-from .motion import Motion
 from .observations import Observation, moving
 from .odometry import OdometryTrack
 from .padding import padded_points
 from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
+from .trajectory import interpolated
 
 # Where no camera sees the robot for long, nodes are put in between, so that the way there is
 # worked out with the rest and can be interpolated.
@@ -129,7 +129,7 @@ def _chain(
         is_anchored=is_first or not anchored,
         twists=track.twists_about(stamps),
     )
-    return _BuiltChain(chain, _start_poses(len(stamps), motion, guesses), node_of)
+    return _BuiltChain(chain, _start_poses(track, scales, stamps, guesses), node_of)
 
 
 def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
@@ -144,30 +144,17 @@ def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
     return np.unique(np.concatenate(parts))
 
 
-def _start_poses(count: int, motion: Motion | None, guesses: dict[int, Pose | None]) -> Pose:
-    """A pose for each node: the guess where there is one, between and beyond them by odometry.
-
-    Between two guesses the difference to odometry is shared out evenly.
-    """
-    known = sorted(node for node, pose in guesses.items() if pose is not None)
-    poses: list[Pose] = [Pose.identity()] * count
-    for node in known:
-        pose = guesses[node]
-        assert pose is not None
-        poses[node] = pose
-    if motion is None or not known:
-        return Pose.stack(poses)
-    steps = motion.earlier_from_later
-    for node in range(known[0] - 1, -1, -1):
-        poses[node] = poses[node + 1] @ steps[node].inverse()
-    for start, end in zip(known, [*known[1:], count], strict=True):
-        for node in range(start + 1, end):
-            poses[node] = poses[node - 1] @ steps[node - 1]
-        if end < count and end - start > 1:
-            missing = poses[end].difference(poses[end - 1] @ steps[end - 1])
-            for node in range(start + 1, end):
-                poses[node] = poses[node].disturbed(missing * (node - start) / (end - start))
-    return Pose.stack(poses)
+def _start_poses(
+    track: OdometryTrack, scales: Array, stamps_ns: np.ndarray, guesses: dict[int, Pose | None]
+) -> Pose:
+    """A pose for each node: the guess where there is one, between and beyond them by odometry."""
+    known = {node: guesses[node] for node in sorted(guesses) if guesses[node] is not None}
+    poses = Pose.stack([pose for pose in known.values() if pose is not None])
+    if len(known) == len(stamps_ns):
+        return poses
+    if not known:
+        return Pose.identity().repeated(len(stamps_ns))
+    return interpolated(track, scales, stamps_ns[list(known)], poses, stamps_ns)
 
 
 def _batches(

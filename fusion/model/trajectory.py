@@ -3,32 +3,35 @@
 import numpy as np
 
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
 
 from .motion import composed
 from .odometry import OdometryTrack
-from .problem import Chain
 
 
-def interpolated(track: OdometryTrack, chain: Chain, nodes: Pose, stamps_ns: np.ndarray) -> Pose:
-    """map_from_base at moments (m,) that odometry covers.
+def interpolated(
+    track: OdometryTrack, scales: Array, nodes_ns: np.ndarray, nodes: Pose, stamps_ns: np.ndarray
+) -> Pose:
+    """map_from_base at moments (m,) that odometry covers, by what it is at `nodes_ns` (n,), in
+    order, and odometry with scale errors (2,).
 
     From the node before by odometry; what is missing then at the node after is shared out by time.
     Before the first node odometry is followed backwards, after the last one forwards, and so it is
     on either side of a jump.
     """
-    every, where = np.unique(np.concatenate([chain.stamps_ns, stamps_ns]), return_inverse=True)
-    odometry = _dead_reckoned(track, chain, every)
-    at_node = where[: len(chain.stamps_ns)]
-    before = np.clip(np.searchsorted(chain.stamps_ns, stamps_ns, "right") - 1, 0, None)
-    wanted = where[len(chain.stamps_ns) :]
+    every, where = np.unique(np.concatenate([nodes_ns, stamps_ns]), return_inverse=True)
+    odometry = _dead_reckoned(track, scales, every)
+    at_node = where[: len(nodes_ns)]
+    before = np.clip(np.searchsorted(nodes_ns, stamps_ns, "right") - 1, 0, None)
+    wanted = where[len(nodes_ns) :]
     start = odometry[at_node[before]]
     pose = nodes[before] @ start.inverse() @ odometry[wanted]
-    after = np.minimum(before + 1, len(chain.stamps_ns) - 1)
+    after = np.minimum(before + 1, len(nodes_ns) - 1)
     expected = nodes[before] @ start.inverse() @ odometry[at_node[after]]
     missing = nodes[after].difference(expected)
-    gap = chain.stamps_ns[after] - chain.stamps_ns[before]
-    share = np.clip((stamps_ns - chain.stamps_ns[before]) / np.maximum(gap, 1), 0, 1)
-    pieces, of_nodes = track.pieces(stamps_ns), track.pieces(chain.stamps_ns)
+    gap = nodes_ns[after] - nodes_ns[before]
+    share = np.clip((stamps_ns - nodes_ns[before]) / np.maximum(gap, 1), 0, 1)
+    pieces, of_nodes = track.pieces(stamps_ns), track.pieces(nodes_ns)
     is_joined = (after > before) & (of_nodes[before] == of_nodes[after])
     pose = pose.disturbed(missing * np.where(is_joined, share, 0)[:, None])
     is_beyond = (pieces != of_nodes[before]) & (pieces == of_nodes[after])
@@ -42,8 +45,8 @@ def interpolated(track: OdometryTrack, chain: Chain, nodes: Pose, stamps_ns: np.
     )
 
 
-def _dead_reckoned(track: OdometryTrack, chain: Chain, stamps_ns: np.ndarray) -> Pose:
+def _dead_reckoned(track: OdometryTrack, scales: Array, stamps_ns: np.ndarray) -> Pose:
     """Odometry alone at moments, from an arbitrary start."""
     if len(stamps_ns) == 1:
         return Pose.stack([Pose.identity()])
-    return composed(track.motion(stamps_ns, chain.scales).earlier_from_later)
+    return composed(track.motion(stamps_ns, scales).earlier_from_later)

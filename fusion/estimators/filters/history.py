@@ -7,7 +7,6 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Verdict
-from trigpoint.fusion.model.problem import Chain
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
 
@@ -50,9 +49,9 @@ def poses_at(
     stamps_ns: np.ndarray,
 ) -> Pose:
     """The robot at moments (m,) that odometry covers, by its nodes and its odometry."""
-    track = data.tracks[robot]
-    chain = Chain.unlinked(robot, np.array(list(nodes)), track, filter_state.scales(robot))
-    return interpolated(track, chain, Pose.stack(list(nodes.values())), stamps_ns)
+    track, poses = data.tracks[robot], Pose.stack(list(nodes.values()))
+    nodes_ns = np.array(list(nodes))
+    return interpolated(track, filter_state.scales(robot), nodes_ns, poses, stamps_ns)
 
 
 # -- how well the sightings fit -------------------------------------------------------------------

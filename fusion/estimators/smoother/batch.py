@@ -69,7 +69,8 @@ class BatchSolution:
 
 def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
     """Solve over what an explanation uses, until its noise is stable: the state, the last solution
-    (None where nothing is located), and the iterations that all took."""
+    (None where nothing is located), and the iterations that all took; raise ValueError where that
+    does not converge."""
     events, solved, iterations = Events(data.site.fusion.priors), None, 0
     for round_ in range(_MOST_ROUNDS):
         used = data.usable(state.cameras)
@@ -85,6 +86,8 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
         if not changed:
             break
     assert solved is not None
+    if not solved.solution.has_converged:
+        raise ValueError(f"no minimum is found in {solved.iterations} steps")
     in_use = solved.assembled.problem.layout.pose
     cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
     return State(cameras, state.robots), solved, iterations

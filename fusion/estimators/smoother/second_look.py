@@ -82,7 +82,8 @@ def _there(
     moments = np.clip(stamps_ns, track.first_ns, track.last_ns)
     seen = np.unique(np.clip(seen_ns, track.first_ns, track.last_ns))
     every = np.unique(np.concatenate([seen, moments]))
-    poses = interpolated(track, chain, state.robots[robot].map_from_base, every)
+    nodes = state.robots[robot].map_from_base
+    poses = interpolated(track, chain.scales, chain.stamps_ns, nodes, every)
     drift = Drift.of(track, every, chain.scales, poses)
     after = np.minimum(np.searchsorted(seen, moments), len(seen) - 1)
     before = np.maximum(after - 1, 0)

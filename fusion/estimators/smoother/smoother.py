@@ -164,7 +164,8 @@ class Smoother:
                 return None
             return Trajectory(track.stamps_ns.copy(), track.odom_from_base)
         nodes = self._batch.state.robots[robot].map_from_base
-        poses = interpolated(track, problem.chains[robot], nodes, track.stamps_ns)
+        chain = problem.chains[robot]
+        poses = interpolated(track, chain.scales, chain.stamps_ns, nodes, track.stamps_ns)
         return Trajectory(track.stamps_ns.copy(), poses)
 
     def scales(self, robot: str) -> Array:
