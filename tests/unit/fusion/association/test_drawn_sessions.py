@@ -27,6 +27,8 @@ from trigpoint.tools.session_inputs import session_inputs
         pytest.param("everything", 39, id="lift between clocks"),
         # Of single pictures the last hundredth of a step was taken for a contradiction.
         pytest.param("everything", 79, id="single pictures, lenses unknown"),
+        # A displaced picture beside a right one was taken for a camera that had been pushed.
+        pytest.param("space", 422, id="one right picture is no push"),
     ],
 )
 def test_every_camera_is_where_it_says(kind: str, seed: int, tmp_path: Path) -> None:
@@ -42,6 +44,14 @@ def test_camera_between_two_gaps_of_which_a_lift_was_in_either_is_not_located(
     four cameras were 2.8 m off."""
     located, places = located_of("composition", 69, tmp_path)
     assert located.keys() == {"c1", "c6", "c7", "c8"}
+    assert_where_they_say(located, places)
+
+
+def test_solution_behind_a_lift_starts_on_either_side_of_it(tmp_path: Path) -> None:
+    """Nodes between a lift and the next picture were drawn towards where the robot was before: no
+    step found the minimum, and two cameras had a scale of 0.71 in their places."""
+    located, places = located_of("mismatch", 409, tmp_path)
+    assert located.keys() == {"c1", "c2"}
     assert_where_they_say(located, places)
 
 
