@@ -1,6 +1,8 @@
 """Drawn sessions that once came out wrong or not at all, worked out as `calibrate` does."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ import pytest
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
 from trigpoint.fusion.estimators.interface import CameraEstimate
+from trigpoint.fusion.estimators.smoother import batch
+from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.calibrate import worked_out
@@ -53,6 +57,18 @@ def test_solution_behind_a_lift_starts_on_either_side_of_it(tmp_path: Path) -> N
     located, places = located_of("mismatch", 409, tmp_path)
     assert located.keys() == {"c1", "c2"}
     assert_where_they_say(located, places)
+
+
+def test_a_solution_that_does_not_converge_is_not_given_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*arguments: Any, **options: Any) -> Solved:
+        found = solve_consistently(*arguments, **options)
+        return replace(found, solution=replace(found.solution, has_converged=False))
+
+    monkeypatch.setattr(batch, "solve_consistently", stopped)
+    located, _ = located_of("composition", 405, tmp_path)
+    assert not located
 
 
 def located_of(
