@@ -11,7 +11,7 @@ from .events import Events
 from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, VisitModes, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise
+from .noise import PESSIMISTIC, STATED, TWICE, Noise
 from .session_noise import with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
@@ -31,9 +31,9 @@ def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> tuple[dict[str, float], list[SessionNoise]]:
     """By camera how many times as much as stated its corners scatter, and what the robots' noise
-    may be: one where the session tells, else as stated and as a decision must survive it; also as
-    it is by events that it may be taken for. Where corners scatter otherwise than stated, odometry
-    that does costs nothing more."""
+    may be: one where the session tells, else as stated, twice that, and as a decision must survive
+    it; also as it is by events that it may be taken for. Where corners scatter otherwise than
+    stated, odometry that does costs nothing more."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scales = _corner_scales(data, observations, events, known_lens, memory)
@@ -63,12 +63,9 @@ def learnt_noise(
 def _worlds(told: dict[str, tuple[Noise | None, ...]], score: float) -> list[SessionNoise]:
     """What the robots' noise may be, the least first, by what is `told` of each, in which None is
     nothing; `score`: of noise far otherwise than stated."""
+    unknown = [(STATED, 0.0), (TWICE, score), (PESSIMISTIC, score)]
     may_be = {
-        robot: [
-            one
-            for noise in noises
-            for one in ([(noise, 0.0)] if noise else [(STATED, 0.0), (PESSIMISTIC, score)])
-        ]
+        robot: [one for noise in noises for one in ([(noise, 0.0)] if noise else unknown)]
         for robot, noises in told.items()
     }
     found = []

@@ -39,7 +39,8 @@ class Noise:
 
 
 STATED = Noise()
-# What a decision must survive where a session does not tell.
+# Where a session does not tell: odometry alone that is noisier, and what a decision must survive.
+TWICE = Noise(odometry=2.0)
 PESSIMISTIC = Noise(tilt=TILT, sway=SWAY, odometry=2.0, slip=2.0)
 
 

@@ -33,6 +33,8 @@ from trigpoint.tools.session_inputs import session_inputs
         pytest.param("everything", 79, id="single pictures, lenses unknown"),
         # A displaced picture beside a right one was taken for a camera that had been pushed.
         pytest.param("space", 422, id="one right picture is no push"),
+        # Ten cameras, one picture a stop: too few to tell of odometry by themselves.
+        pytest.param("everything-mismatch", 88, id="noise twice the stated"),
     ],
 )
 def test_every_camera_is_where_it_says(kind: str, seed: int, tmp_path: Path) -> None:
