@@ -7,6 +7,7 @@ known then have equations of one size.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -81,15 +82,15 @@ class Equations:
         """(b, n) to the minimum; raise LinAlgError where there is none."""
         wanted = self._scale * self.gradient
         if self._is_sparse:
-            solved = [f.solve(w) for f, w in zip(self._sparse(), wanted, strict=True)]
+            solved = [f.solve(w) for f, w in zip(self._sparse, wanted, strict=True)]
             return -self._scale * np.array(solved)
         return -self._scale * np.linalg.solve(self._dense(), wanted[..., None])[..., 0]
 
     def factors(self) -> Sequence[Factor]:
         """Of each graph; raise LinAlgError where one is not determined."""
         if self._is_sparse:
-            lu = self._sparse()
-            return [_Sparse.of(f, s) for f, s in zip(lu, self._scale, strict=True)]
+            pairs = zip(self._sparse, self._scale, strict=True)
+            return [_Sparse.of(factor, scale) for factor, scale in pairs]
         lower = np.linalg.cholesky(self._dense()) / self._scale[..., None]
         logarithms = np.log(np.diagonal(lower, axis1=1, axis2=2))
         sums = 2 * np.sum(logarithms, axis=1)
@@ -101,6 +102,7 @@ class Equations:
         matrix.reshape(len(matrix), size * size)[:, self._pattern.at] = self._values
         return matrix
 
+    @cached_property
     def _sparse(self) -> list[SuperLU]:
         shape = self._pattern.size, self._pattern.size
         return [

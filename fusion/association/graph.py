@@ -55,11 +55,12 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A graph at its minimum: `score`; `nodes`: by robot its poses at its visits; `places`: where
-    cameras are; `factor`: of the information, rows as in `layout`."""
+    """A graph at its minimum: `score`; `nodes`: by robot its poses at its visits, `breaks` among
+    them; `places`: where cameras are; `factor`: of the information, rows as in `layout`."""
 
     score: float
     nodes: dict[str, Pose]
+    breaks: frozenset[Break]
     places: dict[Place, Pose]
     layout: Layout
     factor: Factor

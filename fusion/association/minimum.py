@@ -4,7 +4,7 @@ Gauss-Newton over all of them at once: their equations have one shape, and most 
 problems is spent in saying what to compute.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +15,14 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 
 from .equations import Equations, Factor, Pattern
 from .graph import Graph, Layout, Place, Placed, Variant
+from .initial_values import initial_values
 from .linear import HELD
 from .path import RobotPath
 
 _MOST_STEPS = 8
 # Where no step moves anything by more than this (m, rad), or promises more of the score.
 _SMALL_STEP = 1e-5
-_SMALL_GAIN = 1e-3
+_SMALL_GAIN = 1e-2
 # No odometry's scale is so far off; a step beyond comes from where the first order means nothing.
 _FAR_OFF = 0.9
 # So many numbers of equations are held at once.
@@ -120,11 +121,11 @@ class _Minimum:
         self.keys: list[Place] = [(graph.visits[n].visit.camera, place) for n, place in shape]
         self.shown = {robot: _shown(graph, robot, variants) for robot in graph.paths}
         self.modes = np.array([[v.ties[n].mode for n in self.numbers] for v in variants], dtype=int)
+        starts = [initial_values(graph, variant) for variant in variants]
         self.nodes = {
-            robot: _stacked([_start(graph, robot, variant) for variant in variants])
-            for robot in graph.paths
+            robot: _stacked([nodes[robot] for nodes, _ in starts]) for robot in graph.paths
         }
-        self.places = self._start_places()
+        self.places = _stacked([Pose.stack([at[key] for key in layout.places]) for _, at in starts])
         self.scales = {robot: np.zeros((len(variants), 2)) for robot in layout.scales}
         self.own = {
             camera: np.tile(graph.own_prior[camera][0], (len(variants), 1)) for camera in layout.own
@@ -134,34 +135,6 @@ class _Minimum:
                 self.own[camera] = graph.own_values(self.numbers[order])[self.modes[:, order]]
         self.ties = self._tied()
         self.pattern = Pattern(layout.size, self._rows())
-
-    def _start_places(self) -> Pose:
-        """(b, p), in the order of the layout."""
-        known, count = self.graph.data.known.poses, len(self.variants)
-        first: dict[Place, int] = {}
-        for order, key in enumerate(self.keys):
-            first.setdefault(key, order)
-        found = []
-        for key in self.layout.places:
-            if key[1] == 0 and key[0] in known:
-                found.append(known[key[0]].repeated(count))
-                continue
-            near = [v.near.places.get(key) if v.near is not None else None for v in self.variants]
-            if None in near:
-                seen = self._seen_from_nodes(first[key])
-                near = [there or seen[row] for row, there in enumerate(near)]
-            found.append(Pose.stack([there for there in near if there is not None]))
-        rotations = np.array([pose.rotation for pose in found]).reshape(-1, count, 3, 3)
-        translations = np.array([pose.translation for pose in found]).reshape(-1, count, 3)
-        return Pose(rotations.swapaxes(0, 1).copy(), translations.swapaxes(0, 1).copy())
-
-    def _seen_from_nodes(self, order: int) -> Pose:
-        """Where a tie puts its camera, (b)."""
-        number = self.numbers[order]
-        nodes = self.nodes[self.graph.visits[number].visit.robot]
-        node = self.graph.node_of[number]
-        base = Pose(nodes.rotation[:, node], nodes.translation[:, node])
-        return base @ self.graph.relative(number)[0][self.modes[:, order]]
 
     def _tied(self) -> list[_Ties]:
         """The ties, those together that have equations of one shape."""
@@ -204,13 +177,15 @@ class _Minimum:
     def found(self) -> list[Placed | None]:
         """The minima."""
         for _ in range(_MOST_STEPS):
-            equations, _ = self._linearised()
+            equations, cost = self._linearised()
             step = equations.step()
             gain = -np.sum(step * equations.gradient, axis=1)
             self._move(step)
             if np.all((np.abs(step).max(axis=1, initial=0.0) < _SMALL_STEP) | (gain < _SMALL_GAIN)):
+                cost = cost - gain
                 break
-        equations, cost = self._linearised()
+        else:
+            equations, cost = self._linearised()
         factors = equations.factors()
         return [self._placed(row, factor, cost[row]) for row, factor in enumerate(factors)]
 
@@ -221,6 +196,7 @@ class _Minimum:
         return Placed(
             float(score),
             {robot: nodes[row] for robot, nodes in self.nodes.items()},
+            self.variants[row].breaks,
             dict(zip(self.layout.places, self._places_of(row), strict=True)),
             self.layout,
             factor,
@@ -423,59 +399,6 @@ def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
         ),
         np.concatenate([way.by_scale for way in ways]),
     )
-
-
-# -- where it starts ------------------------------------------------------------------------------
-
-
-def _start(graph: Graph, robot: str, variant: Variant) -> Pose:
-    """A robot's nodes to start from."""
-    near = variant.near
-    if near is not None and not any(name == robot for name, _ in variant.breaks):
-        return near.nodes[robot]
-    return _chained(graph, robot, variant)
-
-
-def _chained(graph: Graph, robot: str, variant: Variant) -> Pose:
-    """Along odometry; after a break from where the next tie to a place seen before puts it."""
-    path = graph.paths[robot]
-    places: dict[Place, Pose] = {
-        (camera, 0): pose for camera, pose in graph.data.known.poses.items()
-    }
-    motion = path.steps(np.zeros(2)).motion if len(path.stamps_ns) > 1 else None
-    poses, loose, since = [path.odometry[0]], not path.is_anchored, 0
-    ties = dict(_ties_by_node(graph, robot, variant))
-    for node in range(len(path.stamps_ns)):
-        if node:
-            assert motion is not None
-            poses.append(poses[-1] @ motion[node - 1])
-            if (robot, node - 1) in variant.breaks:
-                loose, since = True, node
-        for key, seen in ties.get(node, []):
-            if key in places and loose:
-                there = places[key] @ seen.inverse()
-                if path.track.planar:
-                    x, y, _ = there.translation
-                    there = Pose.planar(x, y, there.heading)
-                shift = there @ poses[-1].inverse()
-                poses[since:] = [shift @ pose for pose in poses[since:]]
-                loose = False
-            if not loose:
-                places.setdefault(key, poses[-1] @ seen)
-    return Pose.stack(poses)
-
-
-def _ties_by_node(
-    graph: Graph, robot: str, variant: Variant
-) -> Iterator[tuple[int, list[tuple[Place, Pose]]]]:
-    """By node of a robot: what its ties there see, and where from it."""
-    found: dict[int, list[tuple[Place, Pose]]] = {}
-    for number, tie in variant.ties.items():
-        visit = graph.visits[number].visit
-        if visit.robot == robot:
-            seen = graph.relative(number)[0][tie.mode]
-            found.setdefault(graph.node_of[number], []).append(((visit.camera, tie.place), seen))
-    yield from found.items()
 
 
 def _stacked(poses: list[Pose]) -> Pose:

@@ -272,7 +272,8 @@ class Search:
         variants = []
         for chosen in islice(product(*modes), _MOST_PAIRS):
             ties = {n: Tie(m, places[n]) for n, m in zip(places, chosen, strict=True)}
-            variants.append(Variant(before.ties | ties, before.nothing, before.breaks))
+            ties = before.ties | ties
+            variants.append(Variant(ties, before.nothing, before.breaks, before.placed))
         return self.placed([(left, variant) for variant in variants])
 
     def _still_sees(self, number: int, stamp_ns: int) -> bool:
@@ -404,8 +405,8 @@ def _happening(hypothesis: Hypothesis) -> object:
 
 
 def _variant(hypothesis: Hypothesis, breaks: frozenset[Break]) -> Variant:
-    """A hypothesis with these breaks, to be placed from the beginning."""
-    return Variant(hypothesis.ties, hypothesis.nothing, breaks)
+    """A hypothesis with these breaks, to be placed."""
+    return Variant(hypothesis.ties, hypothesis.nothing, breaks, hypothesis.placed)
 
 
 def _log_sum(scores: list[float]) -> float:
