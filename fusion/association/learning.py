@@ -11,7 +11,7 @@ from .events import Events
 from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, VisitModes, wrong_by
-from .noise import PESSIMISTIC, STATED, TWICE, Noise
+from .noise import PESSIMISTIC, STATED, Noise
 from .session_noise import with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
@@ -31,20 +31,22 @@ def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> tuple[dict[str, float], list[SessionNoise]]:
     """By camera how many times as much as stated its corners scatter, and what the robots' noise
-    may be: one where the session tells, else as stated, twice that, and as a decision must survive
-    it; also as it is by events that it may be taken for. Where corners scatter otherwise than
-    stated, odometry that does costs nothing more."""
+    may be: one where the session tells, else as stated and as a decision must survive it; also as
+    it is by events that it may be taken for. Where corners scatter otherwise than stated, odometry
+    that does costs nothing more, and where they scatter more, odometry alone may do so too."""
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
-    scales = _corner_scales(data, observations, events, known_lens, memory)
-    common = corner_scale(list(scales.values()))
+    scatters = _scatters(data, observations, events, known_lens, memory)
+    common = corner_scale([each for mine in scatters.values() for each in mine])
+    scales = {name: corner_scale(mine) for name, mine in scatters.items()}
     seen = [memory.scattering(o, scales.get(o.camera, common)) for o in observations]
     finder = ModeFinder(wide, seen, events, memory)
     visits = visits_of(data, observations)
     found = [finder.modes_of(visit) for visit in telling(visits)]
     for visit in telling_of_lenses(visits, data.site.cameras.keys() - known_lens):
         memory.learn_lens(finder.modes_of(visit))
-    scales |= _corner_scales(data, observations, events, set(memory.lenses), memory)
+    scatters = _scatters(data, observations, events, set(memory.lenses), memory)
+    scales |= {name: corner_scale(mine) for name, mine in scatters.items()}
     scales = {o.camera: scales.get(o.camera, common) for o in observations}
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     visits = [_with_neighbours(each.visit) for each in found if each.modes]
@@ -57,13 +59,17 @@ def learnt_noise(
         if not memory.budget.is_spent:
             memory.learnt = key, learnt
     told = {robot: learnt.get(robot, (None,)) for robot in data.site.robots}
-    return scales, _worlds(told, events.noise_score if common == 1.0 else 0.0)
+    unknown = [(STATED, 0.0), (PESSIMISTIC, events.noise_score if common == 1.0 else 0.0)]
+    if common > 1.0:
+        unknown.insert(1, (Noise(odometry=common), 0.0))
+    return scales, _worlds(told, unknown)
 
 
-def _worlds(told: dict[str, tuple[Noise | None, ...]], score: float) -> list[SessionNoise]:
-    """What the robots' noise may be, the least first, by what is `told` of each, in which None is
-    nothing; `score`: of noise far otherwise than stated."""
-    unknown = [(STATED, 0.0), (TWICE, score), (PESSIMISTIC, score)]
+def _worlds(
+    told: dict[str, tuple[Noise | None, ...]], unknown: list[tuple[Noise, float]]
+) -> list[SessionNoise]:
+    """What the robots' noise may be, the least first, by what is `told` of each, in which None
+    stands for the `unknown` ones, each with its score."""
     may_be = {
         robot: [one for noise in noises for one in ([(noise, 0.0)] if noise else unknown)]
         for robot, noises in told.items()
@@ -116,14 +122,15 @@ def _with_neighbours(visit: Visit) -> Visit:
     return replace(visit, chosen=tuple(visit.indices[row] for row in sorted(near)))
 
 
-def _corner_scales(
+def _scatters(
     data: DataSet,
     observations: list[Observation],
     events: Events,
     cameras: set[str],
     memory: Memory,
-) -> dict[str, float]:
-    """By how much the corners of these cameras scatter more than stated, of each that tells."""
+) -> dict[str, list[float]]:
+    """How the corners of single boards scatter by what is stated of them, for each of these cameras
+    that tells."""
     finder = ModeFinder(data, observations, events, memory)
     scatters: dict[str, list[float]] = {}
     for index, observation in enumerate(observations):
@@ -132,4 +139,4 @@ def _corner_scales(
             break
         if observation.camera in cameras and len(mine) < _MOST_SCATTERS:
             mine += [a.scatter for a in finder.alone(index) if np.isfinite(a.scatter)]
-    return {name: corner_scale(mine) for name, mine in scatters.items() if mine}
+    return {name: mine for name, mine in scatters.items() if mine}

@@ -39,8 +39,7 @@ class Noise:
 
 
 STATED = Noise()
-# Where a session does not tell: odometry alone that is noisier, and what a decision must survive.
-TWICE = Noise(odometry=2.0)
+# What a decision must survive where a session does not tell.
 PESSIMISTIC = Noise(tilt=TILT, sway=SWAY, odometry=2.0, slip=2.0)
 
 
