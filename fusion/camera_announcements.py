@@ -19,13 +19,13 @@ from .coverage import coverage
 from .estimators.interface import CameraEstimate
 from .output import Output
 
-# A transform that is not repeated within a second is taken for a stale one by what draws it.
+# Visualisers take a transform for stale that is not repeated within a second.
 _PERIOD_NS = to_ns(0.7)
 _LONG_NS = to_ns(0.9)  # where there is no quiet turn
 _COVERAGE_PERIOD_NS = to_ns(5.0)
 # Poses in a turn, and in one in which a robot waits.
 _MOST_A_TURN, _MOST_IN_BETWEEN = 8, 1
-# A camera that moved less than this sees the floor that was said of it, but for half of the
+# A camera that moved less than this still sees the floor that was announced, to within half of the
 # decimetres in which that is given.
 _SAME_FLOOR_M = 0.05
 _SAME_FLOOR_RAD = 0.01
@@ -49,7 +49,7 @@ class CameraAnnouncements:
         self._target = target
         self._taken_ns: int | None = None
         self._looked_ns: int | None = None
-        # What is to be said, in order; and the pose that each camera's floor was last said for.
+        # What is to be announced, in order; and the pose for which each camera's floor last was.
         self._poses: dict[str, _Known] = {}
         self._floors: dict[str, _Known] = {}
         self._said: set[str] = set()

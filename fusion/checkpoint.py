@@ -30,7 +30,7 @@ _MOST_WAITING = 64 * 1024
 # A record's body begins with these: a msgpack array of two, then a text of up to 255 bytes.
 _ARRAY_OF_TWO = b"\x92"
 _TEXTS = frozenset((*range(0xA0, 0xC0), 0xD9))
-# What zlib makes begins with this, and no CDR message does: earlier files have them as they came.
+# zlib's output begins with this, and no CDR message does: earlier files have them uncompressed.
 _COMPRESSED = b"\x78"
 
 _log = logging.getLogger(__name__)
@@ -124,7 +124,7 @@ class Checkpoint:
             self.trouble, self._unkept = "", 0
 
     def _try(self, work: Callable[[], object]) -> None:
-        """Do what needs the disk."""
+        """Do work on the disk; where that fails, set `trouble`."""
         try:
             work()
         except (OSError, ValueError) as reason:  # ValueError: closed
@@ -136,14 +136,14 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:
-    """(key, payload) of every sound record of its first `until` bytes; nothing where there is no
-    file."""
+    """(key, payload) of every sound record in a file's first `until` bytes; nothing where there is
+    no file."""
     for record in _records(path, until):
         yield record.key, record.payload
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a file to the next free name; that name."""
+    """Rename a file to the next free name; returns that name."""
     number = 1
     while (aside := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
         number += 1

@@ -60,7 +60,7 @@ def main(
 
 
 def _finishing(fusion: FusionNode) -> Callable[[object, BaseException | None, object], None]:
-    """What ends fusion after its node: an error of before is the one that is told."""
+    """The callback that ends fusion after its node; an earlier error takes precedence."""
 
     def finish(_kind: object, error: BaseException | None, _trace: object) -> None:
         try:
@@ -74,7 +74,7 @@ def _finishing(fusion: FusionNode) -> Callable[[object, BaseException | None, ob
 
 
 def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
-    """Who solves beside the corrections; None for the estimators that need nobody."""
+    """The factory of the solver beside the corrections; None for estimators that need none."""
     if inputs.site.fusion.estimator != "smoother":
         return None
     pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)

@@ -14,9 +14,9 @@ from .intake.admission import Admission
 from .pipeline import Pipeline
 
 _STALE_NS = to_ns(3.0)
-"""For how long odometry must be old, or away, until that is told."""
+"""For how long odometry must be old, or missing, until that is reported."""
 _TOLD_NS = to_ns(5.0)
-"""For how long something is told after the last message that was left out for it."""
+"""For how long a problem is reported after the last message that was left out for it."""
 
 
 class Diagnostics:
@@ -30,11 +30,11 @@ class Diagnostics:
         self._heard_ns: dict[str, int] = {}
 
     def heard(self, key: str, now_ns: int) -> None:
-        """A message of a key was accepted."""
+        """Note that a message of a key was accepted."""
         self._heard_ns[key] = now_ns
 
     def restart(self) -> None:
-        """The pipeline is a new one, whose counts start at zero."""
+        """Note that the pipeline is a new one, whose counts start at zero."""
         self._reported.clear()
         self._reported.update(self._admission.counts)
         self._stale_since_ns.clear()

@@ -1,4 +1,4 @@
-"""What the bus brings for the estimator."""
+"""Receives the estimator's input from the bus."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ from trigpoint.topics import Topic
 from .diagnostics import Diagnostics
 from .intake.admission import Admission
 
-# Samples are taken in for so long at once, and so many of a topic.
+# Samples are taken in for at most this long at once, and at most this many of a topic.
 _TAKING_NS = to_ns(0.05)
 _MOST_AT_ONCE = 512
 
@@ -47,7 +47,7 @@ class Inbox:
             self._node.health.watch(topic.name, subscription)
 
     def wait(self, timeout_s: float) -> None:
-        """Until something comes, or the time is over."""
+        """Wait until something comes, or the time is over."""
         self._news.wait(timeout_s)
 
     @property

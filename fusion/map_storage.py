@@ -67,7 +67,7 @@ class MapStorage:
         return message
 
     def store(self, key: str, payload: bytes, message: Message) -> int:
-        """Store a message, and of a standing robot's odometry only what says something; how many
+        """Store a message, but of a standing robot's odometry only what is needed; returns how many
         messages the disk did not take."""
         payloads = [payload]
         if isinstance(message, Odometry):

@@ -32,7 +32,7 @@ from .solver.snapshot import GuidanceWorld
 KIND = "fusion"
 NAME = "fusion"
 
-# What comes ends the wait; without it the estimator is looked at this often.
+# An arriving message ends the wait; without one, turns are this far apart.
 _TURN_S = 0.02
 # A turn uses so many observations of a robot at most; so commands, which wait for its end, and a
 # stop are answered whatever comes.
@@ -43,10 +43,10 @@ _RECORDS_AT_ONCE = 256
 # A stop may take two seconds in all (`trigpoint.ending`), of which files and the bus need some.
 _LAST_SOLUTION_S = 1.2
 _WRITING_S = 0.5
-# Where the estimator solves at its turn: the last solution takes several times the longest turn.
+# Where the estimator solves within its turn: the last solution takes several times the longest one.
 _LONG_TURN_S = 0.25
 _ANSWER_S = 2.0
-# A turn of a filter that has fallen behind on a small machine; after it the thread is hung.
+# A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
 # One robot's suggestions among a hundred cameras, on a small machine.
 _GUIDE_S = 120.0
@@ -101,7 +101,7 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        if self._solver is None:  # who solves also says where to go
+        if self._solver is None:  # the solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
 
@@ -252,8 +252,8 @@ class FusionNode:
                 health.fail(problem)
 
     def _doubted(self) -> frozenset[str]:
-        """The cameras and robots whose clocks were set and are not followed yet; all where that is
-        this machine's."""
+        """The cameras and robots whose clocks were set and are not followed yet; all cameras where
+        it is this machine's."""
         if self._node.clock_set_by_ns:
             return frozenset(self._site.cameras)
         return self._node.doubted_names
@@ -338,7 +338,7 @@ class FusionNode:
         with self._lock:
             pipeline = self._pipeline
             pipeline.reports.ask()
-        # A solver answers once it is done with what it is at; until then the last answer holds.
+        # A solver answers once its current work is done; until then the last answer holds.
         until_ns = self._clock.elapsed_ns() + to_ns(_ANSWER_S)
         while not pipeline.reports.is_answered and self._clock.elapsed_ns() < until_ns:
             if self._node.stopping.wait(_LOOK_S):

@@ -1,4 +1,4 @@
-"""What fusion says."""
+"""The messages that fusion sends."""
 
 from dataclasses import dataclass
 

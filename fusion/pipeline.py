@@ -36,7 +36,7 @@ from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
 from .solver.snapshot import GuidanceWorld
 
-# Sightings of cameras whose intrinsics have not come yet.
+# The most sightings kept of cameras whose intrinsics have not come yet.
 _MOST_EARLY = 4096
 
 
@@ -57,8 +57,9 @@ class Inputs:
 class Pipeline:
     """One map from its first message to its last. Not thread-safe.
 
-    `is_live`: whether anyone listens to what it says on the way; `solver`: who solves, so that no
-    turn takes long; None: whatever the site file names, at its turn. `reports`: the results.
+    `is_live`: whether anyone listens to its outputs on the way; `solver`: solves, so that no turn
+    takes long; None: the estimator that the site file names does, within its turn. `reports`: the
+    results.
     """
 
     reports: Reports
@@ -179,7 +180,7 @@ class Pipeline:
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
         if camera in self._inputs.lenses:
-            return False  # a file says what it is
+            return False  # a file gives it
         if camera in self._data.lenses:
             if self._data.lenses[camera] != message.camera:
                 self._left_out.add(
@@ -231,7 +232,7 @@ class Pipeline:
         (offline). `most`: how many observations of a robot are used at most, so that a turn ends
         soon whatever came; `is_behind` says whether more are ready.
         """
-        if self._is_live:  # at the end most is known of all of it
+        if self._is_live:  # otherwise at the end, when most is known
             self._intake.tell_apart()
         used = self._use_ready(now_ns, most)
         is_quiet = not used
@@ -240,7 +241,7 @@ class Pipeline:
         if self._follower is not None:
             self._attend(self._follower)
             self._settle(self._follower, now_ns, is_quiet=all(o.is_repeat for o in used))
-        # Live, cameras are said too while none of them sees a robot: no transform grows old.
+        # Live, cameras are announced also while none of them sees a robot: no transform grows old.
         used_ns = 0 if self._is_live else self._used_ns
         stamp_ns = used_ns or self._data.last_ns
         if self._cameras.is_due(stamp_ns, is_quiet=is_quiet):
@@ -287,7 +288,7 @@ class Pipeline:
                 f"sightings of {observation.camera} come over {self.site.fusion.late:g} s late and "
                 "make no corrections; synchronise the clocks, or see what is slow",
             )
-        # Its camera's time offset is left out; what uses it puts that right.
+        # Its camera's time offset is left out here; whatever uses the observation accounts for it.
         observation = self._data.moving(observation, observation.stamp_ns)
         if not self._is_live:
             if not observation.is_repeat:

@@ -20,7 +20,7 @@ _SEQUENCE_MARGIN = 1000
 
 
 class RobotAnnouncements:
-    """What was said of each robot, and when it is due again. Not thread-safe.
+    """What was announced of each robot, and when it is due again. Not thread-safe.
 
     `correction_rate`: corrections of a robot a second, at most.
     """
@@ -67,8 +67,8 @@ class RobotAnnouncements:
             self._sequence[robot] += _SEQUENCE_MARGIN
 
     def _is_correction_due(self, robot: str, stamp_ns: int) -> bool:
-        """Half a period early is forgiven but not forgotten, so that pictures at just that rate are
-        not halved by their jitter."""
+        """Whether a correction is due. It may be half a period early without moving the schedule,
+        so that jitter does not halve the corrections of pictures at just that rate."""
         period_ns = self._correction_period_ns
         due_ns = max(self._correction_due_ns.get(robot, stamp_ns), stamp_ns - period_ns // 2)
         if stamp_ns < due_ns - period_ns // 2:

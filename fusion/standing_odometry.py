@@ -1,9 +1,9 @@
 """Chooses the odometry messages that the checkpoint keeps: ever fewer of a robot that stands.
 
-A robot that stands for days says the same fifty times a second. The first messages of a standstill
-are kept as they come. Then one is kept whenever the time since the last is twice the interval
-before it, so that nothing looks like a gap when it is read again. The last two before the robot
-moves on, or falls silent, are kept too, so that a real gap looks like one.
+A robot that stands for days repeats the same message fifty times a second. The first messages of a
+standstill are kept as they come. Then one is kept whenever the time since the last is twice the
+interval before it, so that nothing looks like a gap when it is read again. The last two before the
+robot moves on, or falls silent, are kept too, so that a real gap looks like one.
 """
 
 from collections import deque

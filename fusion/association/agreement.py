@@ -1,4 +1,4 @@
-"""Which modes of two visits put a camera at one place, before a graph is made of each pair."""
+"""Which modes of two visits put a camera at one place, judged before solving each pair's graph."""
 
 from dataclasses import dataclass
 
@@ -13,8 +13,12 @@ from .graph import Graph, Place, Placed
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Where visits' modes (k) put a camera in the map: its pose, that by the graph's unknowns in
-    `rows` (r,), (k, 6, r), its own covariance (k, 6, 6) beside theirs, and its evidence (k,)."""
+    """Where the modes (k) of a visit put their camera in the map.
+
+    `by_unknowns` (k, 6, r): the derivative of `pose` (k) by the graph's unknowns in `rows` (r,);
+    `own` (k, 6, 6): the covariance that the modes add to that of these unknowns; `evidence` (k,):
+    of each mode (`Mode.evidence`).
+    """
 
     pose: Pose
     by_unknowns: Array
@@ -30,10 +34,10 @@ def agreement(
     second: int | Place,
     beside: Array | float = 0.0,
 ) -> Array:
-    """-2 ln of how probable it is that both show one place, or two that are apart by no more than
-    a covariance `beside` (6, 6), for each pair of modes, (k, m).
+    """Return, for each pair of modes (k, m), -2 ln of the likelihood that both show one place, or
+    two places whose difference has the covariance `beside` (6, 6).
 
-    `first`, `second`: a visit, or a place that the graph knows, which has one mode.
+    `first`, `second`: the number of a visit, or a place of the graph, which counts as one mode.
     """
     old, new = (
         seen_by(graph, placed, each) if isinstance(each, int) else _known(placed, each)
@@ -59,7 +63,7 @@ def agreement(
 
 
 def seen_by(graph: Graph, placed: Placed, number: int) -> Seen:
-    """Where a visit's modes put its camera."""
+    """Return where the modes of a visit put its camera, given the graph's estimate."""
     visit = graph.visits[number]
     robot, node = visit.visit.robot, graph.node_of[number]
     base, tangent = placed.nodes[robot][node], graph.paths[robot].tangent

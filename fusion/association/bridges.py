@@ -1,8 +1,8 @@
-"""What hangs on odometry across one gap alone.
+"""Which places are connected to the map only by odometry across a single gap.
 
-A lift in such a gap shows in nothing: no tie leads round it. In a session in which nothing happened
-that is too improbable to matter; where a robot was carried or a camera moved once, it is not
-(`Events.event`), and what lies beyond may be anywhere.
+A lift in such a gap cannot be detected, since no other tie closes a loop around it. In a session in
+which nothing happened it is too improbable to matter; where a robot was carried or a camera was
+moved once, it is not (`Events.event_score`), and what lies beyond the gap may be anywhere.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,8 +16,11 @@ _Spot = tuple[str, int]
 def tied_twice(
     graph: Graph, ties: Mapping[int, Tie], opened: Mapping[int, int], breaks: frozenset[Break]
 ) -> set[_Spot]:
-    """The places (camera, number) that stay tied to the map's origin whichever single gap between
-    visits the robot was carried in. `opened`: visits that alone see their place -> place."""
+    """Return the places (camera, number) that stay connected to the map's origin even if a robot
+    was carried in any single gap between visits.
+
+    `opened`: by number of a visit that is the only one to see its place, that place.
+    """
     edges = [
         (robot, step)
         for robot, path in graph.paths.items()
@@ -33,7 +36,7 @@ def tied_twice(
     found: set[_Spot] | None = None
     for cut in [None, *edges]:
         if cut is not None and (cut[1] < first.get(cut[0], 0) or graph.across(cut) is not None):
-            continue  # nothing was seen before: the map begins there; or it was seen all the while
+            continue  # before the robot's first visit, or a visit goes on across the gap
         reached = _reached(graph, ties, breaks | ({cut} if cut else set()), first)
         reached |= {place for place, node in seen.items() if node in reached}
         found = reached if found is None else found & reached
@@ -41,7 +44,7 @@ def tied_twice(
 
 
 def _first_seen(graph: Graph, used: Mapping[int, int]) -> dict[str, int]:
-    """By robot the node of its first visit that is used."""
+    """Return, by robot, the node of its first visit that is used."""
     found: dict[str, int] = {}
     for number in used:
         robot, node = graph.visits[number].visit.robot, graph.node_of[number]
@@ -52,7 +55,7 @@ def _first_seen(graph: Graph, used: Mapping[int, int]) -> dict[str, int]:
 def _reached(
     graph: Graph, ties: Mapping[int, Tie], breaks: frozenset[Break], first: Mapping[str, int]
 ) -> set[_Spot]:
-    """Everything that leads to the map's origin, or to a known camera."""
+    """Return all nodes and places that are connected to the map's origin or to a known camera."""
     beside: dict[_Spot, list[_Spot]] = {}
     for one, other in _edges(graph, ties, breaks):
         beside.setdefault(one, []).append(other)

@@ -1,11 +1,11 @@
-"""Where the search for a visit's modes starts: poses that one sighting shows by itself, by how many
-others of the visit agree with it.
+"""Where the search for a visit's modes starts: camera poses that single sightings show, ranked by
+how many other sightings of the visit agree.
 
-Every way to read one sighting puts the camera somewhere, and with it the robot at every other
-picture of the visit, each way to read each other sighting. Odometry says how these lie to one
-another. A start takes the sightings that contradict it to be wrong from the beginning: the modes
-that it leads to are drawn off by none of them. (RANSAC, but that every sample is tried and each is
-judged by its own covariance; Fischler and Bolles, 1981.)
+Every way to read a sighting gives a pose of the camera relative to the robot in that picture, and
+odometry relates the robot's poses in all pictures of the visit. So each such pose predicts what
+every other sighting should show. A start takes the sightings that contradict it to be wrong from
+the beginning, so that these outliers do not bias the mode that it leads to. (RANSAC, except that
+every sample is tried and each is judged by its own covariance; Fischler and Bolles, 1981.)
 """
 
 from dataclasses import dataclass
@@ -28,17 +28,19 @@ from trigpoint.geometry.uncertainty import lever, turned_axes
 from .events import Events
 from .sightings import alone
 
-# Two ways whose differences are not within so many sigmas in each direction by itself are further
-# apart than any limit by their whole covariance.
+# A pair of ways whose positions differ by more than this many sigmas, by the traces of their
+# covariances alone, would fail any chi-squared gate by their full covariance too.
 _FAR_SIGMAS = 7.0
 _LEAST_VARIANCE = 1e-12
-# One of so many sightings, spread over a visit, is right.
+# Starts come from at most this many sightings, spread over a visit: one of them is taken to be
+# right.
 MOST_SEEDS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A camera's pose to start from; by index, which views of a picture are taken to be wrong."""
+    """A camera pose to start from. `wrong`: by index of a picture, which of its views are taken to
+    be wrong."""
 
     map_from_camera: Pose
     wrong: dict[int, tuple[bool, ...]]
@@ -46,9 +48,12 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class _Ways:
-    """Every way (n) to read each single sighting: `sighting` (n,) and `picture` (n,) it is of, the
-    camera_from_base that it shows, that pose's covariance (n, 6, 6) in the camera's axes, and by
-    how much its fit is worse than that sighting's best, (n,)."""
+    """All ways (n) to read single sightings, each by itself.
+
+    `sighting` (n,), `picture` (n,): which ones a way is of; `camera_from_base` (n): the pose that
+    it shows, with its `covariance` (n, 6, 6) in the camera's axes; `excess` (n,): by how much χ²
+    its fit is worse than the best way to read the same sighting.
+    """
 
     sighting: np.ndarray
     picture: np.ndarray
@@ -67,11 +72,12 @@ def starts_of(
     most: int,
     window: float,
 ) -> list[Start]:
-    """The starts that most agrees with, best first and each elsewhere or by other sightings: `most`
-    of them, no worse than the best by `window`.
+    """Return the starts with which most sightings agree, best first: at most `most`, none worse
+    than the best by more than `window`, and no two with both the same pose and the same wrong
+    sightings.
 
-    `poses`: by index where odometry puts the robot; `drift` (p, p, 6, 6): the covariance of that
-    between two pictures, in the map's axes.
+    `poses`: by index, where odometry puts the robot; `drift` (p, p, 6, 6): the covariance of
+    odometry between each two pictures, in the map's axes.
     """
     sightings = [
         (index, order) for index, o in observations.items() for order in range(len(o.views))
@@ -104,7 +110,8 @@ def starts_of(
 
 
 def _seeds(ways: _Ways) -> np.ndarray:
-    """The ways (s,) to read some sightings, spread over the visit."""
+    """Return the rows (s,) of the ways to read at most `MOST_SEEDS` sightings, spread over the
+    visit."""
     sightings = np.unique(ways.sighting)
     sightings = sightings[thinned(len(sightings), MOST_SEEDS)]
     return np.flatnonzero(np.isin(ways.sighting, sightings))
@@ -138,7 +145,7 @@ def _ways(
             continue
         (view,) = single.views
         least = found[0].rms_px
-        # Odd corners, or a lens that is not this one, make a fit worse than its corners say.
+        # Outlying corners or an inexact lens make the fit worse than the corners' stated noise.
         scale = max(1.0, least / view.sigma)
         covariances += list(_covariances(data, single, found, scale))
         for candidate in found:
@@ -161,8 +168,8 @@ def _ways(
 def _covariances(
     data: DataSet, single: Observation, found: tuple[Candidate, ...], scale: float
 ) -> Array:
-    """How well a sighting's corners, which scatter by `scale` more than said, its lens and its
-    face's place determine each pose (k, 6, 6)."""
+    """Return the covariance (k, 6, 6) of each candidate's pose, due to the corners, which scatter
+    `scale` times as much as stated, the lens, and the mounting of the face."""
     (view,) = single.views
     target, config = data.targets[single.robot], data.site.cameras[single.camera]
     lens = data.lenses[single.camera]
@@ -199,8 +206,9 @@ def _misfit(
     drift: Array,
     events: Events,
 ) -> Array:
-    """What it costs that a seed (s, by row) is right and another way too (n, by column): infinite
-    where they are far apart; those of one sighting exclude each other."""
+    """Return the cost (s, n) of taking both a seed (row) and another way (column) to be right:
+    infinite where they are far apart, and for other ways to read the seed's own sighting, which
+    exclude each other."""
     first = next(iter(observations.values()))
     shown, pictures = ways.camera_from_base, ways.picture
     odometry = there[pictures]
@@ -234,10 +242,11 @@ def _misfit(
         ],
         axis=-1,
     )
-    # Where the other picture's robot is, by how this one's is off: it turns about where this is.
+    # An error of the seed's own pose swings the robot in the other picture about where it is in
+    # the seed's.
     away = seen[columns] - seen[seeds[rows]]
     by_first = -lever((turn[rows] @ away[..., None])[..., 0])
-    # The second one's own covariance is in the same axes, those of the first's camera.
+    # The other way's own covariance is in the axes of the same camera, as the seed places it.
     second = axes[rows] @ ways.covariance[columns] @ back[rows]
     spread = by_first @ own[rows] @ np.swapaxes(by_first, 1, 2)
     spread += second + extra[pictures[columns]] + drift[pictures[seeds[rows]], pictures[columns]]
@@ -250,8 +259,8 @@ def _misfit(
 def _of_pictures(
     data: DataSet, first: Observation, observations: dict[int, Observation], there: Pose
 ) -> Array:
-    """How a robot may stand otherwise in each picture than odometry says, (p, 6, 6), in the map's
-    axes: tilt and sway, and its motion while the camera's clock is off."""
+    """Return the covariance (p, 6, 6), in the map's axes, of the robot's pose in each picture about
+    odometry's: tilt and sway, and its motion over the uncertain time offset of the camera."""
     extra = np.tile(_LEAST_VARIANCE * np.eye(6), (len(observations), 1, 1))
     jitter = data.jitter.get(first.robot)
     if jitter is not None:
@@ -268,8 +277,8 @@ def _of_pictures(
 
 
 def drift_between(data: DataSet, robot: str, stamps_ns: np.ndarray, there: Pose) -> Array:
-    """The covariance (p, p, 6, 6) of where odometry puts the later of two pictures, given the
-    earlier, in the map's axes; `there`: where it puts them."""
+    """Return the covariance (p, p, 6, 6), in the map's axes, of odometry's pose in the later of
+    each two pictures given the earlier; `there` (p): odometry's poses."""
     track, noise = data.tracks[robot], data.site.robots[robot].odometry
     moments, rows = np.unique(
         np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True

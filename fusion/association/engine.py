@@ -1,7 +1,8 @@
 """The engine: observations and odometry in, the explanation of the session out.
 
 It learns the session's noise, finds every mode of every visit, searches the joint explanations and
-verifies the best one (`world`), and says what all of it means for each camera (`outcome`).
+verifies the best one (`world`), and derives from all of them what is known of each camera
+(`outcome`).
 """
 
 from dataclasses import replace
@@ -27,12 +28,12 @@ def explain(
     *,
     is_draft: bool = False,
 ) -> Explanation:
-    """What explains all observations, in order of their stamps, of the site's cameras.
+    """Find what explains all observations of the site's cameras, given in order of their stamps.
 
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
-    `memory`: of the last search over fewer observations of the same session; `budget`: of work, by
-    the session's length if not given; `is_draft`: cameras are where the likeliest explanation alone
-    has them.
+    `memory`: of the last search, over fewer observations of the same session; `budget`: of work,
+    from the session's length if not given; `is_draft`: report each camera at its likeliest place
+    alone, whatever the alternatives.
     """
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     memory.budget = budget or Budget.of(data.tracks.values(), share=_share(data))
@@ -43,7 +44,7 @@ def explain(
     seen = [memory.scattering(o, corner_scale[o.camera]) for o in observations]
     worlds: list[World] = []
     for noise in noises:
-        # Scores compare only over the same pictures.
+        # Scores are comparable only over the same pictures: all worlds have the first one's visits.
         parts = [each.visit for each in worlds[0].visits] if worlds else None
         worlds.append(World(data, seen, events, noise, memory, parts))
     memory.forget_unused()
@@ -51,7 +52,8 @@ def explain(
 
 
 def _share(data: DataSet) -> float:
-    """Where robots look alike, telling them apart may take as much as all else."""
+    """Return the share of the budget for this search: less than all of it where robots look alike,
+    since telling them apart may take as much work as all else."""
     targets = list(data.targets.values())
     is_alike = any(target in targets[:order] for order, target in enumerate(targets))
     return ALIKE_SHARE if is_alike else 1.0

@@ -1,8 +1,8 @@
-"""Normal equations put together from small blocks, of many graphs of one shape at once.
+"""Normal equations assembled from small blocks, for many graphs of one shape at once.
 
-Small ones are held and factorised densely, all together; large ones, of which nearly everything is
-zero, one by one by SuperLU. Both scale the unknowns first: what is known exactly and what is hardly
-known then have equations of one size.
+Small ones are held dense and factorised all together; large ones, which are nearly all zeros, are
+factorised one by one by SuperLU. Both scale the unknowns first, so that those known exactly and
+those hardly known have equations of comparable magnitude.
 """
 
 from collections.abc import Sequence
@@ -17,24 +17,24 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from trigpoint.geometry.rotation import Array
 
-# So many unknowns from which on a sparse factor is the quicker one, as measured.
+# The number of unknowns from which a sparse factorisation is the faster one, as measured.
 SPARSE_FROM = 100
 
 
 class Factor(Protocol):
-    """The information of n unknowns, factorised."""
+    """The factorised information matrix of n unknowns."""
 
     @property
     def log_determinant(self) -> float: ...
 
     def covariance(self, rows: np.ndarray) -> Array:
-        """(k, k) of the unknowns in these rows."""
+        """Return the marginal covariance (k, k) of the unknowns in these rows."""
         ...
 
 
 class Pattern:
-    """Where blocks stand in the equations of `size` unknowns. `rows`: for each kind of block, the
-    unknowns (k, m) of its k blocks, none twice in one."""
+    """The sparsity pattern of the normal equations of `size` unknowns. `rows`: for each kind of
+    block, the unknowns (k, m) of its k blocks, none twice in one block."""
 
     def __init__(self, size: int, rows: Sequence[np.ndarray]) -> None:
         self.size = size
@@ -48,8 +48,8 @@ class Pattern:
     def equations(
         self, hessians: Sequence[Array], gradients: Sequence[Array], *, count: int
     ) -> "Equations":
-        """Of `count` (b) graphs: the sum of blocks (b, k, m, m) and (b, k, m), in the order of the
-        pattern's rows."""
+        """Assemble the equations of `count` (b) graphs: sum the blocks of the Hessians
+        (b, k, m, m) and gradients (b, k, m), given in the order of the pattern's rows."""
         if not self.size:
             return Equations(self, np.zeros((count, 0)), np.zeros((count, 0)))
         values = _summed(hessians, self._order, self._starts)
@@ -61,8 +61,8 @@ class Pattern:
 
 
 class Equations:
-    """Of b graphs: `values` (b, e) of the matrix where it is not zero, `gradient` (b, n); raise
-    LinAlgError where an unknown has none."""
+    """The normal equations of b graphs: `values` (b, e), the matrix's entries at the positions of
+    the pattern, and `gradient` (b, n). Raise LinAlgError if nothing is said of an unknown."""
 
     def __init__(self, pattern: Pattern, values: Array, gradient: Array) -> None:
         self._pattern, self.gradient = pattern, gradient
@@ -79,7 +79,7 @@ class Equations:
         return self._pattern.size >= SPARSE_FROM
 
     def step(self) -> Array:
-        """(b, n) to the minimum; raise LinAlgError where there is none."""
+        """Return the step (b, n) to the minimum; raise LinAlgError if a matrix is singular."""
         wanted = self._scale * self.gradient
         if self._is_sparse:
             solved = [f.solve(w) for f, w in zip(self._sparse, wanted, strict=True)]
@@ -87,7 +87,7 @@ class Equations:
         return -self._scale * np.linalg.solve(self._dense(), wanted[..., None])[..., 0]
 
     def factors(self) -> Sequence[Factor]:
-        """Of each graph; raise LinAlgError where one is not determined."""
+        """Factorise the matrix of each graph; raise LinAlgError if one is not positive definite."""
         if self._is_sparse:
             pairs = zip(self._sparse, self._scale, strict=True)
             return [_Sparse.of(factor, scale) for factor, scale in pairs]
@@ -113,7 +113,7 @@ class Equations:
 
 @dataclass(frozen=True, slots=True)
 class _Dense:
-    """`lower` (n, n): the Cholesky factor."""
+    """A dense factor. `lower` (n, n): the Cholesky factor of the unscaled matrix."""
 
     log_determinant: float
     lower: Array
@@ -127,7 +127,7 @@ class _Dense:
 
 @dataclass(frozen=True, slots=True)
 class _Sparse:
-    """`factor`: of the scaled equations; `scale` (n,)."""
+    """A sparse factor. `factor`: of the matrix scaled by `scale` (n,) on both sides."""
 
     log_determinant: float
     factor: SuperLU
@@ -148,7 +148,8 @@ class _Sparse:
 
 
 def _factorised(matrix: csc_array) -> SuperLU:
-    """Of a symmetric, positive definite matrix: its pivots are its diagonal's."""
+    """Factorise a symmetric, positive definite matrix with its pivots on the diagonal; raise
+    LinAlgError if it is exactly singular."""
     try:
         return splu(
             matrix,
@@ -161,8 +162,8 @@ def _factorised(matrix: csc_array) -> SuperLU:
 
 
 def _summed_at(positions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How numbers that belong at these positions are summed: their order, where in it each sum
-    begins, and where each belongs, rising."""
+    """Plan how the numbers at these positions are summed: the order that sorts them by position,
+    where in it each sum begins, and the rising positions of the sums."""
     flat = np.concatenate([np.zeros(0, int), *(each.ravel() for each in positions)])
     order = np.argsort(flat, kind="stable")
     rising = flat[order]
@@ -171,6 +172,6 @@ def _summed_at(positions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray,
 
 
 def _summed(blocks: Sequence[Array], order: np.ndarray, starts: np.ndarray) -> Array:
-    """(b, e): blocks (b, …) summed where they meet."""
+    """Sum blocks (b, …) at the positions that they share, as `_summed_at` planned it: (b, e)."""
     flat = np.concatenate([each.reshape(len(each), -1) for each in blocks], axis=1)
     return np.add.reduceat(flat[:, order], starts, axis=1)

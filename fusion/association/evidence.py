@@ -1,5 +1,5 @@
-"""The one rule of evidence: a camera is located where all explanations that together hold all but
-EVIDENCE of the posterior put it at one place."""
+"""The one rule of evidence: a camera is located if the explanations that together hold all but
+`EVIDENCE` of the posterior put it at one place."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from trigpoint.geometry.rotation import Array
 from .events import EVIDENCE
 from .explanation import Alternative
 
-# Two places are one where they are at most so many sigmas of the likelier one apart in each
-# direction, since that is what is given out, or so little (m, rad) that nobody who acts on them can
-# tell.
+# Two places count as one if they differ in each direction by at most this many sigmas of the
+# likelier one, whose covariance is the one reported, or by so little (m, rad) that nobody who acts
+# on them can tell.
 _SAME_SIGMAS = 5.0
 _SAME_M = 0.01
 _SAME_RAD = 0.01
@@ -22,7 +22,8 @@ _SAME_RAD = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where one explanation puts a camera: `score` of that explanation."""
+    """Where one explanation puts a camera, with its `covariance` (6, 6); `score`: of the
+    explanation."""
 
     map_from_camera: Pose
     covariance: Array
@@ -30,7 +31,8 @@ class Place:
 
 
 def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
-    """The fewest distinct places that hold all but EVIDENCE of the posterior, best first."""
+    """Return the fewest distinct places that together hold all but `EVIDENCE` of the posterior,
+    the most probable first."""
     ordered = sorted(places, key=lambda place: place.score)
     if not ordered:
         return ()
@@ -64,7 +66,7 @@ def alternatives_of(places: Iterable[Place]) -> tuple[Alternative, ...]:
 
 
 def is_same_place(first: Place, second: Place) -> bool:
-    """Whether two explanations put a camera at one place, the likelier one's."""
+    """Whether two explanations put a camera at one place; `first`: the likelier one."""
     apart = np.abs(second.map_from_camera.difference(first.map_from_camera))
     if np.all(apart < np.repeat([_SAME_M, _SAME_RAD], 3)):
         return True

@@ -1,4 +1,4 @@
-"""What is taken to have happened in a session: the outcome of data association, a value."""
+"""The result of data association: what is taken to have happened in a session, as plain values."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,9 @@ from .noise import Noise
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A place that is left open: `covariance` (6, 6), and the share of the posterior; `spread`
-    (6, 6): how far explanations that put the camera here put it from one another."""
+    """One place where a camera may be. `covariance` (6, 6): of the pose; `probability`: its share
+    of the posterior; `spread` (6, 6): the second moment, about this pose, of the poses of all
+    explanations that count as this place."""
 
     map_from_camera: Pose
     covariance: Array
@@ -26,8 +27,9 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class CameraFinding:
-    """Where one camera is, at last. `alternatives`: every place that holds more of the posterior
-    than the level of evidence, best first; `reason`: in words, where there is not one place."""
+    """Where one camera is at the end of the session. `alternatives`: the fewest places that
+    together hold all but the level of evidence of the posterior, best first; `reason`: why the
+    camera is not located, in words; empty if it is."""
 
     alternatives: tuple[Alternative, ...]
     reason: str = ""
@@ -39,9 +41,9 @@ class CameraFinding:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """How one observation is read: a reading for each view, None where it is wrong; the wild
-    corners of each; where the robot stood, None where nothing says; the number of its camera's
-    place."""
+    """How one observation is read. `readings`: one for each view, None for a wrong one; `wild`:
+    which corners of each view are wild; `map_from_base`: where the robot stood, None if unknown;
+    `place`: the number of the camera's place."""
 
     readings: tuple[Reading | None, ...]
     wild: tuple[np.ndarray, ...]
@@ -51,12 +53,13 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """The likeliest explanation, with what is open beside it.
+    """The likeliest explanation of a session, with the alternatives that remain open.
 
-    `observations`: as they came, with their corners' noise as learnt, `corner_scale` by camera as
-    much as stated; `reads`: one for each;
-    `findings`: by camera; `places`: by (camera, number of its place) where it was, those that are
-    one place; `lifts`: for each those that explain it alike, the likeliest first.
+    `observations`: in the order given, their corners' noise as learnt; `reads`: one for each;
+    `findings`: by camera; `places`: by (camera, number of its place), the camera there, if that
+    place is determined without alternatives; `lifts`: for each lift, all that explain the session
+    nearly as well, the likeliest first; `noise`: by robot; `corner_scale`: by camera, how many
+    times as much as stated its corners scatter.
     """
 
     observations: tuple[Observation, ...]

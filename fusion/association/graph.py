@@ -1,10 +1,10 @@
-"""What an explanation is scored on: a small pose graph over what each visit says.
+"""The small pose graph over the modes of all visits on which an explanation is scored.
 
-Unknowns are the robots' poses at the beginnings of visits, the places of the cameras, and lenses,
-clocks and odometry scales where they are estimated. A visit's mode ties one robot pose to one place
-(`local`); odometry ties the robot poses, but where a lift breaks it. The score is -2 ln of the
-posterior with all of these integrated out (Laplace's approximation at the minimum, `minimum`), so
-explanations of different dimension compare rightly.
+The unknowns are the robots' poses at the beginnings of visits, the places of the cameras, and
+lenses, clocks and odometry scales where they are estimated. A visit's mode ties one robot pose to
+one place (`local`); odometry ties the robot poses to each other, except where a lift breaks it. The
+score is -2 ln of the posterior with all of these integrated out (Laplace's approximation at the
+minimum, `minimum`), so that explanations of different dimension are comparable.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,14 +28,14 @@ from .path import Picture, RobotPath, VisualStep, Way, visual_step, watched_step
 
 _CLOCK_SIGMAS = 5.0
 Place = tuple[str, int]
-"""A camera and which of its places, counted from 0 in the order in which it hung there."""
+"""A camera and the number of one of its places, counted from 0 in order of time."""
 Break = tuple[str, int]
 """A robot and the node after which it was lifted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tie:
-    """A visit that is used: which of its modes, at which place of its camera."""
+    """The hypothesis for a visit that is used: one of its modes, at one place of its camera."""
 
     mode: int
     place: int
@@ -43,8 +43,8 @@ class Tie:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the unknowns of a graph stand: rows of each robot's nodes (n, d) and scales (2,), of
-    places (6,), and of the cameras' own unknowns."""
+    """The rows of a graph's `size` unknowns: by robot of its `nodes` (n, d) and odometry `scales`
+    (2,), of each place (6,), and by camera of its `own` unknowns (lens, clock)."""
 
     size: int
     nodes: dict[str, np.ndarray]
@@ -55,8 +55,9 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A graph at its minimum: `score`; `nodes`: by robot its poses at its visits, `breaks` among
-    them; `places`: where cameras are; `factor`: of the information, rows as in `layout`."""
+    """A graph at its minimum, with its `score`. `nodes`: by robot, its poses at the beginnings of
+    its visits; `breaks`: where it was lifted between two of them; `places`: poses of the cameras;
+    `factor`: of the information matrix, whose rows are those of `layout`."""
 
     score: float
     nodes: dict[str, Pose]
@@ -66,14 +67,15 @@ class Placed:
     factor: Factor
 
     def covariance(self, rows: np.ndarray) -> Array:
-        """(k, k) of these unknowns."""
+        """Return the marginal covariance (k, k) of the unknowns in these rows."""
         return self.factor.covariance(rows)
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Something to place: visits' ties, those all of whose sightings are wrong, and breaks; `near`:
-    what it is like, to start from."""
+    """A hypothesis whose graph is to be solved. `ties`: by number, the visits that are used;
+    `nothing`: those all of whose sightings are wrong; `breaks`: the lifts; `near`: a similar graph
+    at its minimum, to start from."""
 
     ties: Mapping[int, Tie]
     nothing: frozenset[int]
@@ -82,7 +84,8 @@ class Variant:
 
 
 class Graph:
-    """Places explanations of one session's visits."""
+    """What the pose graphs of all explanations of one session's visits are made of; `minimum`
+    solves them."""
 
     def __init__(self, data: DataSet, visits: list[VisitModes], events: Events) -> None:
         self.data, self.visits, self.events = data, visits, events
@@ -123,7 +126,7 @@ class Graph:
         }
 
     def _visual_steps(self) -> dict[str, dict[int, list[VisualStep]]]:
-        """By robot and step, what visits show of it, the tightest first."""
+        """Return, by robot and step, its motion as visits show it, the most precise first."""
         found: dict[str, dict[int, list[VisualStep]]] = {robot: {} for robot in self.paths}
         for number, visit in enumerate(self.visits):
             if not visit.modes:
@@ -141,7 +144,8 @@ class Graph:
         return found
 
     def _on_the_way(self, step: int, number: int) -> list[Picture]:
-        """A visit's pictures that were surely taken between a node of its robot and the next."""
+        """Return a visit's pictures that were surely taken between node `step` of its robot and the
+        next."""
         found = self.visits[number]
         robot = found.visit.robot
         begin, end = self.paths[robot].stamps_ns[step : step + 2].tolist()
@@ -155,12 +159,12 @@ class Graph:
         ]
 
     def _taken(self, number: int, picture: Picture) -> Picture:
-        """A picture of a visit when it was taken, not as it is stamped."""
+        """Return a picture of a visit with the time at which it was taken in place of its stamp."""
         stamp_ns, index = picture
         return stamp_ns - to_ns(self.visits[number].modes[0].early_s), index
 
     def way(self, robot: str, nothing: frozenset[int]) -> Way:
-        """What is said of a robot's steps where the visits `nothing` show nothing."""
+        """Return a robot's steps as odometry and all visits but `nothing` show them."""
         silent = nothing & self._showing
         if (robot, silent) not in self._ways:
             way = Way.of(self.paths[robot]).with_seen(self.seen(robot, silent))
@@ -168,7 +172,8 @@ class Graph:
         return self._ways[robot, silent]
 
     def seen(self, robot: str, nothing: frozenset[int]) -> dict[int, VisualStep]:
-        """By step, what shows most of it where the visits `nothing` show nothing."""
+        """Return, by step of a robot, the most precise motion that a visit other than `nothing`
+        shows."""
         found = {}
         for step, seen in self._visual[robot].items():
             best = next((each for each in seen if each.number not in nothing), None)
@@ -177,13 +182,16 @@ class Graph:
         return found
 
     def shows_steps(self, number: int) -> bool:
-        """Whether a visit shows more of how its robot moved than odometry."""
+        """Whether a visit shows a step of its robot more precisely than odometry does."""
         return number in self._showing
 
     def _seen_from(self, number: int, modes: Sequence[Mode]) -> tuple[Pose, Array]:
-        """A visit's modes (k) from the robot's pose at its beginning: base_from_camera, and the
-        information (k, q, q) in those axes. A mode has the camera from where the robot was when the
-        first picture was taken, by the time offset that it began with."""
+        """Return a visit's modes (k) relative to the robot's pose at its beginning:
+        base_from_camera, and the information (k, q, q) in the robot's axes.
+
+        A mode holds the camera's pose relative to where the robot was when the first picture was
+        taken, by the time offset at which its estimation started.
+        """
         robot = self.visits[number].visit.robot
         start = self.paths[robot].odometry[self.node_of[number]]
         if not modes:
@@ -196,37 +204,39 @@ class Graph:
         return seen, turn @ information @ np.swapaxes(turn, 1, 2)
 
     def seen_since(self, number: int, modes: Sequence[Mode]) -> Pose:
-        """From where the robot was as a visit's first picture is stamped to where it was when that
-        was taken, by modes (k)."""
+        """Return the robot's motion (k) from the stamp of a visit's first picture to the moment at
+        which it was taken, according to each of the modes (k)."""
         path = self.paths[self.visits[number].visit.robot]
         moments = np.full(len(modes), path.stamps_ns[self.node_of[number]])
         early_s = np.array([mode.early_s for mode in modes])
         return path.track.carried(moments, -early_s, np.zeros(2))[0]
 
     def relative(self, number: int) -> tuple[Pose, Array]:
-        """base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
+        """Return base_from_camera (k) of a visit's modes, and their information (k, q, q)."""
         return self._relative[number]
 
     def own_values(self, number: int) -> Array:
-        """What a visit's modes say of its camera's own unknowns, (k, o)."""
+        """Return the values (k, o) of the camera's lens and clock that a visit's modes estimate."""
         return self._own_values[number]
 
     def spread(self, number: int) -> Array:
-        """The covariance (k, 6, 6) of where a visit's modes put the camera, in the robot's axes."""
+        """Return the covariance (k, 6, 6), in the robot's axes, of the camera's pose by each mode
+        of a visit."""
         return self._covariance[number]
 
     def known_information(self, order: int) -> Array:
-        """(6, 6) of a camera known from before, by itself."""
+        """Return the marginal information (6, 6) of one camera that is known from before."""
         part = slice(6 * order, 6 * order + 6)
         return np.linalg.inv(self._known_covariance[part, part])
 
     def room(self, path: RobotPath) -> Array:
-        """Variances (d,) of where a robot may be put down."""
+        """Return the prior variances (d,) of where a robot may be put down in the room."""
         return self.events.room_variances[path.tangent]
 
     def across(self, gap: Break, nothing: frozenset[int] = frozenset()) -> VisualStep | None:
-        """The motion across a gap in which odometry broke, by the visit that shows most of it; None
-        where no visit goes on from before it to after it. `nothing`: visits that show nothing."""
+        """Return the motion across a gap in which odometry broke, from the visit that shows it most
+        precisely; None if no visit goes on from before the gap to after it. `nothing`: the visits
+        that do not count."""
         if gap not in self._across:
             numbers = range(len(self.visits))
             each = [one for n in numbers if (one := self._seen_across(gap, n)) is not None]
@@ -263,7 +273,8 @@ class Graph:
         )
 
     def _precedes(self, first: int, first_ns: int, second: int, second_ns: int) -> bool:
-        """Whether what one visit's camera stamped is surely not after what another's did."""
+        """Whether a picture of one visit was surely not taken after one of another, given their
+        stamps and how well the cameras' clocks are known."""
         if self.visits[first].visit.camera == self.visits[second].visit.camera:
             return first_ns <= second_ns
         (offset, sigma), (other_offset, other_sigma) = self._clocks[first], self._clocks[second]
@@ -271,7 +282,7 @@ class Graph:
         return apart_ns >= _CLOCK_SIGMAS * float(np.hypot(sigma, other_sigma))
 
     def layout(self, places: Sequence[Place]) -> Layout:
-        """With all robots' nodes and these places."""
+        """Lay out the unknowns of a graph with all robots' nodes and these places."""
         size = 0
 
         def rows(count: int) -> np.ndarray:
@@ -292,18 +303,18 @@ class Graph:
 
 
 def _clock(data: DataSet, found: VisitModes) -> tuple[float, float]:
-    """A camera's time offset by a visit, and its sigma, ns."""
+    """Return a camera's time offset as a visit estimates it, and its sigma, ns."""
     sigma_s = data.site.cameras[found.visit.camera].time_offset_sigma
     if sigma_s == 0 or not found.modes:
         return 0.0, to_ns(sigma_s)
     mode = found.modes[0]
-    # Of a mode's unknowns the last are the time's offset and drift.
+    # The last two unknowns of a mode are the clock's offset and drift.
     variance = float(np.linalg.inv(mode.information)[-2, -2])
     return to_ns(mode.camera.time_offset_s), to_ns(min(np.sqrt(variance), sigma_s))
 
 
 def own_prior(data: DataSet, camera: str) -> tuple[Array, Array]:
-    """A camera's own unknowns beside its pose, lens and clock: their prior means and sigmas."""
+    """Return the prior means and sigmas of a camera's own unknowns: lens and clock, not pose."""
     config, lens = data.site.cameras[camera], data.lenses[camera]
     mean, sigma = np.zeros(0), np.zeros(0)
     if config.estimates_intrinsics:
@@ -316,7 +327,7 @@ def own_prior(data: DataSet, camera: str) -> tuple[Array, Array]:
 
 
 def own_values(data: DataSet, camera: str, mode: Mode) -> Array:
-    """The same by a mode."""
+    """Return the values of the same unknowns that a mode estimates."""
     config = data.site.cameras[camera]
     values = mode.camera.lens.parameters if config.estimates_intrinsics else np.zeros(0)
     if config.time_offset_sigma > 0:

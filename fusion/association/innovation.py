@@ -1,4 +1,4 @@
-"""How far a sighting is from where everything else puts it."""
+"""The innovation of a sighting: how far it is from where everything else predicts it."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -13,15 +13,15 @@ from .events import Events
 
 @dataclass(frozen=True, slots=True)
 class Corners:
-    """A view's weighted residual (k, 2), and its derivatives by the robot's pose (k, 2, 6) and by
-    the unknowns (k, 2, q)."""
+    """The weighted residual (k, 2) of a view's corners, and its derivatives by the robot's pose
+    (k, 2, 6) and by the unknowns (k, 2, q)."""
 
     residual: Array
     by_base: Array
     by_state: Array
 
     def without(self, wild: np.ndarray) -> Self:
-        """Without its wild corners (k,)."""
+        """Return the corners but those that are `wild` (k,)."""
         return replace(
             self,
             residual=self.residual[~wild],
@@ -32,9 +32,12 @@ class Corners:
 
 @dataclass(frozen=True, slots=True)
 class Stood:
-    """How robots stood otherwise in pictures (n) than their nodes say, by all that is used of them:
-    `shift` (n, 6), its covariance `own` (n, 6, 6) where the unknowns are known, and its derivative
-    by those, `by_state` (n, 6, q). So views of one picture say of each other where that was."""
+    """The disturbance of the robot's pose about its node in each picture (n), estimated from all
+    corners that are used; through it the views of one picture constrain each other.
+
+    `shift` (n, 6): its mean; `own` (n, 6, 6): its covariance given the unknowns; `by_state`
+    (n, 6, q): its derivative by the unknowns.
+    """
 
     shift: Array
     own: Array
@@ -42,14 +45,15 @@ class Stood:
 
     @classmethod
     def of(cls, jitter: PictureJitter, by_state: Array, residual: Array) -> Self:
-        """`by_state` (n, 2K, q) and `residual` (n, 2K) of what is used."""
+        """Estimate the disturbances from the corners that are used: their derivatives `by_state`
+        (n, 2K, q) and `residual` (n, 2K)."""
         own = np.linalg.inv(jitter.information)
         pull = -own @ np.swapaxes(jitter.jacobian, 1, 2)
         return cls((pull @ residual[..., None])[..., 0], own, pull @ by_state)
 
     def beside(self, row: int, corners: Corners, covariance: Array) -> tuple[Corners, Array]:
-        """A view's corners in a picture with that as six more unknowns, and the covariance of all
-        of them."""
+        """Return a view's corners with the disturbance in its picture (`row`) as six more unknowns,
+        and the joint covariance of all of them."""
         by, shift = self.by_state[row], self.shift[row]
         across = by @ covariance
         joint = np.block([[covariance, across.T], [across, self.own[row] + across @ by.T]])
@@ -63,15 +67,15 @@ class Stood:
 def innovation_excess(
     corners: Corners, covariance: Array, events: Events, *, is_used: bool, rest: float
 ) -> float:
-    """νᵀS⁻¹ν + ln|S|, at most that of a board that may be anywhere: how improbable everything
-    else makes the pose that a sighting shows by itself, over that of a wrong one: of a board
-    anywhere, or of one that is off by any amount, small ones too.
+    """Return by how much a sighting is less probable than a wrong one, given everything else:
+    νᵀS⁻¹ν + ln|S| of the pose that it shows by itself, with ln|S| at most that of a board that may
+    be anywhere, over the score of a wrong one (`Events.excess`).
 
-    `rest`: so much χ² the state may still be from its minimum; where a sighting says nearly alone
-    where something is, that is no contradiction.
-    `covariance`: of the unknowns, what the sighting says included where it `is_used`; then with
-    P the pose's own covariance and H its derivative by the unknowns, what is left over has
-    R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν = S P⁻¹ times that.
+    `rest`: the χ² by which the state may still be off its minimum; where a sighting determines
+    something nearly alone, that must not count as a contradiction.
+    `covariance`: Σ of the unknowns, which includes the sighting itself if it `is_used`. Then, with
+    P the pose's own covariance and H its derivative by the unknowns, the residual has the
+    covariance R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν is S P⁻¹ times the residual.
     """
     flat = corners.by_base.reshape(-1, 6)
     try:
@@ -80,7 +84,7 @@ def innovation_excess(
         by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
         root = np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
-        # It shows no pose that could contradict.
+        # It determines no pose that could contradict anything.
         return -events.wrong_limit
     whitened = np.linalg.solve(root, by_state)
     values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)

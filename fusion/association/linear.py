@@ -1,4 +1,4 @@
-"""A visit to first order: what every part of its pictures says of where the robot stood."""
+"""A visit linearised: where each part of its pictures by itself puts the robot."""
 
 from dataclasses import dataclass, replace
 
@@ -14,23 +14,25 @@ from trigpoint.geometry.rotation import Array
 
 _EXACT = 1e-9
 HELD = 1e-6
-"""Sigma (m, rad, s, and of scales) of what is known exactly: far below what any sighting tells, and
-not so far that beside a gap in odometry nothing is left of it in a number's digits."""
-# Of the eigenvalues of a scaled information: a pose is not determined.
+"""Sigma (m, rad, s, and of scales) of what is known exactly: far below what any sighting resolves,
+but not so small that next to a gap in odometry it is lost in a float's rounding."""
+# A pose is not determined if the least eigenvalue of its scaled information is below this.
 _FLAT = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Unknowns are the robot's poses at the visit's pictures but the first, then `camera`'s columns
-    (6,) and others.
+    """A visit's linear equations. The unknowns (u) are the robot's poses at the visit's pictures
+    but the first, then the camera's pose (columns `camera` (6,)) and others.
 
-    `shifts` (n, 6): by how much each part by itself puts the robot otherwise, with `own` (n, 6, 6)
-    its covariance by the corners and `by_unknowns` (n, 6, u); `parts` (n,): which of those asked
-    for it is, and `places` (n, 3) where the robot was; `steps` (m, d): what odometry asks for, with
-    `steps_by_unknowns` (m, d, u), its covariance `spread` (m, d, d), and that by the stated noise
-    and by slip alone, `by_odometry` and `by_slip`; `broken` (m, d, d): what is added to these where
-    something happened on the way; `prior` (u, u): information on the unknowns from before.
+    `shifts` (n, 6): the shift of the robot's pose that each part by itself asks for, with its
+    covariance `own` (n, 6, 6) by the corners and its coefficients `by_unknowns` (n, 6, u);
+    `parts` (n,): which of the parts asked for each is; `places` (n, 3): where the robot was;
+    `steps` (m, d): the shift that odometry asks for, with coefficients `steps_by_unknowns`
+    (m, d, u), covariance `spread` (m, d, d), and that due to the stated noise and skid
+    (`by_odometry`) and to slip (`by_slip`) alone; `broken` (m, d, d): what is added to these
+    covariances where something happened on the way; `prior` (u, u): the prior information on the
+    unknowns.
     """
 
     shifts: Array
@@ -50,8 +52,9 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Of one camera and robot in the dense part: `dense` the camera's own, `scales`, `faces`;
-    `place`: column -> where it stands among the visit's unknowns, of which there are `count`."""
+    """The dense columns of one camera and robot in a problem: `dense` (the camera's own), and the
+    robot's `scales` and `faces`. `place`: by column, its position among the visit's `count`
+    unknowns."""
 
     dense: np.ndarray
     scales: np.ndarray
@@ -63,9 +66,12 @@ class _Columns:
 def linearised(
     data: DataSet, assembled: Assembled, batch: Batch, parts: list[tuple[int, slice | None]]
 ) -> Linear | None:
-    """A problem of one batch about its start. `parts`: each a row of the batch and which of its
-    corners, None: all; those that determine no pose are left out. None where fewer than two are
-    left or the robot stood still."""
+    """Linearise a problem of one batch about its start; None if fewer than two parts are left or
+    the robot stood still.
+
+    `parts`: for each a row of the batch and which of its corners, None for all; those that
+    determine no pose are left out.
+    """
     problem, state = assembled.problem, assembled.start
     chain = problem.chains[batch.robot]
     if chain.motion is None:
@@ -125,7 +131,7 @@ def linearised(
 
 
 def unknowns_of(problem: Problem, camera: str) -> np.ndarray:
-    """The dense columns of a camera: pose, lens, clock."""
+    """Return the dense columns of a camera's unknowns: pose, lens, clock."""
     layout = problem.layout
     parts = [layout.pose[camera]]
     parts += [part[camera] for part in (layout.lens, layout.time_offset) if camera in part]
@@ -133,8 +139,8 @@ def unknowns_of(problem: Problem, camera: str) -> np.ndarray:
 
 
 def log_priors(problem: Problem, camera: str, robot: str) -> tuple[float, float]:
-    """ln |information| from before: on a camera's own unknowns, and on the robot's scales and the
-    places of its faces."""
+    """Return ln |prior information| of a camera's own unknowns, and of the robot's scales and the
+    poses of its faces."""
     batch = next(b for b in problem.batches if (b.camera, b.robot) == (camera, robot))
     columns = _columns(problem, batch, 0)
     information = np.diagonal(_prior(problem, batch, columns))
@@ -153,7 +159,8 @@ def _columns(problem: Problem, batch: Batch, before: int) -> _Columns:
 
 
 def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
-    """The covariances (m, d, d) of a chain's steps by the stated noise and skid, and by slip."""
+    """Return the covariances (m, d, d) of a chain's steps due to the stated noise and skid, and
+    due to slip."""
     free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
     noise = data.site.robots[chain.robot].odometry
     silent = msgspec.structs.replace(noise, **dict.fromkeys(PARTS, 0.0))
@@ -166,7 +173,7 @@ def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
 
 
 def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
-    """What is known of the unknowns from before (u, u)."""
+    """Return the prior information (u, u) on the unknowns."""
     priors, information = problem.priors, np.zeros(columns.count)
 
     def put(names: np.ndarray, sigma: Array) -> None:

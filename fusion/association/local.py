@@ -1,5 +1,5 @@
-"""One visit by itself: every place of the camera, seen from where the robot then was, that its
-pictures and the odometry between them allow."""
+"""Solves one visit by itself: finds every pose of its camera relative to the robot that the
+visit's pictures and the odometry between them allow."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -36,15 +36,17 @@ from .trial import Trial
 
 _MOST_ROUNDS = 10
 _PATIENCE = 2
-# What a step may still promise of χ²: far below what any decision rests on.
+# The iteration ends at a step that promises to lower χ² by less than this, which is far below what
+# any decision depends on.
 _TOLERANCE = 0.03
 _MOST_STEPS = 12
 
 
 class LocalProblem:
-    """The chosen pictures of one camera by one robot, between which odometry is followed.
+    """The least-squares problem of one camera's chosen pictures of one robot, and its odometry.
 
-    `poses`: by index where odometry puts the robot; `wrong_scores`: by index, of each view.
+    `poses`: by index, where odometry puts the robot; `wrong_scores`: by index, the score of each
+    view if it is wrong.
     """
 
     def __init__(
@@ -70,10 +72,10 @@ class LocalProblem:
         wrong: dict[int, tuple[bool, ...]],
         most_wrong: int | None = None,
     ) -> Mode | None:
-        """The mode that a camera near `start` leads to; None where nothing fits.
+        """The mode that the iteration reaches from a camera near `start`; None where nothing fits.
 
-        `wrong`: by index, which views the start takes to be wrong; `most_wrong`: with more wrong
-        ones than this it is given up once it had time to take them back.
+        `wrong`: by index, which views are taken as wrong at the start; `most_wrong`: the search is
+        given up where more views than this are still wrong after `_PATIENCE` rounds.
         """
         trial = Trial({index: list(row) for index, row in wrong.items()}, dict(self.poses))
         camera, seen, settled = start, set[tuple[object, ...]](), None
@@ -110,7 +112,7 @@ class LocalProblem:
                 most_iterations=_MOST_STEPS,
             )
         except LinAlgError:
-            return None  # it went where nothing is determined
+            return None  # at a state where an unknown is not determined
         self.budget.spend_solving(steps=found.iterations, corners=self._corners)
         if not np.isfinite(found.equations.cost):
             return None
@@ -141,9 +143,10 @@ class LocalProblem:
     # -- what is wrong ----------------------------------------------------------------------------
 
     def _judge(self, trial: Trial, solved: "_Solved", *, is_robust: bool) -> None:
-        """Say which corners are wild, and which sightings would better be wrong, or right.
+        """Mark the wild corners, and the sightings that are likelier wrong, or right, than taken.
 
-        `is_robust`: the state is a robust minimum, at which only the worst is sure to be wrong.
+        `is_robust`: the state minimises the robust cost; only the worst sighting is then sure to be
+        wrong.
         """
         try:
             system = solved.system
@@ -157,8 +160,8 @@ class LocalProblem:
         rows = [
             np.concatenate([system.node_rows(self.robot, int(node)), dense]) for node in batch.nodes
         ]
-        # The last of the way to the minimum is nothing beside the noise, but much beside what a
-        # sighting leaves over that says nearly alone where something is.
+        # What is left of the way to the minimum is negligible beside the noise, but not beside the
+        # residual of a sighting that nearly alone determines an unknown.
         rest = 0.0 if is_robust else 1.0
         left = residual + rest * np.stack(
             [each @ system.step[mine] for each, mine in zip(jacobian, rows, strict=True)]
@@ -187,7 +190,7 @@ class LocalProblem:
         most = max((gain for gain, *_ in excess[False]), default=0.0)
         judged = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
-            # Of two that contradict each other in one picture, the other may be right.
+            # Of two sightings that contradict each other in one picture, the other may be right.
             if gain > 0 and gain >= (most if is_robust else most / 2) and index not in judged:
                 trial.wrong[index][order] = True
                 judged.add(index)
@@ -198,18 +201,18 @@ class LocalProblem:
                 trial.wrong[index][order] = False
 
     def _parts(self) -> Iterator[tuple[int, int, int, slice]]:
-        """Each view: the row of its picture, the index of that, its order and its corners there."""
+        """For each view: its picture's row and index, and its own order and corners therein."""
         for row, (index, observation) in enumerate(self.observations.items()):
             for order, part in enumerate(observation.parts):
                 yield row, index, order, part
 
     def _wild(self, by_base: Array, residual: Array) -> list[np.ndarray]:
-        """Of each view, which corners are wild."""
+        """Flags of the wild corners of each view."""
         parts = [(by_base[row, part], residual[row, part]) for row, _, _, part in self._parts()]
         return wild_corners(parts, self.events.wild_score)
 
     def _weights(self, batch: Batch) -> Array:
-        """1/sigma of every corner (n, K), also of those that are left out."""
+        """1/sigma of every corner (n, K), including those that are left out."""
         weights = np.zeros_like(batch.weights)
         for row, observation in enumerate(self.observations.values()):
             weights[row, : observation.corner_count] = 1 / observation.sigmas
@@ -218,8 +221,8 @@ class LocalProblem:
     # -- to first order ---------------------------------------------------------------------------
 
     def residuals(self, mode: Mode) -> Linear | None:
-        """The visit to first order about a mode, each picture as one, without what is wrong by it;
-        None where that tells nothing of noise."""
+        """The visit linearised about a mode, with each picture as one part and without what the
+        mode has as wrong; None where that tells nothing about the noise."""
         readings = {
             index: [
                 reading if reading is not None else view.readings[0]
@@ -236,8 +239,8 @@ class LocalProblem:
         )
 
     def likeliest_wrong(self, mode: Mode) -> list[dict[int, tuple[bool, ...]]]:
-        """Which sightings are wrong, likeliest first, by everything about a mode to first order:
-        those that one after the other would never be found, since several agree by chance."""
+        """The likeliest sets of wrong sightings, best first, by the visit linearised about a mode.
+        Judged one after the other they would never be found, since several agree by chance."""
         trial = Trial({}, dict(mode.poses))
         trial.read(self.observations, self.target, mode.camera)
         assembled = self._assembled(trial, mode.camera)
@@ -258,7 +261,7 @@ class LocalProblem:
         return found
 
     def _tame(self, assembled: Assembled, batch: Batch) -> Batch:
-        """A batch without the corners that each sighting by itself shows to be wild."""
+        """The batch without the corners that each sighting by itself shows to be wild."""
         whole = replace(batch, weights=self._weights(batch))
         state = assembled.start
         residual = batch_residual(assembled.problem, whole, state)
@@ -307,14 +310,15 @@ class LocalProblem:
         )
 
     def _poses_covariance(self, assembled: Assembled, system: System) -> Array:
-        """(m, d, m, d) of where the robot stood."""
+        """Joint covariance (m, d, m, d) of the robot's poses at the m pictures."""
         count = len(self.observations)
         nodes = [system.node_rows(self.robot, assembled.node_of[row]) for row in range(count)]
         rows = np.concatenate(nodes)
         return system.covariance[np.ix_(rows, rows)].reshape(count, -1, count, len(nodes[0]))
 
     def _early_s(self, assembled: Assembled) -> float:
-        """By how much before a picture is stamped its node stands."""
+        """How long before a picture's stamp its node lies: the time offset, by which the problem
+        was assembled, at the first picture."""
         first_ns = next(iter(self.observations.values())).stamp_ns
         since_epoch_s = self.data.since_epoch_s(first_ns)
         return float(assembled.start.cameras[self.camera].offset_s(since_epoch_s))
@@ -344,8 +348,8 @@ class LocalProblem:
 
 
 class _Solved:
-    """A visit at a minimum; `state`: there; a robust one's equations are those of the robust
-    cost, and of no use for what is known there."""
+    """A visit's problem and `state` at a minimum. The normal equations of a robust minimum are not
+    kept: they are those of the robust cost and do not give the covariance."""
 
     def __init__(self, assembled: Assembled, found: Minimum, *, is_robust: bool) -> None:
         self.assembled, self.state = assembled, found.state
@@ -353,15 +357,15 @@ class _Solved:
 
     @cached_property
     def system(self) -> System:
-        """Raise LinAlgError where something is not determined."""
+        """The full normal equations; raise LinAlgError where an unknown is not determined."""
         return System.of(self.assembled.problem, self.state, self._equations)
 
 
 def _stood(
     problem: Problem, batch: Batch, state: State, jacobian: Array, residual: Array, good: np.ndarray
 ) -> Stood | None:
-    """How the robot stood in each picture by its `good` corners (n, K); None where it stands as its
-    odometry says. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
+    """The robot's deviation from its node in each picture, by the `good` corners (n, K); None where
+    the problem has no jitter. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
     jitter = PictureJitter.of(problem, replace(batch, weights=batch.weights * good), state)
     if jitter is None:
         return None

@@ -1,9 +1,9 @@
-"""Which sightings of a visit are wrong: all subsets that matter, judged together.
+"""Finds which sightings of a visit are wrong by comparing whole subsets of them.
 
-Single sightings that are judged one after the other can hide each other: two that are displaced
-alike make the right one between them look wrong. To first order all of a visit is one linear
-Gaussian model, in which a hypothesis (which of the sightings so far are wrong) is a Kalman filter;
-of these the likeliest are carried on, picture by picture.
+Sightings that are judged one after the other can mask each other: two that are displaced alike make
+the right one between them look wrong. To first order a visit is one linear Gaussian model, in which
+each hypothesis (which of the sightings so far are wrong) is a Kalman filter; the likeliest
+hypotheses are carried on from sighting to sighting.
 """
 
 import numpy as np
@@ -14,8 +14,9 @@ from trigpoint.geometry.rotation import Array
 from .events import Events, window
 from .linear import Linear
 
-# A right sighting at the beginning is worth seventy or so, and pays only as the others come: so no
-# score of a part tells, and as many are carried on as six sightings have subsets.
+# Accepting a right sighting early improves the score by seventy or so, but only once others agree
+# with it. So the score of a partial hypothesis tells little, and as many hypotheses are carried on
+# as six sightings have subsets.
 _MOST = 64
 _MOST_TOLD = 3
 
@@ -23,9 +24,9 @@ _MOST_TOLD = 3
 def likeliest_wrong(
     linear: Linear, jitter: Jitter | None, events: Events
 ) -> list[tuple[bool, ...]]:
-    """The likeliest ways (n flags each) in which the parts of a visit are wrong, best first.
+    """The likeliest sets of wrong parts of a visit, as n flags each, best first.
 
-    `jitter`: how the robot stands otherwise in each picture than odometry says.
+    `jitter`: how far the robot's pose in each picture deviates from what odometry says.
     """
     mean, covariance = _before(linear, events)
     means, covariances = mean[None], covariance[None]
@@ -54,8 +55,8 @@ def likeliest_wrong(
 
 
 def _before(linear: Linear, events: Events) -> tuple[Array, Array]:
-    """Mean (u,) and covariance (u, u) of the unknowns by odometry and priors, the camera anywhere
-    in the room."""
+    """Prior mean (u,) and covariance (u, u) of the unknowns by odometry and priors, with the camera
+    anywhere in the room."""
     information = linear.prior.copy()
     information[linear.camera, linear.camera] += 1 / events.room_variances
     weighted = np.swapaxes(linear.steps_by_unknowns, 1, 2) @ np.linalg.inv(linear.spread)

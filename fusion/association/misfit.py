@@ -1,4 +1,4 @@
-"""How improbable a visit is by a noise, and where in it something happened that is no noise."""
+"""How improbable a visit is under a noise model, and in which of its steps an event is likelier."""
 
 from dataclasses import dataclass, replace
 
@@ -14,13 +14,14 @@ from .linear import Linear
 from .noise import Noise
 
 _ROUNDING = 1e-12
-_SAME = 3  # digits of a metre: a robot stands where it stood
+_SAME = 3  # decimals of a metre, to which positions of one place agree
 
 
 @dataclass(frozen=True, slots=True)
 class _Whitened:
-    """A visit's equations in sigmas: `rows` (n, u) and `right` (n,), the last of them the steps';
-    `prior` (u, u), and -2 ln of the covariances' determinants."""
+    """A visit's equations, whitened: `rows` (n, u) and `right` (n,), those of the steps last;
+    `prior` (u, u): information on the unknowns; `spread`: Σ ln |covariance| of what was whitened
+    and of the floor's tilt."""
 
     rows: Array
     right: Array
@@ -28,12 +29,12 @@ class _Whitened:
     spread: float
 
     def solved(self) -> tuple[Array, Array, Array]:
-        """The scale (u,) and Cholesky factor (u, u) of the normal equations, and the right side by
-        both (u,)."""
+        """The scale (u,) and Cholesky factor (u, u) of the scaled normal equations, and their right
+        side, scaled and solved by that factor, (u,)."""
         normal = self.rows.T @ self.rows + self.prior
         scale = 1 / np.sqrt(np.diagonal(normal))
-        # What nothing determines but odometry that may be anyhow is at the edge of what a number
-        # holds.
+        # An unknown that nothing but nearly free odometry determines is at the limit of double
+        # precision.
         factor = np.linalg.cholesky(
             normal * scale[:, None] * scale + _ROUNDING * np.eye(len(scale))
         )
@@ -41,7 +42,7 @@ class _Whitened:
 
 
 def misfit(visit: Linear, noise: Noise) -> float:
-    """-2 ln of the restricted likelihood of a visit, up to a constant."""
+    """-2 ln of a visit's restricted likelihood under a noise model, up to a constant."""
     whitened = _whitened(visit, noise)
     scale, factor, pull = whitened.solved()
     value = whitened.right @ whitened.right - pull @ pull + whitened.spread
@@ -49,8 +50,8 @@ def misfit(visit: Linear, noise: Noise) -> float:
 
 
 def interrupted(visit: Linear, noise: Noise, events: Events) -> tuple[Linear, int]:
-    """The visit with the steps broken of which it is likelier, by this noise, that something
-    happened there (a lift, a moved camera) than that odometry was so far off; how many are."""
+    """The visit with those steps broken in which, under this noise, an event (a lift, a moved
+    camera) is likelier than so large an error of odometry, and the number of these steps."""
     before, count = misfit(visit, noise), 0
     while count < len(visit.steps):
         other = _broken(visit, _worst_step(visit, noise), events)
@@ -62,7 +63,7 @@ def interrupted(visit: Linear, noise: Noise, events: Events) -> tuple[Linear, in
 
 
 def _broken(visit: Linear, step: int, events: Events) -> Linear:
-    """With a robot that may be anywhere in the room after a step."""
+    """The visit with a robot that may be anywhere in the room after a step."""
     broken = visit.broken.copy()
     free = PLANAR if broken.shape[-1] == len(PLANAR) else SPATIAL
     broken[step] += np.diag(events.room_variances[free])
@@ -70,7 +71,7 @@ def _broken(visit: Linear, step: int, events: Events) -> Linear:
 
 
 def _worst_step(visit: Linear, noise: Noise) -> int:
-    """The step without which χ² is least."""
+    """The step whose removal lowers χ² most."""
     whitened = _whitened(visit, noise)
     scale, factor, pull = whitened.solved()
     rows = whitened.rows * scale
@@ -113,8 +114,8 @@ def _whitened(visit: Linear, noise: Noise) -> _Whitened:
 
 
 def _floor(visit: Linear, jitter: Jitter) -> tuple[Array, Array]:
-    """What the floor's tilt (2) where a robot stood does to its parts, (n, 6, t), and the
-    information (t, t) on it, of a Gaussian process in the plane."""
+    """The parts' derivatives (n, 6, t) by the floor's tilt, two unknowns for each place where the
+    robot stood, and the prior information (t, t) on it, that of a Gaussian process in the plane."""
     places, place = np.unique(visit.places.round(_SAME), axis=0, return_inverse=True)
     by_floor = np.zeros((len(place), 6, len(places), 2))
     by_floor[np.arange(len(place)), 3:5, place] = np.eye(2)

@@ -1,4 +1,4 @@
-"""One place of a camera by one visit."""
+"""A mode of one visit: a pose of its camera that the visit allows, and all that goes with it."""
 
 from dataclasses import dataclass
 
@@ -13,16 +13,16 @@ from trigpoint.geometry.uncertainty import relative_jacobians
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One place of a camera by one visit.
+    """One local optimum of a visit's posterior: a pose of the camera and all that goes with it.
 
-    `map_from_camera`: in the frame in which odometry puts the robot (the first picture's pose is
-    exactly odometry's as that is stamped); `camera`: with lens and clock; `information`: of
-    `columns` unknowns, pose (6), then lens and clock where they are estimated, their priors
-    included, of which `prior` is ln |information|; `score`: of what is not in them; `readings`: by
-    index, None for a wrong sighting; `wild`: by index, each view's wild corners; `poses`: where the
-    robot stood, and `poses_covariance` (m, d, m, d) of that at its first m pictures, each `early_s`
-    before it is stamped; `scales`: (2,) and their covariance, and `faces`: base_from_face of all,
-    each where they are estimated.
+    `map_from_camera`: in the frame in which odometry puts the robot (the robot's pose in the first
+    picture is exactly odometry's at that picture's stamp); `camera`: with lens and clock;
+    `information`: of the camera's own unknowns, pose (6), then lens and clock where they are
+    estimated, their priors included; `prior`: ln |information| of those priors; `score`: with all
+    other unknowns integrated out; `readings`: by index, None for a wrong sighting; `wild`: by
+    index, each view's wild corners; `poses`: by index, where the robot stood; `poses_covariance`
+    (m, d, m, d): of these at the m chosen pictures, each `early_s` before its stamp; `scales`: (2,)
+    and their covariance, and `faces`: base_from_face of all faces, each where it is estimated.
     """
 
     camera: CameraState
@@ -43,12 +43,12 @@ class Mode:
 
     @property
     def evidence(self) -> float:
-        """The score with the camera's own unknowns integrated out."""
+        """The score with the camera's own unknowns integrated out too."""
         return self.score + float(np.linalg.slogdet(self.information)[1]) - self.prior
 
     def moved(self, earlier: int, later: int, tangent: list[int]) -> tuple[Pose, Array]:
-        """How the robot moved between two pictures, and the covariance (d, d) of that in its free
-        directions."""
+        """The robot's motion between two chosen pictures, and its covariance (d, d) in the free
+        directions `tangent`."""
         rows = [list(self.poses).index(index) for index in (earlier, later)]
         by = relative_jacobians(self.poses[earlier], self.poses[later])
         free = np.hstack([each[np.ix_(tangent, tangent)] for each in by])
@@ -57,10 +57,10 @@ class Mode:
 
     @property
     def wrong(self) -> int:
-        """How many sightings are wrong by it."""
+        """How many sightings the mode takes as wrong."""
         return sum(reading is None for row in self.readings.values() for reading in row)
 
     @property
     def right_pictures(self) -> int:
-        """How many pictures show the robot by it."""
+        """How many pictures have a sighting that is right by the mode."""
         return sum(any(reading is not None for reading in row) for row in self.readings.values())

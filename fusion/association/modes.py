@@ -1,4 +1,4 @@
-"""The modes of each visit: where its search starts, and which of them come near the best."""
+"""Finds the modes of each visit: searches from many starts and keeps the modes near the best."""
 
 import math
 from collections.abc import Iterable
@@ -24,10 +24,10 @@ from .pictures import PictureReader
 from .sightings import Alone, alone, by_itself, tamed
 from .visits import Visit
 
-# A mode that is worse than the best of its visit by this can only be made up for by other visits
-# whose evidence is as strong.
+# A mode that is worse than the best of its visit by this can only be right if other visits give
+# evidence for it that is as strong.
 _WINDOW = 2 * window()
-# A robot that stands with six equal faces has six modes, and of each some starts.
+# A standing robot with six equal faces has six modes, and several starts lead to each.
 _MOST_STARTS = 24
 _MOST_SPLITS = 3
 _MORE_WRONG = 2
@@ -35,8 +35,8 @@ _MORE_WRONG = 2
 
 @dataclass(frozen=True, slots=True)
 class VisitModes:
-    """A visit with its modes, best first; `nothing`: the score where all of it is wrong; `right`:
-    the chosen pictures' (stamp_ns, index) of which each mode has a right sighting."""
+    """A visit with its modes, best first. `nothing`: the score if all of its sightings are wrong;
+    `right`: (stamp_ns, index) of the chosen pictures in which every mode has a right sighting."""
 
     visit: Visit
     modes: tuple[Mode, ...]
@@ -45,15 +45,17 @@ class VisitModes:
 
     @property
     def is_one_picture(self) -> bool:
-        """Whether each mode rests on one picture alone, the others being wrong."""
+        """Whether every mode rests on a single picture, all others being wrong."""
         return all(mode.right_pictures == 1 for mode in self.modes)
 
 
 class Memory:
-    """What was found of visits, kept from one search to the next: most visits of a session that
-    grows stay what they were; `budget`: for what is not; `alone`: by view and lens what each view
-    says by itself; `lenses`: by camera, of those that are estimated, the one that its most telling
-    visit so far told. Not thread-safe."""
+    """Caches what was found of visits from one search to the next, since most visits of a growing
+    session do not change. Not thread-safe.
+
+    `budget`: for what is not cached; `alone`: by view and lens, what each view says by itself;
+    `lenses`: by camera whose lens is estimated, the lens by its most informative visit so far.
+    """
 
     def __init__(
         self,
@@ -66,12 +68,12 @@ class Memory:
         self.alone = alone if alone is not None else {}
         self.lenses: dict[str, CameraModel] = {}
         self._told_by: dict[str, int] = {}
-        # What the noise was learnt from the last time, and what it was by that.
+        # The data from which the noise was last learnt, and the result.
         self.learnt: tuple[object, dict[str, tuple[Noise | None, ...]]] = None, {}
         self._scattering: dict[tuple[object, ...], tuple[Observation, Observation]] = {}
 
     def scattering(self, observation: Observation, factor: float) -> Observation:
-        """`Observation.scattering`, the same object each time: what is known of its views is."""
+        """`Observation.scattering`, cached, so that its views stay the same objects: cache keys."""
         if factor == 1.0:
             return observation
         key = observation.camera, observation.robot, observation.stamp_ns, factor
@@ -81,7 +83,7 @@ class Memory:
         return known[1]
 
     def get(self, key: tuple[object, ...]) -> VisitModes | None:
-        """What was found, and is still asked for."""
+        """What is cached by this key, which is thereby marked as used; None where nothing is."""
         found = self._kept.get(key)
         if found is not None:
             self._used[key] = found
@@ -91,23 +93,23 @@ class Memory:
         self._kept[key] = self._used[key] = found
 
     def learn_lens(self, found: VisitModes) -> None:
-        """Take the lens of a visit that tells more of it than any one did before: one that is a
-        little better is not worth working out everything anew."""
+        """Take the lens of a visit that has more chosen pictures than any before: a lens that is
+        only a little better is not worth recomputing everything."""
         camera, pictures = found.visit.camera, len(found.visit.chosen)
         if found.modes and pictures > self._told_by.get(camera, 0):
             self.lenses[camera] = found.modes[0].camera.lens
             self._told_by[camera] = pictures
 
     def forget_unused(self) -> None:
-        """Drop what nobody asked for since the last time."""
+        """Drop what was not asked for since the last call."""
         self._kept, self._used = self._used, {}
 
 
 class ModeFinder:
     """Finds the modes of visits over one session's observations.
 
-    Single sightings are judged, and searches start, with the `lenses` that other visits told; the
-    priors of those that are estimated are the data set's.
+    Single sightings are judged, and searches start, with the `lenses` learnt from other visits; the
+    priors of estimated lenses remain the data set's.
     """
 
     def __init__(
@@ -131,7 +133,7 @@ class ModeFinder:
         return self._alone[index]
 
     def tame(self, index: int) -> Observation:
-        """An observation without its wild corners, by which single sightings are read."""
+        """An observation without its wild corners, from which starts are computed."""
         if index not in self._tame:
             self._tame[index] = tamed(self.observations[index], self.alone(index))
         return self._tame[index]
@@ -146,8 +148,8 @@ class ModeFinder:
         return self.memory.alone[key]
 
     def parts_of(self, visit: Visit, *, most: int = _MOST_SPLITS) -> list[VisitModes]:
-        """A visit with its modes; where one end of it contradicts the rest, as two visits or more:
-        something may have happened between them."""
+        """The modes of a visit, split into two visits or more where one end of it contradicts the
+        rest: an event may lie between them. `most`: how many splits may be nested."""
         whole = self.modes_of(visit)
         cut = self._cut(whole) if most else None
         if cut is None:
@@ -156,8 +158,8 @@ class ModeFinder:
         return [each for part in parts for each in self.parts_of(part, most=most - 1)]
 
     def _cut(self, found: VisitModes) -> int | None:
-        """Where to cut a visit, two sightings or more at one end of which contradict its best mode:
-        at the first picture, or after the last one, that does not."""
+        """Where to cut a visit of which two sightings or more at one end contradict its best mode:
+        at its first picture, or after its last one, that does not; None where none is needed."""
         if not found.modes:
             return None
         chosen, readings = found.visit.chosen, found.modes[0].readings
@@ -168,7 +170,7 @@ class ModeFinder:
             self.completed(found.visit, found.modes[0]).readings,
         )
         right = [order for order, index in enumerate(indices) if not _is_wrong(readings[index])]
-        # One by itself is wrong sooner than anything happened.
+        # A single sighting is likelier wrong than an event is to have happened.
         if sum(len(readings[index]) for index in indices[: right[0]]) > 1:
             return right[0]
         if sum(len(readings[index]) for index in indices[right[-1] + 1 :]) > 1:
@@ -176,7 +178,7 @@ class ModeFinder:
         return None
 
     def modes_of(self, visit: Visit) -> VisitModes:
-        """All modes of a visit within the window; none once the budget is spent."""
+        """All modes of a visit within the window; if not cached, none once the budget is spent."""
         key = self.key(visit)
         found = self.memory.get(key)
         if found is None and self.memory.budget.is_spent:
@@ -187,7 +189,7 @@ class ModeFinder:
         return found if found.visit == visit else renumbered(found, visit)
 
     def key(self, visit: Visit) -> tuple[object, ...]:
-        """What the modes of a visit hang on, whatever else was seen before and meanwhile."""
+        """The cache key of a visit: what its modes depend on, and nothing else of the session."""
         track = self.data.tracks[visit.robot]
         jitter = self.data.jitter.get(visit.robot)
         chosen = [self.observations[index] for index in visit.chosen]
@@ -206,7 +208,7 @@ class ModeFinder:
             found = self._of_one(visit, problem, poses)
         else:
             found = self._found(visit, problem, self._starts(visit, poses))
-        if not found:  # so much is wrong that no two agree, or none was left out in time
+        if not found:  # so many are wrong that no two agree, or none was left out in time
             found = self._found(visit, problem, self._single_starts(visit, poses))
         near = self._plausible(visit, found)
         right = [i for i in chosen if not any(_is_wrong(mode.readings[i]) for mode in near)]
@@ -225,7 +227,7 @@ class ModeFinder:
         return distinct(found + self._unmasked(problem, distinct(found)))
 
     def _unmasked(self, problem: LocalProblem, found: list[Mode]) -> list[Mode]:
-        """Modes beside the best ones, in which other sightings are wrong."""
+        """More modes near the best ones, each with another set of wrong sightings (`masks`)."""
         others = []
         known = {tuple(wrong_by(mode).items()) for mode in found}
         for mode in found:
@@ -241,7 +243,7 @@ class ModeFinder:
         return others
 
     def _single_starts(self, visit: Visit, poses: dict[int, Pose]) -> list[Start]:
-        """Where each sighting puts the camera by itself, all others taken to be wrong."""
+        """Starts where each sighting by itself puts the camera, all others taken to be wrong."""
         target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
         views = {index: len(self.observations[index].views) for index in visit.chosen}
         found: list[Start] = []
@@ -256,8 +258,8 @@ class ModeFinder:
         return found
 
     def _of_one(self, visit: Visit, problem: LocalProblem, poses: dict[int, Pose]) -> list[Mode]:
-        """The modes of a single picture: by all of its views, and, where those do not agree as well
-        as that would, by one of them with the others wrong."""
+        """The modes of a single picture: by all of its views together, and by any one of them, with
+        the others wrong, whose score then is within the window of the best."""
         (index,) = visit.chosen
         observation = self.tame(index)
         target, lens = self.data.targets[visit.robot], self.lenses[visit.camera]
@@ -277,9 +279,9 @@ class ModeFinder:
         return distinct(found)
 
     def completed(self, visit: Visit, mode: Mode) -> Mode:
-        """A mode over all pictures of its visit, from one over the chosen ones: each of the others
-        is read, and is wrong or not, by itself, where odometry leads from the nearest chosen one.
-        """
+        """Extend a mode from the chosen pictures of its visit to all: each of the others is read,
+        and judged right or wrong, by itself, at the robot's pose by odometry from the nearest
+        chosen one."""
         if len(visit.chosen) == len(visit.indices):
             return mode
         poses, drifts = self._between(visit, mode)
@@ -294,8 +296,8 @@ class ModeFinder:
         return replace(mode, readings=readings, wild=wild, poses=stood | mode.poses)
 
     def _between(self, visit: Visit, mode: Mode) -> tuple[Pose, Array]:
-        """Where the robot stood at all pictures (n), by odometry from the nearest chosen one, and
-        the covariances (n, 6, 6) of that."""
+        """The robot's poses at all pictures (n) by odometry from the nearest chosen one, and the
+        covariances (n, 6, 6) of that odometry."""
         track = self.data.tracks[visit.robot]
         stamps = np.array([self.observations[index].stamp_ns for index in visit.indices])
         inside = np.clip(stamps, track.first_ns, track.last_ns)
@@ -329,8 +331,8 @@ class ModeFinder:
         return starts_of(known, tame, poses, drift, self.events, most=_MOST_STARTS, window=_WINDOW)
 
     def _plausible(self, visit: Visit, found: list[Mode]) -> tuple[Mode, ...]:
-        """The modes within the window; of those that fit alike, none that has the camera look up
-        through the floor that the robot drives on (decisions/0611)."""
+        """The modes within the window; where one above the floor that the robot drives on fits
+        about as well as the best, without those below it (decisions/0611)."""
         best = min((mode.evidence for mode in found), default=np.inf)
         near = [mode for mode in found if mode.evidence < best + _WINDOW]
         if self.data.tracks[visit.robot].planar:
@@ -341,7 +343,7 @@ class ModeFinder:
 
 
 def renumbered(found: VisitModes, visit: Visit) -> VisitModes:
-    """What was found of the same pictures when they had other numbers."""
+    """What was found of the same pictures under other indices, with those of `visit`."""
     number = dict(zip(found.visit.chosen, visit.chosen, strict=True))
     modes = [
         replace(
@@ -370,12 +372,12 @@ def _is_wrong(readings: tuple[Reading | None, ...]) -> bool:
 
 
 def wrong_by(mode: Mode) -> dict[int, tuple[bool, ...]]:
-    """Which sightings are wrong by a mode."""
+    """By index, which sightings a mode takes as wrong."""
     return {i: tuple(reading is None for reading in row) for i, row in mode.readings.items()}
 
 
 def distinct(found: Iterable[Mode]) -> list[Mode]:
-    """The different ones, best first."""
+    """The modes that differ in the camera's pose or in their readings, best first."""
     kept: list[Mode] = []
     for mode in sorted(found, key=lambda mode: mode.evidence):
         if not any(

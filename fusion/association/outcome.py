@@ -1,4 +1,4 @@
-"""What all worlds of a session say together, each camera held against the one rule of evidence."""
+"""Combines all worlds of a session and holds each camera against the one rule of evidence."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -43,8 +43,8 @@ _LATE = (
 
 
 class Outcome:
-    """What all worlds say together; how pictures are read is the best one's word. `is_draft`: so is
-    where each camera is, whatever else it may be."""
+    """Combines all worlds into one explanation; how pictures are read is taken from the best one.
+    `is_draft`: so is where each camera is, whatever alternatives there are."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Outcome:
         self.crowded = {camera for world in worlds for camera in world.crowded}
 
     def _loose(self) -> set[str]:
-        """Cameras that hang on a gap in which the robot may have been carried once more."""
+        """Cameras tied to the map only across a gap in which the robot may have been carried."""
         least = self.chosen.score + self.best.noise.score
         limit = least + window() - self.best.events.event_score
         found = [each for world in self.worlds for each in world.loose() if each[0] < limit]
@@ -97,7 +97,7 @@ class Outcome:
             return CameraFinding((), reason)
         if self.is_draft and is_placed(alternatives[0].covariance):
             return CameraFinding(alternatives[:1])
-        if camera in self.crowded:  # of its places some may be missing here
+        if camera in self.crowded:  # some of its alternatives may be missing
             return CameraFinding(alternatives, _LATE)
         if len(alternatives) > 1:
             return CameraFinding(alternatives, _fit_alike(alternatives))
@@ -114,7 +114,7 @@ class Outcome:
         return _LOST if first is None or first in used else _UNSEEN.format(first)
 
     def _places(self, findings: dict[str, CameraFinding]) -> dict[tuple[str, int], CameraState]:
-        """Every place, also earlier ones, that is one place."""
+        """The camera's state at every place, earlier ones included, that has one alternative."""
         found = {}
         for n in [*self.chosen.ties, *self.chosen.open]:
             camera = self.best.visits[n].visit.camera
@@ -135,7 +135,7 @@ class Outcome:
         return found
 
     def _state(self, camera: str, place: int, pose: Pose) -> CameraState:
-        """A camera there, with the lens and clock that the most telling visit gives it."""
+        """A camera at this pose, with lens and clock by its most informative visit there."""
         modes = [
             v.modes[self._mode_of(n)]
             for n, v in enumerate(self.best.visits)
@@ -215,7 +215,8 @@ class Outcome:
         return found
 
     def _lift(self, robot: str, gap: int) -> Lift:
-        """From the last picture before a gap between two nodes to the first after it."""
+        """The lift in a gap between two nodes: from the last picture before it to the first after
+        it."""
         stamps = self.best.graph.paths[robot].stamps_ns
         after = [
             v.visit.until_ns
@@ -223,7 +224,7 @@ class Outcome:
             if v.visit.robot == robot and self.best.graph.node_of[n] <= gap
         ]
         before = int(stamps[gap + 1])
-        # A visit that goes on where others begin anew has nothing in it that says when.
+        # A visit that goes on past the node after the gap does not tell when the lift was.
         last = max([int(stamps[gap]), *(until for until in after if until < before)])
         return Lift(robot, last, before)
 
@@ -236,7 +237,7 @@ class Outcome:
                 if self.best.visits[n].visit.camera == camera
             ]
             first = self.best.visits[numbers[0]].visit.stamp_ns if numbers else 0
-            if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere before all of it
+            if numbers and self.chosen.place_of(numbers[0]):  # it hung elsewhere at first
                 found.append(CameraMove(camera, first, first))
             for earlier, later in pairwise(numbers):
                 if self.chosen.place_of(earlier) != self.chosen.place_of(later):

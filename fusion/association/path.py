@@ -1,9 +1,9 @@
-"""How a robot moved between the moments at which visits begin: by its odometry, or, where one visit
-goes on meanwhile, by what that shows of it.
+"""How a robot moved between the moments at which visits begin: by its odometry or, where a visit
+goes on meanwhile, by what that visit shows of the motion.
 
-The pictures of one visit say where the robot stood at each, before a camera that hangs somewhere:
-so also how it moved between them, often ten times as well as its wheels do. Without that, what two
-cameras see together says of where they are to each other no more than odometry between the two
+The pictures of one visit show where the robot stood relative to one camera at rest, and so how it
+moved between them, often ten times as precisely as its wheels do. Without that, what two cameras
+see at the same time would tell their relative pose no better than odometry does between the two
 visits' first pictures.
 """
 
@@ -24,14 +24,14 @@ from .linear import HELD
 from .modes import VisitModes, odometry_poses
 
 _SCALE_STEP = 0.01
-# What a visit shows of a motion beside odometry, of all that it shows of it: less is nothing.
+# The least share, of what a visit shows of a motion, that is not due to odometry: less is nothing.
 _LEAST_OWN = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Motions (m) between a robot's nodes near scale errors `about` (2,), and their derivatives by
-    those (m, 6, 2)."""
+    """Motions (m) between a robot's nodes at scale errors `about` (2,), and their derivatives by
+    these (m, 6, 2)."""
 
     motion: Pose
     by_scale: Array
@@ -39,8 +39,8 @@ class Steps:
 
 
 class RobotPath:
-    """One robot's nodes, a moment each: odometry's poses (n), the information of the motions
-    between them in their free directions (m, d, d), and ln |covariance| (m,)."""
+    """One robot's nodes, one for each moment: their poses by odometry (n), the information
+    (m, d, d) of the motions between them in the free directions, and ln |covariance| (m,)."""
 
     def __init__(self, data: DataSet, robot: str, moments: list[int]) -> None:
         self.track = track = data.tracks[robot]
@@ -61,8 +61,8 @@ class RobotPath:
         self.log_covariance = np.linalg.slogdet(covariance)[1]
 
     def steps(self, scales: Array) -> Steps:
-        """The motions near scale errors (2,): to first order, from so near that what is left of
-        the second is less than noise."""
+        """The motions for scale errors (2,), linearised so near them, at the closest multiples of
+        `_SCALE_STEP`, that what the second order leaves is less than noise."""
         cell = tuple(np.round(scales / _SCALE_STEP).astype(int).tolist())
         if cell not in self._steps:
             about = _SCALE_STEP * np.array(cell, dtype=float)
@@ -74,8 +74,8 @@ class RobotPath:
 @dataclass(frozen=True, slots=True)
 class VisualStep:
     """A robot's motion between two nodes as visit `number` shows it, with its derivative (6, 2) by
-    the odometry's scale errors, its information (d, d) and ln |covariance|. `surprise`: of the
-    visit's own score what goes with odometry on the way, where that broke."""
+    the odometry's scale errors, its information (d, d) and ln |covariance|. `surprise`: where
+    odometry broke on the way, the part of the visit's own score that is due to that odometry."""
 
     number: int
     motion: Pose
@@ -87,8 +87,8 @@ class VisualStep:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """What is said of a path's steps (m) by odometry and visits: `information` (m, d, d) and
-    ln |covariance| (m,); the `steps` (k,) that visits show, their `motion` (k) and `by_scale`
+    """What odometry and visits tell of a path's steps (m): their `information` (m, d, d) and
+    ln |covariance| (m,); the `steps` (k,) that visits show, with `motion` (k) and `by_scale`
     (k, 6, 2)."""
 
     information: Array
@@ -99,13 +99,13 @@ class Way:
 
     @classmethod
     def of(cls, path: RobotPath) -> Self:
-        """By odometry alone."""
+        """The way by odometry alone."""
         nothing = Pose.stack([])
         steps, by_scale = np.zeros(0, dtype=int), np.zeros((0, 6, 2))
         return cls(path.information, path.log_covariance, steps, nothing, by_scale)
 
     def with_seen(self, seen: dict[int, VisualStep]) -> Self:
-        """With these steps as visits show them."""
+        """The way with these steps as visits show them."""
         steps, shown = np.array(list(seen), dtype=int), list(seen.values())
         kept = ~np.isin(self.steps, steps)
         motions = Pose.stack([one.motion for one in shown])
@@ -127,7 +127,8 @@ class Way:
         )
 
     def broken(self, step: int, across: VisualStep | None) -> Self:
-        """With a step in which odometry broke, as a visit shows it, or anywhere."""
+        """The way with a step in which odometry broke: its motion is as a visit shows it across the
+        break, or else unknown."""
         if across is not None:
             return self.with_seen({step: across})
         kept, log_covariance = self.steps != step, self.log_covariance.copy()
@@ -148,9 +149,9 @@ Picture = tuple[int, int]
 def visual_step(
     path: RobotPath, step: int, number: int, found: VisitModes, pictures: list[Picture]
 ) -> VisualStep | None:
-    """What a visit's pictures on the way from node `step` to the next show of that, in order of
-    time; None where odometry says more, or something else: where that broke, the visit goes by it
-    too."""
+    """The motion from node `step` to the next as a visit's pictures on the way, in order of time,
+    show it. None where odometry is more precise, or contradicts it: if odometry broke, the visit's
+    own modes are affected too."""
     if len(pictures) < 2:
         return None
     ends = pictures[0], pictures[-1]
@@ -165,9 +166,9 @@ def visual_step(
 def watched_step(
     path: RobotPath, step: int, number: int, found: VisitModes, pictures: tuple[Picture, Picture]
 ) -> VisualStep | None:
-    """The same of a step in which odometry broke, by a picture before it and one after it. What
-    odometry between these has to do with how a visit has the motion is taken out of it, to first
-    order: it is no better known than by odometry that did not break. None where nothing is left."""
+    """The same for a step in which odometry broke, by a picture before it and one after it. The
+    visit's modes were solved with that odometry, whose contribution is removed to first order; the
+    motion then counts as no better known than by intact odometry. None where nothing is left."""
     free = np.ix_(path.tangent, path.tangent)
     seen = _moved(path, found, *pictures)
     error, noise = _beside_odometry(path, seen, pictures)
@@ -189,8 +190,8 @@ def watched_step(
 def _beside_odometry(
     path: RobotPath, seen: "_Step", pictures: tuple[Picture, Picture]
 ) -> tuple[Array, Array]:
-    """By how much a motion between two pictures is another than odometry's (d,), and the latter's
-    covariance (d, d), scales included."""
+    """The difference of a motion between two pictures from odometry's (d,), and the covariance
+    (d, d) of the latter, scale errors included."""
     driven = _driven(path, pictures[0][0], pictures[1][0])
     by_scale = driven.by_scale[path.tangent] * path.scale_sigma
     noise = driven.covariance[np.ix_(path.tangent, path.tangent)] + by_scale @ by_scale.T
@@ -201,8 +202,8 @@ def _beside_odometry(
 def _visual_step(
     path: RobotPath, step: int, number: int, pictures: tuple[Picture, Picture], seen: "_Step"
 ) -> VisualStep:
-    """From node to node: by odometry to the first picture, as `seen` between the two, and by
-    odometry from the last."""
+    """The motion from node `step` to the next: by odometry to the first picture, as `seen` between
+    the two pictures, and by odometry from the last."""
     begin, end = path.stamps_ns[step : step + 2].tolist()
     (first_ns, _), (last_ns, _) = pictures
     after = _chained(seen, _driven(path, last_ns, end))
@@ -224,8 +225,8 @@ class _Step:
 
 
 def _moved(path: RobotPath, found: VisitModes, earlier: Picture, later: Picture) -> _Step:
-    """Between two pictures that none of a visit's modes has as wrong: as the best one has it, no
-    better known than they differ."""
+    """The motion between two pictures that no mode of a visit takes as wrong: that of the best
+    mode, its covariance widened by how far the other modes differ."""
     moved = [mode.moved(earlier[1], later[1], path.tangent) for mode in found.modes]
     (motion, covariance), *others = moved
     for other, _ in others:
@@ -237,7 +238,7 @@ def _moved(path: RobotPath, found: VisitModes, earlier: Picture, later: Picture)
 
 
 def _driven(path: RobotPath, from_ns: int, to_ns: int) -> _Step:
-    """By odometry from one moment to another, also backwards."""
+    """The motion by odometry from one moment to another, also backwards in time."""
     moments = np.clip([from_ns, to_ns], path.track.first_ns, path.track.last_ns)
     if moments[0] == moments[1]:
         return _Step(Pose.identity(), np.zeros((6, 6)), np.zeros((6, 2)))
@@ -251,7 +252,7 @@ def _driven(path: RobotPath, from_ns: int, to_ns: int) -> _Step:
 
 
 def _chained(first: _Step, second: _Step) -> _Step:
-    """One motion after another."""
+    """The composition of two motions, the second after the first."""
     end = first.pose @ second.pose
     by_first = lever(end.translation - first.pose.translation)
     by_second = turned_axes(first.pose.rotation)

@@ -1,7 +1,7 @@
-"""How the other pictures of a visit whose camera is known are read, and what of each is wrong.
+"""Reads the other pictures of a visit once its camera is known, and finds what of each is wrong.
 
-Where the robot stood in a picture, its odometry from the nearest one says about; the views of one
-picture say it of each other, since the robot stood there once.
+Odometry from the nearest known picture tells roughly where the robot stood; the views of one
+picture constrain it further for each other, since they share one pose of the robot.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from .sightings import all_without_wild
 
 # How many pictures are read at once: some megabytes of derivatives.
 _MOST_AT_ONCE = 512
-# No picture tells where a robot stood better than so, m² and rad².
+# The least variance with which a picture tells the robot's pose, m² and rad².
 _EXACT = 1e-12
 
 # A reading for each view, None where it is wrong, and its wild corners.
@@ -31,11 +31,11 @@ ReadPicture = tuple[tuple[Reading | None, ...], tuple[np.ndarray, ...]]
 
 
 class PictureReader:
-    """Reads pictures of one robot by a camera whose place is known, each by itself.
+    """Reads pictures of one robot by a camera whose pose is known, each by itself.
 
-    `places`: base_from_face of all faces where they are estimated; `is_strict`: a sighting that is
-    off by more than chance is wrong, however little that is, not only one for which a board that
-    may be anywhere is likelier.
+    `places`: base_from_face of all faces where they are estimated; `is_strict`: a sighting is wrong
+    if it is off by more than chance, however little that is; otherwise only if a board anywhere in
+    the room is likelier.
     """
 
     def __init__(
@@ -55,9 +55,9 @@ class PictureReader:
     def read(
         self, observations: Sequence[Observation], map_from_base: Pose, drift: Array
     ) -> list[ReadPicture]:
-        """How observations (n) are read, the robot standing at (n).
+        """Read observations (n), each with the robot at the given pose (n).
 
-        `drift` (n, 6, 6): the covariance of where it stood beside what each picture tells.
+        `drift` (n, 6, 6): the covariance of these poses, without what each picture itself tells.
         """
         found: list[ReadPicture] = []
         for start in range(0, len(observations), _MOST_AT_ONCE):
@@ -94,8 +94,8 @@ class PictureReader:
     def _shown(
         self, views: Sequence[View], readings: Sequence[Reading], map_from_base: Pose
     ) -> tuple[Array, Array, np.ndarray]:
-        """By how much views (v) with equally many corners (n), read so, put the robot otherwise,
-        (v, 6), the covariance of that by their corners (v, 6, 6), and their wild corners (v, n)."""
+        """The corrections (v, 6) of the robot's pose by views (v) with equally many corners (n),
+        read so, their covariances (v, 6, 6) by the corners, and the wild corners (v, n)."""
         by_base, residual = self._linearised(views, readings, map_from_base)
         step, wild = all_without_wild(by_base, residual, self.events.wild_score)
         flat = (by_base * ~wild[..., None, None]).reshape(len(views), -1, 6)
@@ -103,10 +103,11 @@ class PictureReader:
         return step, np.linalg.pinv(information, hermitian=True) + _EXACT * np.eye(6), wild
 
     def _are_right(self, owner: np.ndarray, step: Array, own: Array, drift: Array) -> np.ndarray:
-        """Which views (v,) are right: of each picture (`owner`) the likeliest first, each by where
-        odometry and those before it put the robot in that picture (a Kalman filter). Where the
-        first is not, none is, unless others agree with it so well that sooner odometry is wrong."""
-        # What the nearest picture says of the robot is as uncertain as this one.
+        """Which views (v,) are right. Those of one picture (`owner`) are judged likeliest first,
+        each against the robot's pose by odometry and the views before it (a Kalman filter). If the
+        first does not fit, none is right, unless others agree with it so well that an error of
+        odometry is likelier."""
+        # The pose by the nearest picture is as uncertain as that by this one.
         before = own + drift[owner]
         if self.jitter is not None:
             before = before + 2 * np.diag(self.jitter.variances)
@@ -156,7 +157,7 @@ class PictureReader:
 
 
 def _surprise(error: Array, spread: Array) -> tuple[Array, Array]:
-    """νᵀS⁻¹ν and ln|S| of errors (v, 6) of this covariance (v, 6, 6)."""
+    """νᵀS⁻¹ν and ln|S| of errors ν (v, 6) with covariances S (v, 6, 6)."""
     spread = symmetric(spread)
     pulled = np.linalg.solve(spread, error[..., None])[..., 0]
     return np.sum(error * pulled, axis=1), np.linalg.slogdet(spread)[1]

@@ -1,4 +1,4 @@
-"""Which of several robots that carry one target a camera saw, by how each of them drove."""
+"""Finds which of several robots with equal targets a camera saw, by how each of them drove."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,23 +17,23 @@ from .session_noise import with_noise
 from .variances import corner_scale
 from .visits import visit_of, visits_of
 
-# Pictures of a visit that tell which robot drove so; where the camera is, more of them say.
+# So many pictures of a visit tell which robot drove so; locating the camera takes more of them.
 _MOST_VIEWS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """`faces`: what it shows, each as a view of every robot that may carry it."""
+    """One picture. `faces`: for each that it shows, the view by every robot that may carry it."""
 
     stamp_ns: int
     faces: tuple[dict[str, View], ...]
 
     def of(self, robot: str) -> tuple[int, ...]:
-        """Which faces may be a robot's."""
+        """The indices of the faces that may be a robot's."""
         return tuple(order for order, face in enumerate(self.faces) if robot in face)
 
     def showing(self, faces: Sequence[int]) -> "Picture":
-        """The same with some of its faces."""
+        """The picture with only these of its faces."""
         return Picture(self.stamp_ns, tuple(self.faces[order] for order in faces))
 
 
@@ -41,8 +41,8 @@ class Picture:
 class RobotFit:
     """How one robot's odometry explains a visit, wherever the camera may be.
 
-    `gain`: by how much the score is better than where all of it is wrong; `pictures`: by which it
-    may be seen, as the rows of `finder`; `found`: its modes.
+    `gain`: by how much the score is better than with all sightings wrong; `pictures`: those that
+    may show the robot, one for each row of `finder`; `found`: the visit's modes.
     """
 
     gain: float
@@ -52,11 +52,11 @@ class RobotFit:
 
     @property
     def mode(self) -> Mode:
-        """The best one, over the visit's chosen rows."""
+        """The best mode, over the visit's chosen rows."""
         return self.found.modes[0]
 
     def right(self, visit: Sequence[Picture]) -> dict[int, tuple[int, ...]]:
-        """By picture, in order of time, which faces are the robot's by its best mode."""
+        """By picture, in order of time, which faces are the robot's by the best mode."""
         robot = self.found.visit.robot
         whole = self.finder.completed(self.found.visit, self.mode)
         return {
@@ -69,7 +69,7 @@ class RobotFit:
         }
 
     def chosen(self) -> dict[int, Observation]:
-        """By picture, of those by which it is decided, the robot's own sightings as they are
+        """By picture, for the chosen ones that show the robot, its own sightings as they are
         read."""
         mode = self.mode
         return {
@@ -79,7 +79,7 @@ class RobotFit:
         }
 
     def poses(self) -> dict[int, Pose]:
-        """By picture, of those, where the robot stood by its odometry."""
+        """By chosen picture, the robot's pose by the best mode, in its odometry's frame."""
         return {self.pictures[row]: pose for row, pose in self.mode.poses.items()}
 
 
@@ -90,20 +90,20 @@ def fits(
     events: Events,
     memory: Memory | None = None,
 ) -> dict[str, RobotFit]:
-    """How each robot that may be in them explains the pictures of a visit, in order of time; those
-    that do at all, within the budget. A robot whose odometry does not cover a picture is not in
-    it. `memory`: with the budget, and what is known of single views.
+    """By robot, how it explains the pictures of a visit, which are in order of time; only robots
+    that may be in them and explain them at all, within the budget. A robot is not in a picture that
+    its odometry does not cover. `memory`: holds the budget and what is known of single views.
     """
     known, robots = memory or Memory(), _robots(pictures)
     noisy = with_noise(data, dict.fromkeys(robots, PESSIMISTIC))
-    # A visit's modes are known by its pictures' numbers, which are these pictures' own.
+    # Modes name pictures by their indices, which here count these pictures alone: a cache apart.
     own = Memory(known.budget, known.alone)
     found = {robot: _fit(noisy, camera, robot, pictures, events, own) for robot in robots}
     return {robot: fit for robot, fit in found.items() if fit is not None}
 
 
 def runs(data: DataSet, camera: str, pictures: Sequence[Picture]) -> list[list[Picture]]:
-    """Pictures in order of time, cut where odometry drifts too far for one visit of any robot."""
+    """Cut pictures, in order of time, where odometry drifts too far for one visit of any robot."""
     starts = {0}
     for robot in _robots(pictures):
         seen = _observations(data, camera, robot, pictures)
@@ -146,7 +146,7 @@ def _fit(
 def _right(
     seen: Observation, readings: tuple[Reading | None, ...], wild: tuple[np.ndarray, ...]
 ) -> Observation | None:
-    """An observation of the views that are right; None where none is."""
+    """The observation with only the views that are right; None where none is."""
     own = [each for each in zip(seen.views, readings, wild, strict=True) if each[1] is not None]
     if not own:
         return None
@@ -157,7 +157,7 @@ def _right(
 def _observations(
     data: DataSet, camera: str, robot: str, pictures: Sequence[Picture]
 ) -> dict[int, Observation]:
-    """By picture, what of it may be a robot's."""
+    """By picture, an observation of what may be this robot, where its odometry covers that."""
     found = {}
     for order, picture in enumerate(pictures):
         views = tuple(picture.faces[face][robot] for face in picture.of(robot))

@@ -1,9 +1,9 @@
-"""Odometry scales of which the site file knows little: where they are about, before all else.
+"""Roughly estimates odometry scales of which the site file knows little, before all else.
 
-Visits, their modes and the graph take scales to first order. An error of a fifth bends a turn far
-beyond that, so what single visits tell of the scales comes first, and the odometry is taken as it
-is with those. Nothing is decided here, and what is told stands for noise of twice the stated; where
-no visit tells, the prior stays.
+Visits, their modes and the graph are linear in the scales. An error of a fifth bends a turn far
+beyond the linear range, so the scales are first estimated from single visits, and the odometry is
+corrected by them. No association is decided here, and the estimates assume twice the stated noise;
+where no visit tells the scales, the prior stays.
 """
 
 from dataclasses import replace
@@ -25,19 +25,20 @@ from .session_noise import with_noise
 from .visits import telling, visits_of
 
 _ROUGH = 0.05
-"""A turn's second order in a scale error of this prior sigma is what a visit's poses are known by.
-"""
-# What is found is taken in such steps: what was worked out by it is kept when more comes in.
+"""Prior sigma of a scale from which on a turn's error of second order exceeds what a visit's poses
+are known by."""
+# Estimates are rounded to such steps, so that results which depend on them can be kept when more
+# pictures come in.
 _STEP = 0.01
-# The further off the scales are at first, the shorter a visit is and the less it tells.
+# The less is known of the scales at first, the shorter the visits are and the less each tells.
 _MOST_PASSES = 3
 
 
 def with_learnt_scales(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> DataSet:
-    """The data set with the odometry as it is by the scales that visits tell, and with what they
-    leave open as the prior about that; robots whose scales are known well stay as they are."""
+    """The data set with the odometry corrected by the scales that visits tell, and with what these
+    leave uncertain as the new prior; robots whose scales are known well stay as they are."""
     for _ in range(_MOST_PASSES):
         rough = rough_robots(data)
         if not rough:
@@ -55,15 +56,15 @@ def with_learnt_scales(
 
 
 def rough_robots(data: DataSet) -> list[str]:
-    """The robots of whose odometry's scales the site file knows little."""
+    """The robots whose odometry scales have a wide prior."""
     return [robot for robot in data.tracks if _sigmas(data, robot).max() > _ROUGH]
 
 
 def with_solved_scales(
     draft: DataSet, solved: DataSet, scales: dict[str, tuple[Array, Array]]
 ) -> DataSet:
-    """A draft with the odometry of such robots as a solution has it: `scales` (2,) with their
-    sigmas (2,), as noisy as its tracks are by now."""
+    """A draft with the odometry of such robots corrected by a solution, and as noisy as the
+    solution's tracks. `scales`: by robot, the scales (2,) and their sigmas (2,)."""
     for robot in rough_robots(draft):
         if robot not in scales:
             continue
@@ -78,13 +79,13 @@ def with_solved_scales(
 
 
 def _sigmas(data: DataSet, robot: str) -> Array:
-    """(2,) of the prior of distance and heading scale."""
+    """Prior sigmas (2,) of distance and heading scale."""
     noise = data.site.robots[robot].odometry
     return np.array([noise.distance_scale, noise.heading_scale])
 
 
 def _told(data: DataSet, robot: str, found: list[VisitModes]) -> DataSet:
-    """With what these visits tell of a robot's scales."""
+    """The data set with a robot's scales by these visits; unchanged where none tells them."""
     sigmas = _sigmas(data, robot)
     prior = np.diag(np.maximum(sigmas, 1e-6) ** -2.0)
     clear = [scales for one in found if (scales := _clear(one)) is not None]
@@ -96,14 +97,14 @@ def _told(data: DataSet, robot: str, found: list[VisitModes]) -> DataSet:
     mean = np.linalg.solve(information, (each @ means[..., None]).sum(axis=0)[:, 0])
     apart = means - mean
     scatter = float(np.einsum("ni,nij,nj->", apart, each, apart)) / max(1, apart.size - 2)
-    # Real odometry has not one scale throughout: then visits scatter more than by chance.
+    # Real odometry has no constant scale, and its visits scatter by more than chance.
     left = np.sqrt(max(1.0, scatter) * np.diagonal(np.linalg.inv(information)))
     sigma = np.minimum(left, sigmas)
     return with_scales(data, robot, np.round(mean / _STEP) * _STEP, sigma)
 
 
 def _clear(found: VisitModes) -> tuple[Array, Array] | None:
-    """What a visit tells of the scales, where all that it may show tells the same."""
+    """A visit's estimate of the scales and its covariance; None where its modes disagree."""
     told = [mode.scales for mode in found.modes if mode.scales is not None]
     if not told:
         return None
@@ -114,7 +115,7 @@ def _clear(found: VisitModes) -> tuple[Array, Array] | None:
 
 
 def with_scales(data: DataSet, robot: str, scales: Array, sigmas: Array) -> DataSet:
-    """The data set with a robot's odometry scaled, and sigmas of what its scales still err by."""
+    """The data set with a robot's odometry scaled, and sigmas (2,) of the remaining errors."""
     distance, heading = sigmas.tolist()
     noise = msgspec.structs.replace(
         data.site.robots[robot].odometry, distance_scale=distance, heading_scale=heading
@@ -125,7 +126,7 @@ def with_scales(data: DataSet, robot: str, scales: Array, sigmas: Array) -> Data
 def _with_odometry(
     data: DataSet, robot: str, noise: OdometryNoise, track: OdometryTrack
 ) -> DataSet:
-    """The data set with other odometry of a robot, and of other noise by the site file."""
+    """The data set with a robot's odometry, and its noise in the site file, replaced."""
     config = msgspec.structs.replace(data.site.robots[robot], odometry=noise)
     site = msgspec.structs.replace(data.site, robots={**data.site.robots, robot: config})
     return replace(data, site=site, tracks={**data.tracks, robot: track})

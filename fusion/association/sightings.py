@@ -1,4 +1,5 @@
-"""What one sighting says by itself: how well a board fits it, and its score where it is wrong."""
+"""What one sighting says by itself: how well a board fits it, its wild (outlier) corners, and its
+score if it is wrong."""
 
 import math
 from collections.abc import Sequence
@@ -20,19 +21,19 @@ _MOST_REFITS = 3
 _MOST_WEIGHINGS = 6
 _LEAST_GOOD = 4
 _LEAST_CORNERS = 12
-# Of its information: what keeps a direction that no corner shows solvable.
+# Share of the information that is added to it: keeps a direction that no corner shows solvable.
 _OPEN = 1e-14
 _LEAST = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """One view by itself.
+    """What one view says by itself.
 
-    `wrong_score`: of a board that is somewhere else in its place; `evidence`: of its best fit, the
-    pose integrated out; `scatter`: the corners' variance about that, over the stated one, without
-    those that are wild by the median of their distances; NaN where they are too few; `wild`: which
-    corners are, (n,).
+    `wrong_score`: the score if the view is wrong, of a board that is somewhere else; `evidence`:
+    the score of the best fit, the pose integrated out; `scatter`: the corners' variance about that
+    fit over the stated one, without corners that are wild by the median distance; NaN where there
+    are too few corners; `wild`: flags of the wild corners, (n,).
     """
 
     wrong_score: float
@@ -42,7 +43,7 @@ class Alone:
 
 
 def alone(observation: Observation, order: int) -> Observation:
-    """An observation of one of its views."""
+    """The observation with only one of its views."""
     chosen = (observation.chosen[order],) if observation.chosen is not None else None
     return replace(observation, views=(observation.views[order],), chosen=chosen, outliers=())
 
@@ -62,8 +63,8 @@ def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
 
 
 def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> Alone:
-    """One view's own fit; where no board fits at all, it is wrong and tells nothing."""
-    reading = view.readings[0]  # every other one shows the same board
+    """Fit one view by itself; where no board fits at all, the view is wrong and tells nothing."""
+    reading = view.readings[0]  # every other reading is of the same board
     face = target.faces[reading.face]
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     fits = planar_poses(lens, flat, view.pixels, view.sigma)
@@ -87,8 +88,8 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
 def _fit(
     pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
 ) -> tuple[Array, Array, np.ndarray]:
-    """χ² of each corner about the pose that fits them (n,), the pose's information (6, 6), and
-    which are wild."""
+    """Fit the pose, and return each corner's χ² about it (n,), its information (6, 6), and which
+    corners are wild (n,)."""
     wild = np.zeros(len(points), dtype=bool)
     jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
@@ -100,7 +101,7 @@ def _fit(
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
-    """Which corners (n,) of sightings are wild, each by its derivatives (n, 2, 6) and residuals
+    """Flags (n,) of each sighting's wild corners, from its derivatives (n, 2, 6) and residuals
     (n, 2)."""
     found = [np.zeros(0, dtype=bool)] * len(sightings)
     for rows in groups_of([len(residual) for _, residual in sightings]):
@@ -114,11 +115,11 @@ def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list
 
 
 def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
-    """Of sightings (v) with equally many corners (n), each by itself: the steps (v, 6) that the
-    residuals (v, n, 2), in sigmas, ask for without the wild corners, and which are wild (v, n):
-    beyond χ² of `limit` where Cauchy's weights leave the others.
+    """For sightings (v) with equally many corners (n), each by itself: the least-squares steps
+    (v, 6) of the pose without the wild corners, and which corners are wild (v, n): those whose χ²
+    exceeds `limit` about a fit that starts from Cauchy weights.
 
-    `by_pose`: (v, n, 2, 6).
+    `by_pose`: (v, n, 2, 6); `residual`: (v, n, 2), in sigmas.
     """
     weight = np.ones(residual.shape[:2])
     step, square = _steps(by_pose, residual, weight)
@@ -130,7 +131,8 @@ def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Arr
 
 
 def _weights(by_pose: Array, residual: Array, limit: float) -> Array:
-    """Of sightings of which some corners may be wild, 0 for those that are, (v, n)."""
+    """Corner weights (v, n) of sightings that may have wild corners: 0 for those, else 1; all 1
+    where no such choice settles."""
     weight = np.ones(residual.shape[:2])
     for _ in range(_MOST_WEIGHINGS):
         _, square = _steps(by_pose, residual, weight)
@@ -139,7 +141,7 @@ def _weights(by_pose: Array, residual: Array, limit: float) -> Array:
     for _ in range(_MOST_REFITS):
         _, square = _steps(by_pose, residual, weight)
         is_good = square <= limit
-        is_board = np.sum(is_good, axis=1) >= _LEAST_GOOD  # otherwise whatever it is
+        is_board = np.sum(is_good, axis=1) >= _LEAST_GOOD  # fewer good corners are no board
         weight = np.where(is_board[:, None], is_good, weight)
     is_settled = np.all((weight == 0) | (weight == 1), axis=1)
     is_settled &= np.sum(weight > 0, axis=1) >= _LEAST_GOOD
@@ -147,12 +149,12 @@ def _weights(by_pose: Array, residual: Array, limit: float) -> Array:
 
 
 def _steps(by_pose: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
-    """The steps (v, 6) of least squares with corners weighed (v, n), and what each leaves of every
-    corner, χ² (v, n)."""
+    """Weighted least-squares steps (v, 6), with a weight for each corner (v, n), and the χ² (v, n)
+    that they leave of every corner."""
     flat = by_pose.reshape(len(by_pose), -1, 6)
     weighted = np.swapaxes((by_pose * weight[..., None, None]).reshape(flat.shape), 1, 2)
     normal = weighted @ flat
-    # Corners in one row leave a direction open; along it nothing is asked for.
+    # Collinear corners leave a direction undetermined; the step along it is zero.
     normal += _OPEN * np.eye(6) * np.diagonal(normal, axis1=1, axis2=2)[:, None] + _LEAST * np.eye(
         6
     )

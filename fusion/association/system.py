@@ -1,4 +1,4 @@
-"""A small problem's whole normal equations, with nothing eliminated."""
+"""The full normal equations of a small problem, with nothing eliminated."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,10 @@ from trigpoint.geometry.rotation import Array
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """At a state: `covariance` of all unknowns, chains' inner nodes first, then the dense part;
-    `step`: what leads to the minimum from there; `log_determinant` of the covariance's inverse,
-    without what holds a chain's first node; `first_row`: by robot its first node's."""
+    """The full system at a state. `covariance`: of all unknowns, the chains' inner nodes first, and
+    then the dense part; `step`: from there to the minimum; `log_determinant`: of the covariance's
+    inverse, without what holds an anchored chain's first node, plus that of the pictures' jitter;
+    `first_row`: by robot, the first row of its nodes; `dense_row`: the first of the dense part."""
 
     problem: Problem
     cost: float
@@ -28,8 +29,8 @@ class System:
     def of(
         cls, problem: Problem, state: State, equations: NormalEquations | None = None
     ) -> "System":
-        """Raise LinAlgError where something is not determined. `equations`: at the state, where
-        they are known."""
+        """The system at a state; raise LinAlgError where an unknown is not determined.
+        `equations`: the normal equations there, where they are known already."""
         equations = equations or linearise(problem, state)
         sizes = {name: equations.chains[name].gradient.size for name in problem.chains}
         dense_row = sum(sizes.values())

@@ -1,4 +1,4 @@
-"""A visit as it is read at the moment, on the way to one of its modes."""
+"""The current interpretation of a visit, on the way to one of its modes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,9 +18,9 @@ Readings = tuple[tuple[Reading, ...], list[float]]
 
 @dataclass(slots=True)
 class Trial:
-    """How each picture is read at the moment, and which of its views are taken to be wrong;
-    `hidden`: those that no reading can show, what they would be to first order means nothing;
-    `faces`: base_from_face of all as last solved, where they are estimated."""
+    """How each picture is currently read, and which of its views are taken to be wrong. `hidden`:
+    views that could not be seen by any reading, whose linearisation is meaningless; `faces`:
+    base_from_face of all faces as last solved, where they are estimated."""
 
     wrong: dict[int, list[bool]]
     poses: dict[int, Pose]
@@ -31,17 +31,17 @@ class Trial:
 
     @property
     def is_all_wrong(self) -> bool:
-        """Whether no view of it is right."""
+        """Whether no view is right."""
         return all(all(row) for row in self.wrong.values())
 
     @property
     def wrong_count(self) -> int:
-        """How many of its views are wrong."""
+        """How many views are wrong."""
         return sum(sum(row) for row in self.wrong.values())
 
     @property
     def signature(self) -> tuple[object, ...]:
-        """What a solution of it hangs on, beside where it starts."""
+        """All that its solution depends on, except where the solver starts."""
         return (
             tuple((index, tuple(row)) for index, row in self.readings.items()),
             tuple(tuple(row) for row in self.wrong.values()),
@@ -51,7 +51,7 @@ class Trial:
     def read(
         self, observations: Mapping[int, Observation], target: Target, camera: CameraState
     ) -> None:
-        """Read each view as it fits best where robot and camera are thought to be."""
+        """Read each view as it fits best with the present poses of robot and camera."""
         self.hidden.clear()
         stood = Pose.stack([self.poses[index] for index in observations])
         camera_from_base = camera.map_from_camera.inverse() @ stood
@@ -77,8 +77,8 @@ def _read_by(
     lens: CameraModel,
     camera_from_base: Pose,
 ) -> list[Readings]:
-    """Of each observation the readings that fit best with the faces as they are by now, and their
-    RMS (pixels)."""
+    """Each observation's readings that fit best with the faces' present estimates, and their RMS
+    (pixels)."""
     found = []
     shift = faces @ body_of(target).face_from_base
     for row, observation in enumerate(observations):

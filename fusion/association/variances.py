@@ -1,14 +1,15 @@
-"""How noisy a session really is, learnt from it where it tells.
+"""Learns from a session how noisy it really is.
 
-The site file states the noise of odometry, every sighting that of its corners; floors tilt, masts
-sway, and stated sigmas are wrong. Two kinds of evidence tell, and neither asks where anything is:
+The site file states the noise of odometry, and every sighting that of its corners; but floors tilt,
+masts sway, and stated sigmas are wrong. Two kinds of evidence tell the noise, and neither needs to
+know where anything is:
 
-- what a single board's best fit leaves over tells how noisy corners are (`corner_scale`);
-- how the pictures of one visit disagree about one camera tells how far the robot tilts and the
+- the residual of a single board's best fit tells how noisy corners are (`corner_scale`);
+- the disagreement of one visit's pictures about one camera tells how far the robot tilts and the
   target sways in each picture, and how much noisier odometry is than stated (`learn`): variance
-  components of greatest restricted likelihood (Patterson and Thompson, 1971).
+  components by restricted maximum likelihood (Patterson and Thompson, 1971).
 
-What is not significantly otherwise than stated stays as stated.
+What does not differ significantly from what is stated stays as stated.
 """
 
 import math
@@ -26,10 +27,10 @@ from .linear import Linear
 from .misfit import interrupted, misfit
 from .noise import LEAST, STATED, SWAY, TILT, Noise, in_steps
 
-# One session in a thousand, of noise as stated, thinks otherwise.
+# The probability with which a session whose noise is as stated is found to differ.
 _SIGNIFICANCE = 1e-3
-# The slope of floors changes over a metre, within a factor of e; odometry is within a factor of e,
-# slip of e².
+# Priors: the slope of floors changes over a metre, within a factor of e; the noise of odometry is
+# as stated within a factor of e, slip within e².
 _LENGTH = 1.0
 _LOG_LENGTH = 1.0
 _LOG_ODOMETRY = 1.0
@@ -39,8 +40,8 @@ _FREE = 1e3
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What may be learnt, by the logarithm of its ratio to `middle`: from `start`, within
-    `bounds`."""
+    """A parameter of the noise that may be learnt, as the logarithm of its ratio to `middle`:
+    the search begins at `start` and stays within `bounds`."""
 
     middle: float
     start: float
@@ -56,7 +57,7 @@ _PARTS = {
 }
 _JITTER, _ODOMETRY = ("tilt", "sway"), ("odometry", "slip")
 _FLOOR = (*_JITTER, "length")
-# Where the likelihood changes by less than this share, it tells nothing more.
+# The search ends where the likelihood changes by less than this share.
 _FLAT = 1e-6
 _MOST_STEPS = 20
 
@@ -64,13 +65,13 @@ _MOST_STEPS = 20
 def learn(
     visits: list[Linear], events: Events, budget: Budget | None = None, *, planar: bool = True
 ) -> tuple[Noise | None, ...]:
-    """What the noise that these visits show may be, the least first; None where they are too few to
-    show any, or the budget is spent. A robot in space may stand anyhow by what it drives: None too,
-    unless its noise is clearly not as stated.
+    """The noise that these visits show, with alternatives, the least first; None where they are too
+    few to show any, or the budget is spent. A robot in space may take any attitude as it drives:
+    None too, unless its noise clearly differs from the stated.
 
-    What happened in one visit is sooner no noise of all: where its steps are likelier broken by an
-    event, by the noise of all the others, than as far off as they are, the noise without those
-    comes first.
+    An event in one visit must not pass for noise in all: where the noise learnt from the other
+    visits makes an event in some of its steps likelier than such errors of odometry, the noise
+    learnt without those steps comes first.
     """
     budget = budget if budget is not None else Budget()
     first = found = _learnt(visits, budget, planar=planar)
@@ -94,7 +95,7 @@ def learn(
 
 
 def _broken_off(visit: Linear, events: Events) -> float:
-    """How much likelier a visit of the stated noise is with events in it."""
+    """By how much events in a visit improve its score under the stated noise."""
     broken, count = interrupted(visit, STATED, events)
     return misfit(visit, STATED) - misfit(broken, STATED) - events.happened(count)
 
@@ -113,8 +114,8 @@ def _learnt(visits: list[Linear], budget: Budget, *, planar: bool) -> Noise | No
         both = _likeliest(visits, budget, STATED, (*_JITTER, *_ODOMETRY))
         found = both if one[1] - both[1] > chdtri(2, _SIGNIFICANCE) else one
         return Noise(*map(in_steps, astuple(found[0])))
-    # How the robot tilts and rises shows whatever odometry says: that is left free here, so that
-    # what its model lacks is not taken for a target that sways.
+    # How the robot tilts and rises shows without odometry, which is left free here so that what its
+    # model lacks is not taken for a sway of the target.
     loose = Noise(odometry=_FREE, slip=_FREE)
     jittery = min(
         (_likeliest(visits, budget, loose, free) for free in (_JITTER, _FLOOR)), key=_cost
@@ -133,14 +134,15 @@ def _cost(found: tuple[Noise, float]) -> float:
     return found[1]
 
 
-# Fewer residuals than these leave a variance open by more than a factor of two.
+# Fewer degrees of freedom leave a variance uncertain by more than a factor of two.
 _LEAST_FREEDOM = 24
 
 
 def _likeliest(
     visits: list[Linear], budget: Budget, base: Noise, free: tuple[str, ...] = ()
 ) -> tuple[Noise, float]:
-    """The noise of greatest posterior with these parts of `base` free, and -2 ln of it."""
+    """The noise of greatest posterior with the parts `free` of `base` varied, and -2 ln of that
+    posterior."""
     parts = [_PARTS[name] for name in free]
 
     def noise_of(x: Array) -> Noise:
@@ -167,15 +169,15 @@ def _likeliest(
     return noise_of(found.x), float(found.fun)
 
 
-# The scatter of one board's twenty corners or so is known to a third; so many times what is left of
-# that over all boards is no chance.
+# The scatter of one board of twenty corners or so is known to a third; over all boards, a
+# difference of so many of the sigmas that remain is no chance.
 _SCATTER_SIGMA = 0.3
 _BEYOND_CHANCE = 5.0
 
 
 def corner_scale(scatters: list[float]) -> float:
-    """The factor by which corners scatter otherwise than stated, from those of single boards; the
-    median leaves out what is no board of ours."""
+    """The factor on the corners' stated sigma, from the scatters of single boards; 1 where they do
+    not differ significantly. Their median is robust against what is no board of ours."""
     if not scatters:
         return 1.0
     middle = max(float(np.median(scatters)), 1e-6)

@@ -10,25 +10,27 @@ from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
 from trigpoint.geometry import rotation as so3
 
-# Within a visit odometry tells faces of a target apart (a sixth of a turn) and places by less than
-# a tenth of what a camera's distance is.
+# Within a visit odometry must tell faces of a target apart (a sixth of a turn), and places to less
+# than a tenth of the camera's distance.
 _DRIFT_M = 0.15
 _DRIFT_RAD = 0.1
-# Nor is its robot out of sight for longer than this, or for so many times as long as it mostly is
-# between two pictures: nobody watched it then.
+# A visit also ends where its robot is out of sight for longer than this, or than so many times the
+# median interval between pictures: nothing was observed meanwhile.
 _LONGEST_GAP_NS = 30_000_000_000
 _LONGEST_GAP_PERIODS = 50
-# So many pictures of a visit tell what it shows; the others are read by what they told.
+# So many pictures of a visit determine its modes; the others are then read by these.
 _MOST_VIEWS = 12
-# Pictures of so few visits tell a session's noise and scales well enough.
+# So many visits of each robot, of so many pictures at least, tell a session's noise and scales well
+# enough.
 _MOST_TELLING = 6
 _LEAST_TO_TELL = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Indices (into the session's observations) of a visit, in order of time; `chosen`: those that
-    the search looks at; `stamp_ns`: of the first one, whose robot pose is the visit's own frame."""
+    """One visit. `indices`: of its pictures in the session's observations, in order of time;
+    `chosen`: those that the search uses; `stamp_ns`: of the first one, whose robot pose is the
+    visit's own frame; `until_ns`: of the last one."""
 
     camera: str
     robot: str
@@ -38,7 +40,7 @@ class Visit:
     until_ns: int
 
     def part(self, observations: list[Observation], start: int, end: int | None) -> "Visit":
-        """The visit of its pictures from `start` up to `end`, or to its end."""
+        """The visit of only its pictures from `start` up to, without, `end`; None: to the last."""
         return visit_of(observations, list(self.indices[start:end]))
 
 
@@ -58,7 +60,7 @@ def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
 def visit_of(
     observations: list[Observation], indices: list[int], *, most: int = _MOST_VIEWS
 ) -> Visit:
-    """The visit of these pictures, of which `most` are chosen."""
+    """The visit of these pictures, of which at most `most`, evenly spread, are chosen."""
     first, last = observations[indices[0]], observations[indices[-1]]
     chosen = [indices[i] for i in thinned(len(indices), most)]
     return Visit(
@@ -67,7 +69,7 @@ def visit_of(
 
 
 def telling(visits: list[Visit]) -> list[Visit]:
-    """The visits with most pictures, of every robot."""
+    """For every robot, its visits with the most pictures."""
     found: list[Visit] = []
     for robot in dict.fromkeys(visit.robot for visit in visits):
         mine = [v for v in visits if v.robot == robot and len(v.indices) >= _LEAST_TO_TELL]
@@ -76,7 +78,7 @@ def telling(visits: list[Visit]) -> list[Visit]:
 
 
 def telling_of_lenses(visits: list[Visit], cameras: Set[str]) -> list[Visit]:
-    """Of each of these cameras the visit with most pictures, where these tell a lens."""
+    """For each of these cameras, its visit with the most pictures, if these suffice for a lens."""
     longest: dict[str, Visit] = {}
     for visit in sorted(visits, key=lambda visit: len(visit.indices)):
         if visit.camera in cameras and len(visit.indices) >= _LEAST_TO_TELL:
@@ -85,7 +87,7 @@ def telling_of_lenses(visits: list[Visit], cameras: Set[str]) -> list[Visit]:
 
 
 def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:
-    """Where runs of moments (n,) end: rows that begin a new visit."""
+    """The rows of moments (n,) with which a new visit begins."""
     track = data.tracks[robot]
     moments, row_of = np.unique(
         np.clip(stamps_ns, track.first_ns, track.last_ns), return_inverse=True

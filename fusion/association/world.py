@@ -1,7 +1,7 @@
-"""One world: everything that may explain a session where its noise is known.
+"""One world: all hypotheses that may explain a session, given its noise.
 
-It searches the joint explanations and verifies the best one from its end backwards: for each
-camera, where else could it be, given all the others?
+It searches the joint hypotheses and then verifies the finished best one: for each camera, where
+else could it be, given all the others?
 """
 
 from dataclasses import replace
@@ -24,11 +24,11 @@ from .visits import Visit, visits_of
 
 
 class World:
-    """Everything that may explain the session where its noise is this.
+    """All hypotheses that may explain the session under one model of its noise.
 
-    `parts`: the visits, cut where another noise has them cut; None: where this one has.
-    `undecided`: the cameras for which the budget did not suffice to look at everything else;
-    `crowded`: those of which there may be more places than the search kept.
+    `parts`: the visits as another world cut them; None: they are cut here. `undecided`: the cameras
+    for which the budget did not suffice to search all alternatives; `crowded`: those that may have
+    more places than the search kept.
     """
 
     def __init__(
@@ -60,15 +60,16 @@ class World:
         self._verify()
 
     def _searched(self, *, wrong: int | None = None) -> list[Hypothesis]:
-        """The explanations of all visits, one of which may be taken to be `wrong`."""
+        """Search the explanations of all visits, one of which may be taken to be `wrong`."""
         self.search.is_cut = False
         numbers = range(len(self.visits))
         return self.search.explained(self.search.beginning(), numbers, wrong=wrong)
 
     def _doubt_events(self) -> bool:
-        """For the best explanation, event by event: the lift in another gap; and what explains the
-        session if the visit that shows it first is wrong. What an event costs later, the search
-        meets too late. Whether more such explanations than are kept may count."""
+        """Add alternatives to each event of the best explanation: the lift in another gap, and the
+        session with the visit that shows the event first taken as wrong. The search alone prunes
+        these, since it meets what an event costs later too late. Return whether more such
+        explanations than are kept may count."""
         doubted, is_crowded = set[int](), False
         while not self.budget.is_spent:
             self._add(self.search.lifted_elsewhere(self.hypotheses[0]))
@@ -84,14 +85,15 @@ class World:
         return is_crowded
 
     def _add(self, found: list[Hypothesis]) -> None:
-        """More hypotheses, of which some may be known."""
+        """Add those of these hypotheses that are new, keeping all sorted by score."""
         known = {_signature(hypothesis) for hypothesis in self.hypotheses}
         self.hypotheses += [each for each in found if _signature(each) not in known]
         self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
 
     def _verify(self) -> None:
-        """For the best explanation, camera by camera: everything else that its visits may be. Where
-        that is not done to the end, it is done for none that was met but once."""
+        """For each camera of the best explanation, search everything else that its visits may be.
+        If the budget does not suffice, all cameras not verified yet are undecided, those with only
+        one visit included."""
         best = self.hypotheses[0]
         cameras = dict.fromkeys(v.visit.camera for v in self.visits)
         verified = set[str]()
@@ -113,7 +115,7 @@ class World:
             self._add(found)
 
     def _without(self, hypothesis: Hypothesis, numbers: set[int]) -> Hypothesis | None:
-        """An explanation of everything but these visits."""
+        """The explanation of all visits but these; None where that is not determined."""
         ties = {n: tie for n, tie in hypothesis.ties.items() if n not in numbers}
         rest = replace(
             hypothesis,
@@ -125,8 +127,8 @@ class World:
         return found[0] if found else None
 
     def loose(self) -> list[tuple[float, set[str]]]:
-        """For each explanation in which something happened: its score, and the cameras whose last
-        places would be elsewhere if the robot had been carried once more, unseen."""
+        """For each explanation with an event: its score, and the cameras whose last places would
+        be elsewhere if the robot had been carried once more, unseen."""
         found = []
         for hypothesis in self.hypotheses:
             if hypothesis.score > self.hypotheses[0].score + window():
@@ -145,7 +147,7 @@ class World:
         return found
 
     def places(self, camera: str, number: int | None) -> list[Place]:
-        """Where each explanation puts a camera; `number`: at which of its places, None: at last."""
+        """Where each explanation puts a camera. `number`: which of its places; None: the last."""
         found = []
         for hypothesis in self.hypotheses:
             if hypothesis.score > self.hypotheses[0].score + 2 * window():

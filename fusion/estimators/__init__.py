@@ -1,1 +1,1 @@
-"""What every estimator offers; the estimators are rooms of their own."""
+"""The interface of every estimator; the estimators are packages of their own."""

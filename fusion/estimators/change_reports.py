@@ -45,7 +45,7 @@ def _of_camera(data: DataSet, state: State, move: CameraMove) -> str:
 
 
 def _span(data: DataSet, first_ns: int, last_ns: int) -> str:
-    """Between which times of the session, or before which."""
+    """The time span as text: between which times of the session, or before which."""
     first, last = ((ns - data.epoch_ns) / NANOSECONDS for ns in (first_ns, last_ns))
     if first_ns == last_ns:
         return f"before {last:.1f} s of the session"

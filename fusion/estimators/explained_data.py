@@ -17,10 +17,9 @@ from trigpoint.fusion.model.problem import State
 
 
 def explained(data: DataSet, explanation: Explanation) -> tuple[DataSet, State]:
-    """A draft of the data set that is what the explanation says, and nothing else; the state to
-    solve from.
+    """A draft of the data set that follows from the explanation alone, and the state to solve from.
 
-    Its entries are the explanation's observations, in their order.
+    The draft's entries are the explanation's observations, in their order.
     """
     draft = with_noise(data.draft(), explanation.noise)
     draft.odometry_scale = {
@@ -47,7 +46,7 @@ def _take_lifts(data: DataSet, explanation: Explanation) -> None:
 
 
 def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int], str]:
-    """Add a camera for each earlier pose of one; the name of each."""
+    """Add a camera for each earlier pose of one; return (camera, place) -> name."""
     names = {(camera, 0): camera for camera in data.site.cameras}
     for camera in data.site.cameras:
         moves = [move for move in explanation.moves if move.camera == camera]
@@ -67,7 +66,7 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
 def as_read(
     observation: Observation, readings: Sequence[Reading | None], wild: Sequence[np.ndarray]
 ) -> Observation:
-    """An observation by its views' readings, None where one is wrong, and their wild corners."""
+    """An observation by its views' readings, None where a view is wrong, and outlier corners."""
     if all(reading is None for reading in readings):
         return observation.judged(Verdict.REJECTED)
     views = zip(readings, observation.views, strict=True)

@@ -1,9 +1,9 @@
-"""What an estimator took in, and what explains all of it: when to ask, and what follows.
+"""Collects what an estimator took in, and decides when the association explains all of it anew.
 
-An estimator uses what it understands at once. What it does not, a camera that is not located, a
-robot that is not where it was, it leaves to the association; so that this stays a small share of
-the work, it is asked once half as many such sightings have come as it left unexplained the last
-time, or a fifth as many in all.
+An estimator uses at once what it can interpret. What it cannot, such as a camera that is not
+located or a robot that is not where it was, it leaves to the association. To keep that a small
+share of the work, the association is asked once half as many such sightings have come as it left
+unexplained the last time, or a fifth as many in all.
 """
 
 from collections import Counter
@@ -18,8 +18,8 @@ from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.geometry.rotation import Array
 
 _GROWTH, _LEAST_NEW = 1.2, 20
-# Of what a camera saw of a robot: unexplained is half more than there was, and a third of what came
-# since.
+# For a camera and a robot: the sightings that are unexplained amount to half of those left before,
+# and to a third of those that came since.
 _OPEN_GROWTH, _OPEN_SHARE, _LEAST_OPEN = 0.5, 1 / 3, 3
 
 _BEHIND_A_JUMP = (
@@ -31,15 +31,15 @@ _Pair = tuple[str, str]
 
 
 class Explainer:
-    """Not thread-safe."""
+    """The observations so far, and their last explanation. Not thread-safe."""
 
     def __init__(self, data: DataSet) -> None:
         self._data = data
         self._memory = Memory()
         self._observations: list[Observation] = []
         self.explanation: Explanation | None = None
-        # What the last explanation was of, and what of it it left unexplained; what came since, and
-        # is unexplained.
+        # How many observations the last explanation covers, and what it left unexplained; what has
+        # come since, and what of that is unexplained.
         self._explained = 0
         self._left: Counter[_Pair] = Counter()
         self._came: Counter[_Pair] = Counter()
@@ -74,9 +74,9 @@ class Explainer:
     def explain(
         self, scales: dict[str, tuple[Array, Array]] | None = None, *, is_draft: bool = False
     ) -> Explanation:
-        """What explains everything that came. `scales`: by robot the odometry's scale errors (2,)
-        and their sigmas (2,) as a solution has them, of use where little is known of them;
-        `is_draft`: the likeliest explanation alone, from which they are found."""
+        """Explain everything that came. `scales`: by robot the odometry's scale errors (2,) and
+        their sigmas (2,) from a solution, of use where little is known of them beforehand;
+        `is_draft`: only the likeliest explanation, from which the scales are estimated."""
         self._observations.sort(key=lambda observation: observation.stamp_ns)
         self._explained = len(self._observations)
         self._came, self._open = Counter(), Counter()
@@ -87,7 +87,7 @@ class Explainer:
         return self.explanation
 
     def note(self, entries: list[Entry]) -> None:
-        """Note what an explanation left unexplained of all entries."""
+        """Note which of all entries an explanation left unexplained."""
         unused = [e.observation for e in entries if e.observation.verdict is not Verdict.ACCEPTED]
         self._left = Counter((self._data.site_camera(o.camera), o.robot) for o in unused)
 

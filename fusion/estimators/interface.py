@@ -30,8 +30,8 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class CameraCount:
-    """Counts of a camera's sightings (faces, not pictures). `rejected`: those that a located camera
-    does not rest on; `reprojection_rms`: of a coordinate, pixels."""
+    """Counts of a camera's sightings (faces, not pictures). `rejected`: those that the estimate of
+    a located camera does not use; `reprojection_rms`: of a coordinate, pixels."""
 
     sightings: int
     rejected: int
@@ -76,7 +76,7 @@ class Live(Protocol):
         ...
 
     def finish(self) -> None:
-        """Explain all that came in, and solve to the end."""
+        """Explain all that came in, and solve to convergence."""
         ...
 
     def robot(self, robot: str) -> RobotEstimate | None:
@@ -84,12 +84,12 @@ class Live(Protocol):
         ...
 
     def particles(self, robot: str) -> Pose | None:
-        """Places where the robot may be at its last odometry message, all equally likely; None
-        where its pose is no samples."""
+        """Samples of the robot's pose at its last odometry message, all equally likely; None where
+        the estimator has none."""
         ...
 
     def trajectory(self, robot: str) -> Trajectory | None:
-        """Where the robot was all the while; None where that is not known."""
+        """The robot's trajectory from its first message; None where that is not known."""
         ...
 
     def cameras(self) -> dict[str, CameraEstimate]:
@@ -103,17 +103,17 @@ class Live(Protocol):
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or
-        nobody solved for every pose of the robot at once."""
+        the estimator does not solve for all poses of the robot at once."""
         ...
 
     def residuals(self, camera: str) -> CameraResiduals | None:
-        """What the last solution leaves over of a camera's corners; None where nobody solved for
-        every pose of the robot at once."""
+        """The residuals of a camera's corners at the last solution; None where the estimator does
+        not solve for all poses of the robot at once."""
         ...
 
 
 class Estimator(Live, Protocol):
-    """The rest of what the network file says."""
+    """A `Live` estimator with the further contents of the network file."""
 
     def joint_covariance(self) -> Array:
         """(6n, 6n) over the poses of the located cameras, in their order."""

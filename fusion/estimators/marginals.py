@@ -12,8 +12,8 @@ from .interface import CameraEstimate
 def camera_estimates(
     known: Filter, names: list[str], *, since_epoch_s: float = 0.0
 ) -> dict[str, CameraEstimate]:
-    """Those of the named cameras that are located, in this order; with their time offsets at that
-    time after the data set's epoch."""
+    """The estimates of those of the named cameras that are located, in this order; with their time
+    offsets at `since_epoch_s` after the data set's epoch."""
     located, covariances = _placed(known, names)
     if not located:
         return {}

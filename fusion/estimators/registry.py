@@ -23,7 +23,7 @@ def make_estimator(data: DataSet) -> Estimator:
 
 
 def check_estimator(site: Site) -> None:
-    """Raise ConfigError where the site asks its estimator for what that does not work out."""
+    """Raise ConfigError where the site file asks for what its estimator does not estimate."""
     chosen = site.fusion.estimator
     if chosen == "smoother":
         return

@@ -1,4 +1,4 @@
-"""The residuals of corners at a solution: a camera's own, and how large all of them are."""
+"""The residuals of corners at a solution: of one camera, and the χ² of them all."""
 
 from dataclasses import dataclass, replace
 
@@ -17,9 +17,10 @@ class CameraResiduals:
 
     `places` (m, 3): where the robots stood in all of its observations, as far as that is known.
     `pixels` (n, 2): where they were seen; `residual_px` (n, 2): predicted minus seen; `sigma_px`
-    (n,): of a coordinate, as the detector said it; `used` (n,) bool: False for the wild ones that
-    were left out. `used_sightings`, `rejected`: the sightings (faces) that a located camera rests
-    on, and those that it does not; `pending`: those of a camera that is not located.
+    (n,): of a coordinate, as the detector stated it; `used` (n,) bool: False for outliers, which
+    were left out. `used_sightings`, `rejected`: the sightings (faces) that the estimate of a
+    located camera uses, and those that it does not; `pending`: those of a camera that is not
+    located.
     """
 
     places: Array
@@ -33,7 +34,7 @@ class CameraResiduals:
 
     @property
     def in_sigmas(self) -> Array:
-        """(m, 2) of the used corners."""
+        """The residuals (m, 2) of the used corners, in sigmas."""
         return (self.residual_px / self.sigma_px[:, None])[self.used]
 
 
@@ -72,7 +73,7 @@ def _corners(
     for row, source in enumerate(batch.sources.tolist()):
         mine = data.entries[source].observation.sigmas
         sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
-    # With every weight at 1 wild corners have a residual too, and all are in pixels.
+    # With every weight at 1 outliers have a residual too, and all are in pixels.
     residual = batch_residual(problem, replace(batch, weights=real.astype(float)), state)
     return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
 
@@ -94,7 +95,7 @@ def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | 
 
 
 def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
-    """Cost over its degrees of freedom: 1 where noise is what it was said to be."""
+    """Cost over its degrees of freedom: 1 where the noise is as stated."""
     corners = sum(
         float(((batch.weights > 0) * batch.shares[:, None]).sum()) for batch in problem.batches
     )

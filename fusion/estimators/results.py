@@ -52,7 +52,7 @@ def map_id_of(data: DataSet) -> UUID | None:
 
 
 def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Results:
-    """Everything that is known now."""
+    """Collect everything that is known now."""
     located, undetermined = estimator.cameras(), estimator.undetermined()
     cameras = {
         name: _camera(data, estimator, name, located.get(name), undetermined.get(name))

@@ -1,4 +1,4 @@
-"""The robot's pose by one sighting of a located camera, and which reading of it that needs."""
+"""The robot's pose by one sighting of a located camera, and the best reading of that sighting."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from trigpoint.fusion.solver.filter import Filter, RobotEstimate
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-# What a robot's place from the camera is taken to be uncertain by at the least, m² and rad².
+# Added to the variances of a robot's pose relative to the camera, m² and rad².
 _FLOOR_M2 = 0.05**2
 _FLOOR_RAD2 = 0.05**2
 
@@ -40,10 +40,10 @@ def align_to(
 def align_before(
     data: DataSet, known: Filter, observation: Observation, predicted: RobotEstimate
 ) -> Alignment | None:
-    """The same for what the filter itself predicts of an observation's moment.
+    """`align_to` with the filter's own prediction for an observation's moment.
 
-    Far from where a wide map began, robot and camera are both uncertain, but together: the prior is
-    then where the robot is from the camera, which tells faces that look alike apart.
+    Far from a wide map's origin, robot and camera are both uncertain, but correlated: the prior is
+    then the robot's pose relative to the camera, which tells faces that look alike apart.
     """
     tangent = data.tracks[observation.robot].tangent
     camera = known.state.cameras[observation.camera]
@@ -53,7 +53,7 @@ def align_before(
         floor = np.diag(np.repeat([_FLOOR_M2, _FLOOR_RAD2], 3))
         prior = _prior(replace(predicted, covariance=before + floor))
         if prior.is_tight(tangent):
-            # What the robot cannot do, the camera does: it is off by height or tilt.
+            # An error that the robot's motion excludes (height, tilt) is taken to be the camera's.
             variances = np.where(np.isin(np.arange(6), tangent), 0.0, np.diagonal(before))
             between = predicted.map_from_base.translation - map_from_camera.translation
             turned = variances[3:].max() + variances[:3].max() / max(between @ between, 0.01)

@@ -1,4 +1,4 @@
-"""How uncertain a robot will be that goes from one pose to another by odometry.
+"""The uncertainty of a robot that drives from one pose to another by odometry.
 
 It turns towards the goal, drives there, and turns. The contract's random walk gives, with L the
 path and H a turn, rotation variances of turn²·H at the start, which the whole way levers into
@@ -17,7 +17,7 @@ from trigpoint.odometry_noise import step_variances
 
 
 def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -> ExpectedMotion:
-    """From one map_from_base to another; `path_m`: how long the way is, at least the distance."""
+    """The motion from one map_from_base to another; `path_m`: its length, at least the distance."""
     noise = place.noise
     arm = goal.translation - start.translation
     bearing = np.arctan2(arm[1], arm[0])

@@ -106,8 +106,8 @@ def _kept(every: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class FacesSeen:
-    """Of a camera: which faces it sees wholly from poses, and which at least in part; (n, faces)
-    bool each."""
+    """Which faces a camera sees wholly at each pose, and which at least in part; (n, faces) bool
+    each."""
 
     whole: np.ndarray
     shown: np.ndarray

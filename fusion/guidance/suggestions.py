@@ -31,8 +31,8 @@ from .candidates import Candidates, Ground, candidates, nearest_cameras
 from .expected_motion import expected_motion
 from .expected_views import Visit, visits
 
-# Beside the worst camera so many others, the nearest ones, are thought of: one that is known well
-# tells the robot where it is, and with it the camera that it saw last.
+# Beside the worst camera so many others, the nearest ones, are considered: one that is known well
+# locates the robot, and with it the camera that saw it last.
 _OTHER_CAMERAS = 8
 
 

@@ -1,4 +1,4 @@
-"""Which messages are accepted: from known senders, one sender a key, stamps not in the future, and
+"""Which messages are accepted: from known senders, one per key, with stamps not in the future, and
 not more than the rate allows.
 
 Pure: no bus, no clock. A refused message is never stored, so that no sender can make another's
@@ -16,17 +16,18 @@ from trigpoint.config import Site
 from trigpoint.topics import Topic
 
 AHEAD_NS = to_ns(5.0)
-"""Nothing is stamped further ahead of its arrival: odometry that was would make all that follows
-come too late. A clock that is mended costs no more than this."""
+"""The furthest a stamp may be ahead of its arrival: odometry from further ahead would make all that
+follows come too late. A clock that is put right costs no more than this."""
 # A camera sends `rate` pictures a second on average; what comes at twice that is no camera. No
-# wheels need more odometry than this, and leaving some out loses nothing, since each is absolute.
+# robot needs more odometry than this, and dropping some loses nothing, since each message is
+# absolute.
 _TIMES_ITS_RATE = 2.0
 _ODOMETRY_HZ = 250.0
 _ANNOUNCEMENTS_HZ = 2.0
 _TAKEOVER_NS = to_ns(1.0)
-"""A sender is gone when nothing of it came for so long; no program starts again faster."""
+"""After this silence a sender counts as gone; no program starts again faster."""
 _REMEMBERED_NS = to_ns(5.0)
-"""For how long two senders under one name are two."""
+"""For how long a sender, or a conflict of two under one name, is remembered."""
 _MOST_SENDERS = 8
 
 
@@ -108,8 +109,8 @@ class Admission:
 
     def takes(self, sample: Sample, stamp_ns: int, at_ns: int, *, set_by_ns: int = 0) -> bool:
         """Whether a sound sample of a known key is to be used, by its stamp, its sender, and how
-        much came. `at_ns`: monotonic time; `set_by_ns`: what this machine's clock was set by
-        without being believed."""
+        much came. `at_ns`: monotonic time; `set_by_ns`: by how much this machine's clock was set,
+        while not yet followed."""
         if not self._is_of_now(sample, stamp_ns, at_ns, set_by_ns):
             return False
         if not self._is_alone(self._speakers[sample.key], sample.sender, at_ns):
@@ -143,7 +144,7 @@ class Admission:
         if current is None or at_ns - current.last_ns >= _TAKEOVER_NS:
             speaker.current = sender
         is_turn = self._hear(speaker, sender, at_ns)
-        # Both were heard again after the other: both live, and it was no stray message.
+        # Both were heard again after the other: both are alive, and it was no stray message.
         if is_turn and sum(known.turns > 0 for known in senders.values()) > 1:
             speaker.twice_ns = at_ns
         if speaker.twice_ns is not None and at_ns - speaker.twice_ns < _REMEMBERED_NS:

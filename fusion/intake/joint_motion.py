@@ -1,7 +1,7 @@
 """Whether a robot's motion, as other cameras saw it at the time, explains a visit to one more
 camera.
 
-Two robots that report the same motion do not move the same: what a second camera saw meanwhile
+Two robots that report the same motion do not move identically: what a second camera saw meanwhile
 tells them apart far better than odometry. So a visit is solved together with all that located
 cameras saw of the robot at the time, and the χ² that it adds is the evidence against that robot.
 """

@@ -22,7 +22,7 @@ from .standstills import Standstills
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
 _CLOCK_TOLERANCE_NS = to_ns(5.0)
-# How many sigmas of its time offset a sighting is given to have been later than its stamp.
+# A sighting may be later than its stamp by this many sigmas of its camera's time offset.
 _SIGMAS = 3.0
 
 
@@ -57,7 +57,7 @@ class Intake:
         self._waiting: dict[str, list[_Waiting]] = {robot: [] for robot in site.robots}
         self._seen: dict[str, dict[int, None]] = {camera: {} for camera in site.cameras}
         self._order = 0
-        # Robots with equal targets are seen alike: by each the first one of them.
+        # Robots with equal targets look alike: by robot, the first one with its target.
         self._twins = {
             robot: next(twin for twin, other in targets.items() if other == target)
             for robot, target in targets.items()
@@ -235,8 +235,8 @@ class Intake:
         return bool(self._waiting[robot])
 
     def rest(self, robot: str, last_ns: int) -> list[Observation]:
-        """At the end of the odometry: the observations of its last moments, which may be within
-        it."""
+        """At the end of the odometry: the observations whose stamps are within it, although their
+        true time may not be."""
         queue = self._waiting[robot]
         kept, found = [], []
         for waiting in sorted(queue):

@@ -1,7 +1,7 @@
 """Poses of robots and cameras at past moments, by what any estimator knows now.
 
-From an estimator and the odometry; with an upper bound of the error rather than the exact
-covariance.
+Computed from an estimator's results and the odometry, with an upper bound of the error rather than
+the exact covariance.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.geometry import Pose
 
-# A decimetre and a tenth of a radian: what a solution may be off by that lacks something.
+# A decimetre and a tenth of a radian: the error that an incomplete solution may have.
 _FLOOR = np.diag(np.repeat([0.1**2, 0.1**2], 3))
 
 
@@ -55,7 +55,7 @@ class PastPoses:
         return self._drifted(name, pose, stamp_ns, last.stamp_ns, last.covariance)
 
     def _on_way(self, name: str, way: Trajectory, stamp_ns: int) -> RobotEstimate | None:
-        """By the estimator's whole trajectory, which is certain where the robot was seen."""
+        """From the estimator's whole trajectory, taken as certain where the robot was seen."""
         seen = self._seen[name]
         if not len(way.stamps_ns) or not len(seen):
             return None
@@ -65,7 +65,7 @@ class PastPoses:
         return self._drifted(name, pose, stamp_ns, near_ns, np.zeros((6, 6)))
 
     def _seen_ns(self, name: str) -> np.ndarray:
-        """When a robot's pose was known without its odometry, (n,)."""
+        """The times (n,) at which a robot's pose was known without its odometry."""
         track = self._data.tracks[name]
         stamps = [
             entry.observation.stamp_ns
@@ -86,7 +86,7 @@ class PastPoses:
     def _drifted(
         self, name: str, pose: Pose, stamp_ns: int, known_ns: int, covariance: np.ndarray
     ) -> RobotEstimate | None:
-        """With the drift of odometry since a moment; None across a break of it."""
+        """The estimate with odometry's drift since a moment added; None across a break of it."""
         track, covariance = self._data.tracks[name], covariance + _FLOOR
         moments = np.array(sorted([known_ns, stamp_ns]))
         if len(set(track.pieces(moments).tolist())) > 1:

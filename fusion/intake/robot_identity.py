@@ -33,20 +33,20 @@ _AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
 # One picture fits any robot: its camera may be anywhere.
 _LEAST_PICTURES = 2
-# Where one sighting in ten is wrong, so many one after the other are one time in a thousand.
+# With one sighting in ten wrong, so many in a row are wrong one time in a thousand.
 _LEAST_LASTING = 3
 # A run is looked at once, and again after each of two events in it.
 _MOST_LOOKS = 3
-# χ²: five sigmas from where it is thought to have stood.
+# χ²: five sigmas from its estimated pose.
 _AT_PLACE = 25.0
 # A robot that was elsewhere fits only against its odometry, at several times the noise's χ².
 _MOST_CHI2 = 2.0
 # Pictures that wait for places in the map; as many as an hour of one busy camera has.
 _MOST_LEFT = 16384
-# Of all pictures: so few more of located cameras sharpen no sigma by more than a fortieth, and are
-# not worth explaining the whole session anew.
+# Share of all pictures: fewer new ones of located cameras reduce no sigma by more than a fortieth,
+# and are not worth explaining the whole session anew.
 _LITTLE_MORE = 0.05
-# Of work: every way to place a robot by one face.
+# Cost in units of the budget: every way to place a robot by one face.
 _PLACEMENTS = 5e3
 _NOT_TOLD = "their odometry does not tell which it was"
 _DO = "give each robot its own target, or let one alone drive while the others stand"
@@ -76,9 +76,9 @@ class RobotIdentification:
         self._open.setdefault(camera, []).append(Picture(stamp_ns, faces))
 
     def ready(self, *, is_end: bool = False) -> list[Observation]:
-        """The identified observations of the visits that have ended by all robots' odometry, or are
-        as long as anyone waits for, or of all visits at the end. The longer they are, the better
-        and the quicker they tell: whoever has the time asks at the end alone."""
+        """The identified observations of the visits that have ended by all robots' odometry or have
+        reached the largest length, or of all visits at the end. Longer visits identify robots
+        better and at less cost: a caller that has the time asks at the end alone."""
         tracks = [track for track in self._data.tracks.values() if len(track)]
         self._budget.allowed = Budget.of(tracks, share=ALIKE_SHARE).allowed
         until_ns = min((track.last_ns for track in tracks), default=0)
@@ -97,8 +97,8 @@ class RobotIdentification:
 
     def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
         """The pictures left out so far that the poses of robots and cameras identify now; tried
-        again where there are more of either, or more pictures, and at the end, where a few more of
-        located cameras are left as they are."""
+        again once there are more of either, or more pictures, and at the end, where only a few more
+        of located cameras are not used."""
         if not self._left or self._budget.is_spent:
             return []
         tied = sum(estimator.robot(robot) is not None for robot in self._data.site.robots)
@@ -195,8 +195,8 @@ class RobotIdentification:
     def _alone(
         self, places: PastPoses, camera: str, visit: list[Picture]
     ) -> tuple[list[Observation], list[Picture]] | None:
-        """What the robot is seen in to which a visit adds so little χ² that every other one is
-        excluded, and what is left; None where there is none."""
+        """The observations of the robot to which a visit adds so little χ² that every other one is
+        excluded, and the pictures left; None where there is no such robot."""
         best = self._best(camera, visit)
         if best is None:
             return None
@@ -273,8 +273,8 @@ class RobotIdentification:
         return found, unclear, rest
 
     def _best(self, camera: str, visit: list[Picture]) -> tuple[str, dict[str, RobotFit]] | None:
-        """The robot whose motion explains a visit best, and how each does that does; None where
-        each may as well be wrong."""
+        """The robot whose motion explains a visit best, and the fits of all that explain it; None
+        where each of them may as well be wrong."""
         if len(visit) < _LEAST_PICTURES:
             return None
         every = {
@@ -291,8 +291,8 @@ class RobotIdentification:
         *,
         of: list[Picture],
     ) -> bool:
-        """Whether no other robot explains nearly as well what of a visit is `shown` to be this
-        robot's by its best fit. None does that explains the whole visit no better."""
+        """Whether this robot's fit leads all others: over the whole visit `of`, or over the
+        pictures `shown` that its best fit assigns to it."""
         if _leads(robot, every):
             return True
         return shown != of and _leads(robot, self._fits(camera, shown))
@@ -313,7 +313,7 @@ class RobotIdentification:
 
 
 def _leads(robot: str, every: dict[str, RobotFit]) -> bool:
-    """Whether a robot explains what it does so much better than any other that no other may."""
+    """Whether a robot's fit is better than any other's by more than `window()`."""
     gains = {name: fit.gain for name, fit in every.items()}
     return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
 
@@ -334,8 +334,8 @@ def _lasting(run: list[Picture], told_ns: set[int]) -> list[Picture]:
 def _split(
     camera: str, robot: str, right: dict[int, tuple[int, ...]], visit: list[Picture]
 ) -> tuple[list[Observation], list[Picture]]:
-    """What a robot is seen in, where these faces are its own, and the pictures with what is
-    left."""
+    """The observations of a robot, given which faces are its own, and the pictures with the
+    faces left."""
     found, rest = [], []
     for order, picture in enumerate(visit):
         own = right.get(order, ())
@@ -362,6 +362,6 @@ def _visits(left: Iterable[tuple[str, Picture]]) -> list[tuple[str, list[Picture
 
 
 def _of_camera(covariance: Array, distance_m2: float) -> Array:
-    """What a camera's own uncertainty adds to where it shows a robot, (6, 6), in any direction."""
+    """Isotropic covariance (6, 6) that a camera's own uncertainty adds to a robot's pose by it."""
     shift, turn = np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])
     return np.diag(np.repeat([shift + distance_m2 * turn, turn], 3))

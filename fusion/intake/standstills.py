@@ -25,8 +25,8 @@ from .admission import Budget
 MOST_ALIKE = 64
 """How many pictures of one look are kept. Where their errors have a systematic part of variance b²,
 in units of the noise's, the mean of these has b² + 1/64, and that of all would have b²."""
-# So many looks may a standstill have, and one more an hour: a camera that trembles would make ever
-# new ones.
+# A standstill may have so many looks, and one more an hour: a camera that trembles would produce
+# ever new ones.
 _MOST_LOOKS = 16
 _LOOKS_HZ = 1 / 3600
 # It takes so many common corners to tell whether a face is where it was.
@@ -62,7 +62,7 @@ class Standstills:
     def shown_again(
         self, camera: str, robots: tuple[str, ...], stamp_ns: int, views: tuple[View, ...]
     ) -> bool:
-        """Whether views that may be of any of `robots` only repeat earlier ones; asked likewise."""
+        """`repeats` for views that may be of any of `robots`; to be asked in the same order."""
         found, have_stood = self._going_on(camera, robots, stamp_ns, views)
         if found is None:
             kept = Budget(_LOOKS_HZ * MOST_ALIKE, _MOST_LOOKS * MOST_ALIKE)

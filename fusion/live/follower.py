@@ -1,8 +1,8 @@
 """The live side of the smoother, where a solver process does the solving.
 
 The filter uses every sighting at once. All input is passed on to the solver in order of time, so
-much later that nothing that may still make a correction precedes it. A solution is taken over
-sighting by sighting: its filter first catches up with what has come since the moment that it knows,
+much later that nothing earlier can still come that makes a correction. A solution is taken over
+sighting by sighting: its filter first catches up with what has come since its last observation,
 a few sightings a turn and most while no robot waits; until then the old filter makes the
 corrections. So no turn takes long, and late sightings enter the new filter as well.
 """
@@ -40,7 +40,7 @@ from .solver_messages import (
     TakeOdometry,
 )
 
-# What comes later than this after its moment comes after what is later than it.
+# An observation that comes later than this after its moment is passed on after later ones.
 _MOST_HELD_S = 2.0
 # How many sightings a new filter is brought on by in a turn in which none came.
 _CATCHING_UP = 2
@@ -111,7 +111,7 @@ class Follower:
     # -- the solver -------------------------------------------------------------------------------
 
     def attend(self) -> Iterator[Suggested | Event]:
-        """Take the solver's news and pass on its orders; what there is to report.
+        """Take the solver's news and pass on the orders to it; yields what there is to report.
 
         Called at every turn.
         """

@@ -32,7 +32,7 @@ class GuidanceThread:
         self._publishers: dict[str, Publisher] = {}
 
     def run(self, pulse: Pulse) -> None:
-        """Until the node ends; on a thread of its own, which beats the pulse."""
+        """Run until the node ends, on a thread of its own, and beat the pulse."""
         while not self._node.stopping.wait(self._period_s):
             pulse.beat()
             world = self._world()

@@ -36,7 +36,7 @@ class Reports(Protocol):
 
 
 class Immediate:
-    """The reports of an estimator that solves at its turn: there at any moment."""
+    """The reports of an estimator that solves within its turn: available at any moment."""
 
     def __init__(self, data: DataSet, estimator: Estimator) -> None:
         self._data, self._estimator = data, estimator

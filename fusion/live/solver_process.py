@@ -34,7 +34,7 @@ START_S = 60.0
 _GUIDANCE_PERIOD_S = 3.0
 _JOIN_S = 1.0
 _SIGN_PERIOD_S = 1.0
-# For one order: a long session takes a minute to solve, and no solution ten times the longest.
+# For one order: a long session takes a minute to solve, and none ten times the longest so far.
 _PATIENCE_S = 300.0
 _TIMES_THE_LONGEST = 10.0
 
@@ -61,9 +61,9 @@ class SolverProcess:
         self._process = context.Process(
             target=_serve, args=(theirs, theirs_too), name="fusion solver", daemon=True
         )
-        # A stop is told to the node, which may want a last solution. A Ctrl-C, or a service
-        # manager's SIGTERM to all, comes here too, also before the process could say that it does
-        # not listen; the pipe's end ends it. The tracker that `start` would start unblocks both
+        # The node handles a stop, and may want a last solution. A Ctrl-C, or a service manager's
+        # SIGTERM to all, reaches this process too, even before it could ignore the signal; instead,
+        # it ends when its pipe does. The tracker that `start` would start unblocks both
         # signals (Python 3.11), so it is started before.
         resource_tracker.ensure_running()
         with _held_back(signal.SIGINT, signal.SIGTERM):
@@ -71,8 +71,8 @@ class SolverProcess:
         theirs.close()
         theirs_too.close()
         self._outbox: queue.SimpleQueue[DataSet | Sequence[Order] | None] = queue.SimpleQueue()
-        # Not as an argument: more of it than the system keeps for a process that does not read yet
-        # would have us wait for its start, and for ever where it is killed before.
+        # Not as an argument: if it is larger than the pipe's buffer, we would block until the
+        # process reads it, and for ever if it is killed before.
         self._outbox.put(data)
         self._inbox: queue.SimpleQueue[News] = queue.SimpleQueue()
         self._is_gone = threading.Event()
@@ -160,7 +160,7 @@ def _serve(orders: Connection, news: Connection) -> None:
     try:
         data: DataSet = orders.recv()
     except (EOFError, OSError):
-        return  # whoever would have sent it is gone
+        return  # the live estimator is gone
     backlog: queue.SimpleQueue[Order] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders, backlog), daemon=True).start()
     worker, lock = SolverWorker(data), threading.Lock()
@@ -181,7 +181,7 @@ def _serve(orders: Connection, news: Connection) -> None:
         with lock:
             for item in worker.carry_out(order) if order is not None else ():
                 say(item)
-            # While more waits, what it brings is to be explained with the rest.
+            # While more orders wait, what they bring is to be explained with the rest.
             for item in worker.rest() if backlog.empty() else ():
                 say(item)
 
@@ -192,7 +192,7 @@ def _listen(orders: Connection, backlog: "queue.SimpleQueue[Order]") -> None:
             for order in orders.recv():
                 backlog.put(order)
     except (EOFError, OSError):
-        os._exit(0)  # whoever gave the orders is gone: nobody wants what this may be at
+        os._exit(0)  # the live estimator is gone: nobody needs what is being solved
 
 
 class Heartbeat:

@@ -33,7 +33,7 @@ class SolverWorker:
         self._orders = 0
 
     def carry_out(self, order: Order) -> Iterator[News]:
-        """Carry out an order; the news from it."""
+        """Carry out an order; yields the news from it."""
         if isinstance(order, TakeLens):
             self._data.lenses[order.camera] = order.lens
         elif isinstance(order, TakeOdometry):
@@ -47,7 +47,7 @@ class SolverWorker:
             yield self.report(is_final=isinstance(order, Finish))
 
     def rest(self) -> Iterator[News]:
-        """Explain what came, where that is due; called when no order waits. The news from it."""
+        """Explain what came, where that is due; called when no order waits. Yields the news."""
         if self._smoother.is_due:
             yield from self._solve()
             yield self.report()

@@ -1,4 +1,4 @@
-"""From the data set to a problem: chains of nodes, padded batches, priors, and a start."""
+"""Assembles the problem from the data set: node chains, padded batches, priors, initial state."""
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ from .padding import padded_points
 from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
 from .trajectory import interpolated
 
-# Where no camera sees the robot for long, nodes are put in between, so that the way there is
-# worked out with the rest and can be interpolated.
+# While no camera sees the robot for long, nodes are inserted in between, so that its trajectory
+# there is solved for with the rest and can be interpolated.
 _FILL_NS = NANOSECONDS
 
 
@@ -35,11 +35,11 @@ class Assembled:
 def assemble(
     data: DataSet, state: State, entries: list[int], *, anchored: bool = True
 ) -> Assembled:
-    """The problem over these entries of the data set and all cameras that they name.
+    """Assemble the problem over these entries of the data set and all cameras that they name.
 
-    `state` gives the cameras, scales and faces to start from; `anchored`: the map is fixed by the
-    first robot's odometry or by the known cameras, and long ways between sightings have nodes of
-    their own; else by the first node (a camera alone).
+    `state`: the initial values of cameras, scales and faces; `anchored`: whether the gauge is fixed
+    by the first robot's odometry or by the known cameras, with nodes inserted on long ways between
+    sightings; otherwise it is fixed by the first node (a camera alone).
     """
     cameras = _cameras_of(data, state, entries, anchored=anchored)
     by_robot: dict[str, list[int]] = defaultdict(list)
@@ -69,7 +69,7 @@ def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bo
 
 
 def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dict[str, CameraState]:
-    """The places of one camera, which share its lens and its clock."""
+    """Give all places of one camera the lens and the clock that they share."""
     return {
         name: CameraState(
             camera.map_from_camera,
@@ -82,7 +82,7 @@ def _of_one_lens(cameras: dict[str, CameraState], owners: dict[str, str]) -> dic
 
 
 def true_time_ns(data: DataSet, observation: Observation, state: State) -> int:
-    """When the robot stood as it was seen: stamp minus the camera's time offset."""
+    """The true time at which the robot was seen: stamp minus the camera's time offset."""
     since_epoch_s = data.since_epoch_s(observation.stamp_ns)
     offset_s = state.cameras[observation.camera].offset_s(np.array(since_epoch_s))
     return observation.stamp_ns - to_ns(float(offset_s))
@@ -133,8 +133,8 @@ def _chain(
 
 
 def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
-    """The moments, with more between two that lie far apart, but never two within one step of
-    odometry: a step in which the robot stood may last for days."""
+    """The moments, with more inserted between two that lie far apart, but at most one in each step
+    of odometry: a step in which the robot stood may last for days."""
     parts = [moments]
     for gap in np.flatnonzero(np.diff(moments) > 2 * _FILL_NS):
         count = int((moments[gap + 1] - moments[gap]) // _FILL_NS)
@@ -147,7 +147,7 @@ def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
 def _start_poses(
     track: OdometryTrack, scales: Array, stamps_ns: np.ndarray, guesses: dict[int, Pose | None]
 ) -> Pose:
-    """A pose for each node: the guess where there is one, between and beyond them by odometry."""
+    """The initial pose of each node: its guess, or by odometry between and beyond the guesses."""
     known = {node: guesses[node] for node in sorted(guesses) if guesses[node] is not None}
     poses = Pose.stack([pose for pose in known.values() if pose is not None])
     if len(known) == len(stamps_ns):
@@ -252,7 +252,7 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
 
 
 def lens_sigmas(camera: CameraConfig, lens: CameraModel) -> Array:
-    """Prior sigmas of `lens.parameters` by the site file."""
+    """Prior sigmas of `lens.parameters` from the site file."""
     return np.array(
         [
             camera.focal_sigma * lens.fx,

@@ -44,8 +44,8 @@ class KnownCameras:
 
 @dataclass(slots=True)
 class Move:
-    """A camera that was moved: `name`: what its earlier pose is called among the cameras;
-    `since_ns`: the first sighting from its new place; `until_ns`: the last one from the old."""
+    """The move of a camera. `name`: the name of its earlier pose among the cameras; `since_ns`: the
+    first sighting from its new place; `until_ns`: the last one from the old."""
 
     camera: str
     name: str
@@ -79,7 +79,7 @@ SiteChange = Lift | CameraMove
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A change of the site, as text; `kind` is counted."""
+    """A change of the site, as text; events are counted by `kind`."""
 
     kind: str
     text: str
@@ -87,9 +87,9 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Conclusions:
-    """What sightings show of a session: cameras that were moved, by robot the steps of its odometry
-    in which its track is broken, its noise (stated parts, slip, skid) and its jitter, and by camera
-    how its corners scatter."""
+    """What was concluded from a session's sightings: the cameras that were moved; by robot, the
+    odometry steps in which its track is broken, its noise (stated parts, slip, skid) and its
+    jitter; and by camera, the factor on the stated sigma of its corners."""
 
     moves: tuple[Move, ...]
     jumps: dict[str, tuple[tuple[int, int], ...]]
@@ -102,12 +102,12 @@ class Conclusions:
 class DataSet:
     """The estimator's inputs so far. Not thread-safe.
 
-    `lenses`: a camera's lens, where it is known or where its estimation starts; `moves`: in order
-    of time; `events`: not reported yet; `changes`: lifts and moves that sightings
-    show, for each those that explain them alike; `jitter`: of robots that stand otherwise in a
-    picture than their odometry's plane says; `odometry_scale`: by robot what the stated sigmas of
-    its odometry, and its slip, are multiplied by; `corner_scale`: by camera how many times as much
-    as stated its corners scatter.
+    `lenses`: each camera's lens, known or the initial value of its estimation; `moves`: in order of
+    time; `events`: not reported yet; `changes`: the lifts and moves that sightings show, each as
+    the alternatives that explain them equally well; `jitter`: of robots whose pose in a picture
+    deviates from their odometry's plane; `odometry_scale`: by robot the factors on the stated
+    sigmas of its odometry and on its slip; `corner_scale`: by camera the factor on the stated sigma
+    of its corners.
     """
 
     site: Site
@@ -132,17 +132,17 @@ class DataSet:
 
     @property
     def anchored_robot(self) -> str | None:
-        """The robot whose first odometry pose fixes the map; none where known cameras do."""
+        """The robot whose first odometry pose fixes the map; None where known cameras do."""
         return None if self.known.poses else self.site.first_robot
 
     @property
     def last_ns(self) -> int:
-        """The newest odometry message of any robot; 0 before the first."""
+        """The stamp of the newest odometry message of any robot; 0 before the first."""
         return max((track.last_ns for track in self.tracks.values() if len(track)), default=0)
 
     @property
     def epoch_ns(self) -> int:
-        """The moment from which clocks drift: the first robot's first odometry message."""
+        """The reference time of the clocks' drift: the first robot's first odometry message."""
         tracks = [self.tracks[self.site.first_robot], *self.tracks.values()]
         return next((track.first_ns for track in tracks if len(track)), 0)
 
@@ -156,12 +156,12 @@ class DataSet:
         return [*(move.name for move in self.moves), *self.site.cameras]
 
     def site_camera(self, name: str) -> str:
-        """The camera that a place is of."""
+        """The site's camera to which the name of a place belongs."""
         return next((move.camera for move in self.moves if move.name == name), name)
 
     def concluded(self, observation: Observation) -> Observation:
-        """An observation as it came by what is concluded: of where its camera was then, with
-        corners that scatter as that camera's do."""
+        """A raw observation under the conclusions so far: assigned to the place where its camera
+        was then, with the sigma of that camera's corners scaled."""
         observation = observation.scattering(self.corner_scale.get(observation.camera, 1.0))
         for move in self.moves:
             if move.camera == observation.camera and observation.stamp_ns < move.since_ns:
@@ -188,8 +188,8 @@ class DataSet:
         self._take_entries(self.entries[:index])
 
     def draft(self) -> "DataSet":
-        """The same before anything was concluded from it, to work on: nothing here changes until it
-        is taken over."""
+        """A working copy of the input without entries and conclusions; nothing here changes until
+        it is taken over."""
         poses = {self.site_camera(name): pose for name, pose in self.known.poses.items()}
         tracks = {
             name: self.tracks[name].mended().noisy(robot.odometry, slip=SLIP, skid=0.0)
@@ -199,7 +199,7 @@ class DataSet:
         return DataSet(self.site, self.targets, dict(self.lenses), known, tracks)
 
     def take_over(self, draft: "DataSet") -> None:
-        """Become what a draft says."""
+        """Replace the entries and the conclusions by a draft's."""
         self.lenses.update(draft.lenses)
         self.known, self.changes = draft.known, draft.changes
         self.odometry_scale = draft.odometry_scale
@@ -207,7 +207,7 @@ class DataSet:
         self._take_entries(draft.entries)
 
     def conclusions(self) -> "Conclusions":
-        """What was concluded from all that came."""
+        """All that was concluded so far."""
         return Conclusions(
             tuple(self.moves),
             {name: track.jump_steps for name, track in self.tracks.items()},
@@ -217,7 +217,7 @@ class DataSet:
         )
 
     def conclude(self, known: "Conclusions") -> None:
-        """Go by what was concluded from the same messages."""
+        """Adopt what was concluded from the same messages."""
         self.moves, self.jitter = list(known.moves), dict(known.jitter)
         self.corner_scale = dict(known.corner_scale)
         for name, steps in known.jumps.items():
@@ -241,7 +241,7 @@ class DataSet:
         return moving([observation], track, np.array([time_ns]), scales)[0]
 
     def usable(self, cameras: Iterable[str]) -> list[int]:
-        """Indices of the accepted observations of these cameras that odometry covers."""
+        """Indices of the accepted observations of these cameras whose robot's pose is known."""
         wanted = set(cameras)
         return [
             index
@@ -252,7 +252,7 @@ class DataSet:
         ]
 
     def first_state(self) -> State:
-        """Known cameras where they are, every robot without nodes."""
+        """The state before any sighting: the known cameras, and every robot without nodes."""
         cameras = {
             name: CameraState(pose, self.lenses[name]) for name, pose in self.known.poses.items()
         }

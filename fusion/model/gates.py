@@ -1,14 +1,14 @@
-"""Gates as probabilities: how often good data lies beyond each, and the χ² or sigmas that follow.
+"""Gates as probabilities: how often an inlier lies beyond each, and the χ² or sigmas that follow.
 
-Whoever changes what is rejected, or how sure a choice must be, changes a probability here.
+To change what is rejected, or how certain a choice must be, change a probability here.
 """
 
 import math
 
 from scipy.special import chdtri
 
-# Of two explanations (readings, poses, robots) one is chosen only where the other is less likely
-# than this, relative to it.
+# Of two explanations (readings, poses, robots) one is chosen only where the likelihood of the
+# other, relative to it, is below this.
 _AMBIGUOUS = 1 / 300_000
 # How often a corner of a good sighting lies beyond the gate.
 _WILD_CORNER = 1 / 3000
@@ -32,15 +32,15 @@ def length_gate(probability: float) -> float:
 # χ² by which the runner-up must be worse.
 DECISIVE = -2 * math.log(_AMBIGUOUS)
 WILD_CORNER_SIGMAS = length_gate(_WILD_CORNER)
-# Beyond so many sigmas a corner counts linearly, as long as the start may be rough (Huber).
+# Beyond this residual a corner's cost is linear (Huber), while the initial values may be rough.
 HUBER_SIGMAS = 4.0
-# A view with a larger share of wild corners is wrong.
+# A view with a larger share of outlier corners is wrong.
 WILD_SHARE = 0.25
-# Between two pictures, each with its noise.
+# Between two pictures, each with its own noise.
 SAME_CORNER_SIGMAS = math.sqrt(2) * length_gate(_SAME_CORNER)
 
 
 def is_noise(chi2: float, freedom: int, *, excess: float = 1.0) -> bool:
-    """Whether noise makes a sighting's innovation (normalised innovation squared), of a variance up
+    """Whether a sighting's normalised innovation squared passes the χ² gate, for a variance of up
     to `excess` times the known one."""
     return bool(chi2 <= excess * chi2_gate(freedom, _WRONG_SIGHTING))

@@ -20,7 +20,7 @@ class Increment(NamedTuple):
 
 
 def increment(before: Pose, after: Pose) -> Increment:
-    """From one pose to the next, in space."""
+    """The increment from one pose to the next, in space."""
     step = before.inverse() @ after
     twist = twist_of(step)
     length, angle = np.linalg.norm(step.translation), np.linalg.norm(twist[3:])
@@ -47,7 +47,7 @@ def planar_increment(before: Pose, after: Pose) -> Increment:
 
 
 def in_plane(pose: Pose) -> Pose:
-    """The pose's place and heading in the plane; with plain floats too."""
+    """The pose projected into the plane: position and heading; with plain floats too."""
     forward, left = float(pose.rotation[0, 0]), float(pose.rotation[1, 0])
     length = math.hypot(forward, left)
     cosine, sine = (forward / length, left / length) if length else (1.0, 0.0)

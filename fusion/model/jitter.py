@@ -1,4 +1,4 @@
-"""How a robot in a picture stands off the plane of its odometry."""
+"""The random deviation of a robot's pose in a picture from the plane of its odometry."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,17 @@ from trigpoint.geometry.rotation import Array
 
 from .thinning import thinned
 
-# A floor turns nobody's heading by as much (rad).
+# An uneven floor turns a robot's heading by less than this (rad).
 _EVEN = 1e-6
-# Beyond so many pictures a part of them says how many stand alike.
+# With more pictures than this, a subset of them tells how many share a tilt.
 _MOST_PLACES = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """`sway` (m), `tilt` (rad): standard deviations of the robot's shift along and its turn about
-    each axis in a picture; `length` (m): over which a floor's slope changes, so that pictures taken
-    within it share the tilt, which does not turn the heading; 0: it tilts in each picture anew."""
+    """`sway` (m), `tilt` (rad): standard deviations of the robot's shift along and rotation about
+    each axis in a picture; `length` (m): the correlation length of the floor's slope: pictures
+    taken within it share the tilt, which does not turn the heading; 0: independent tilts."""
 
     sway: float
     tilt: float
@@ -26,14 +26,14 @@ class Jitter:
 
     @property
     def variances(self) -> Array:
-        """(6,), of one picture."""
+        """The variances (6,) in one picture."""
         heading = min(_EVEN, self.tilt) if self.length > 0 else self.tilt
         return np.array([self.sway, self.sway, self.sway, self.tilt, self.tilt, heading]) ** 2
 
     def among(self, places: Array) -> Array:
-        """The variances (n, 6) by which pictures taken at places (n, 3) may be weighed as though
-        each stood for itself: a tilt that m of them share is m times as large in each, so that
-        all of them together are no better than one."""
+        """The variances (n, 6) with which pictures taken at places (n, 3) may be treated as
+        independent: a tilt that m of them share has m times its variance in each, so that
+        together they are worth no more than one."""
         variances = np.tile(self.variances, (len(places), 1))
         if self.length > 0:
             some = places[thinned(len(places), _MOST_PLACES)]

@@ -1,4 +1,4 @@
-"""Motion composed of many small steps, with its uncertainty and how it changes with the scales."""
+"""Motion composed of many small steps, with its covariance and its derivative by the scales."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ UNKNOWN_VARIANCE = 100.0**2
 STILL = 1e-9
 # 0.3 µm and µrad a step: keeps the information of a tiny motion finite.
 FLOOR_VARIANCE = 1e-13
-# Where the covariance of a motion in the plane is not 0, in the upper half.
+# The non-zero elements of the covariance of a motion in the plane, upper triangle.
 _PLANE_ROWS = [0, 0, 1, 2, 0, 1, 2, 2, 3, 4, 5]
 _PLANE_COLUMNS = [0, 1, 1, 2, 5, 5, 3, 4, 3, 4, 5]
 
@@ -23,8 +23,8 @@ class Motion:
     """Motion between consecutive moments; leading dimension n.
 
     `earlier_from_later`: the scaled reported motion; `covariance`: (n, 6, 6) of its disturbance in
-    the earlier frame's axes; `by_scale`: (n, 6, 2), that disturbance by the distance and heading
-    scale errors; `is_still`: (n,) whether the robot did not move at all.
+    the earlier frame's axes; `by_scale`: (n, 6, 2), derivative of that disturbance by the distance
+    and heading scale errors; `is_still`: (n,) whether the robot did not move at all.
     """
 
     earlier_from_later: Pose
@@ -33,7 +33,7 @@ class Motion:
     is_still: np.ndarray
 
     def where(self, chosen: np.ndarray) -> "Motion":
-        """The motions chosen by (n,) bool."""
+        """The motions selected by a mask (n,) bool."""
         return Motion(
             self.earlier_from_later[chosen],
             self.covariance[chosen],
@@ -52,9 +52,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class OdometryStep:
-    """A robot's step by odometry; leading dimensions as its pose has.
+    """A robot's pose after one odometry step; leading dimensions as its pose has.
 
-    `end`: the pose after it. Its disturbance is `by_start` (…, 6, 6) times the start's, `by_motion`
+    `end`: that pose. Its disturbance is `by_start` (…, 6, 6) times the start's, `by_motion`
     (…, 6, 6) times the motion's, and `by_scales` (…, 6, 2) times a change of the scales.
     """
 
@@ -65,8 +65,8 @@ class OdometryStep:
 
 
 def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
-    """One motion from a start: t' = t + R Δt, R' = R ΔR. A turn of the start swings the end about
-    it."""
+    """Apply one motion to a start pose: t' = t + R Δt, R' = R ΔR. A rotation of the start swings
+    the end about it."""
     end = start @ motion.earlier_from_later[0]
     by_motion = turned_axes(start.rotation)
     by_start = lever(end.translation - start.translation)
@@ -76,8 +76,8 @@ def odometry_step(start: Pose, motion: Motion) -> OdometryStep:
 @dataclass(frozen=True, slots=True)
 class StepNoise:
     """Variances of steps (n): `along` (n, 3) of the translation in the axes half-way through the
-    step, `slip` (n,) besides along x and y, `tilt` and `heading` (n,); all are without bounds
-    where it `is_unknown` (n,)."""
+    step, `slip` (n,) in addition along x and y, `tilt` and `heading` (n,); where `is_unknown` (n,),
+    all of them are `UNKNOWN_VARIANCE` instead."""
 
     along: Array
     slip: Array
@@ -113,7 +113,7 @@ def twist_of(motion: Pose) -> Array:
 
 
 def both(scale: Array) -> Array:
-    """Factors (2,) of distance and heading as a twist's six."""
+    """Expand factors (2,) of distance and heading to the six components of a twist."""
     return np.repeat(scale, 3)
 
 
@@ -127,7 +127,7 @@ def composed_motion(twists: Array, noise: StepNoise, segment: np.ndarray, scales
     path = composed(steps)
     begin, end = path[starts], path[ends]
     whole = begin.inverse() @ end
-    # Each step's frame, and what still lies ahead of its end, in the axes of its segment's start.
+    # Each step's frame, and the way from its end to its segment's, in the axes of that one's start.
     start_rotation = np.swapaxes(begin.rotation[segment], 1, 2)
     frame = start_rotation @ path.rotation[:-1]
     ahead = end.translation[segment] - path.translation[1:]
@@ -147,8 +147,8 @@ def composed_motion(twists: Array, noise: StepNoise, segment: np.ndarray, scales
 def composed_in_plane(
     twists: Array, noise: StepNoise, segment: np.ndarray, scales: Array
 ) -> Motion:
-    """`composed_motion` of twists within the plane: the same sums, written out by headings, which
-    take a tenth of the time."""
+    """`composed_motion` of twists within the plane: the same sums, written in terms of headings,
+    which takes a tenth of the time."""
     ends = np.cumsum(np.bincount(segment))
     starts = np.concatenate([[0], ends[:-1]])
     turn = twists[:, 5] * (1 + scales[1])
@@ -177,7 +177,7 @@ def _parts(number: np.ndarray) -> tuple[Array, Array]:
 
 
 def _mean_direction(turn: Array) -> np.ndarray:
-    """The mean of e^(iθ) on the way from 0 to each turn, in which a step goes as a whole."""
+    """The mean of e^(iθ) for θ from 0 to each turn: the direction of a step as a whole."""
     small = np.abs(turn) < 1e-4
     safe = np.where(small, 1.0, turn)
     sine = np.where(small, 1 - turn**2 / 6, np.sin(safe) / safe)
@@ -188,9 +188,9 @@ def _mean_direction(turn: Array) -> np.ndarray:
 def _covariance_in_plane(
     noise: StepNoise, middle: Array, ahead: Array, starts: np.ndarray
 ) -> Array:
-    """The segments' covariance (n, 6, 6): with a step's axes half-way (m,) and what lies ahead of
-    its end (m,), both as x + iy in its segment's frame. A tilt lifts what lies ahead, a turn of the
-    heading swings it."""
+    """The segments' covariance (n, 6, 6). `middle` (m,): a step's axes half-way through it; `ahead`
+    (m,): from its end to the segment's end; both as x + iy in its segment's frame. A tilt lifts
+    what lies ahead, a heading error swings it."""
     unknown = np.where(noise.is_unknown, UNKNOWN_VARIANCE, 0.0)
     along, aside, above = np.where(noise.is_unknown, 0.0, noise.along.T)
     slip = np.where(noise.is_unknown, UNKNOWN_VARIANCE, noise.slip)

@@ -1,7 +1,7 @@
-"""What a picture says of a robot: the corners of its faces, and how they are read.
+"""What a picture shows of a robot: the corners of its faces, and how they are read.
 
-A view whose face no picture can tell (contract, section 2, «half turn») is read as one face the
-one way or the other; the `Reading` is what the estimator believes, and may change.
+Where a picture cannot tell which face a view shows, or which way up (contract, section 2, «half
+turn»), the view has several readings; the chosen `Reading` is a hypothesis and may change.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from trigpoint.target import Face, Target
 from .odometry import OdometryTrack
 from .rolling_shutter import Sweep, sweep_of
 
-# No corner counts for more than one of this sigma, pixels (as float32 has it, like any sighting's).
-# Sharp pictures give corners to 0.005 px, but the corners of one view err together: no lens model
-# and no print is true to that (decisions/0661).
+# Lower bound of a corner's sigma, pixels (rounded to float32, like any sighting's). Sharp pictures
+# give corners to 0.005 px, but the errors of one view's corners are correlated: no lens model and
+# no print is accurate to that (decisions/0661).
 LEAST_SIGMA_PX = float(np.float32(0.02))
 
 
@@ -36,7 +36,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Which face a view shows (index into the target's faces), and whether by the half turn."""
+    """Which face a view shows (index into the target's faces), and whether with the half turn."""
 
     face: int
     is_turned: bool = False
@@ -47,7 +47,7 @@ class View:
     """One face in one picture: corner ids (n,), pixels (n, 2), and the sigma of a coordinate, lens
     and print included.
 
-    `readings`: every way in which the view can be read; `sweep`: by a rolling shutter.
+    `readings`: every way in which the view can be read; `sweep`: the exposure by a rolling shutter.
     """
 
     corners: np.ndarray
@@ -60,8 +60,8 @@ class View:
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One robot in one picture. `stamp_ns`: when the middle of its corners was exposed, by the
-    camera's clock. `chosen`: a reading for each view, or None where that is open; `is_repeat`: it
-    tells nothing of the map that others of the same standstill have not told.
+    camera's clock. `chosen`: a reading for each view, or None while that is ambiguous; `is_repeat`:
+    it adds no information on the map to the others of the same standstill.
 
     `outliers`: for each view, (n,) bool, the corners that contradict the rest.
     """
@@ -76,7 +76,7 @@ class Observation:
     is_repeat: bool = False
 
     def read_as(self, chosen: tuple[Reading, ...]) -> "Observation":
-        """The same with other readings and no outliers."""
+        """The same observation with other readings and no outliers."""
         return replace(self, chosen=chosen, outliers=())
 
     def judged(self, verdict: Verdict) -> "Observation":
@@ -86,7 +86,7 @@ class Observation:
         return replace(self, outliers=outliers)
 
     def marked(self, wild: np.ndarray) -> "Observation":
-        """With outliers by flags (n,) of all corners in one row, where there are any."""
+        """With the outliers flagged (n,) among all corners, concatenated; unchanged without any."""
         if not np.any(wild):
             return self
         return self.with_outliers(tuple(wild[part] for part in self.parts))
@@ -105,7 +105,7 @@ class Observation:
         return replace(self, views=tuple(views))
 
     def scattering(self, factor: float) -> "Observation":
-        """The same with corners that scatter so many times as much as stated."""
+        """The same observation with the sigma of its corners multiplied by a factor."""
         if factor == 1.0:
             return self
         views = (replace(v, sigma=max(v.sigma * factor, LEAST_SIGMA_PX)) for v in self.views)
@@ -124,24 +124,24 @@ class Observation:
 
     @property
     def parts(self) -> list[slice]:
-        """Where each view's corners are in one row of all of them."""
+        """The slice of each view's corners in the concatenation of all of them."""
         ends = np.cumsum([len(view.corners) for view in self.views]).tolist()
         return [slice(*part) for part in zip([0, *ends[:-1]], ends, strict=True)]
 
     @property
     def sigmas(self) -> Array:
-        """Of all corners in one row, (n,)."""
+        """The sigmas of all corners, concatenated, (n,)."""
         return np.concatenate([np.full(len(view.corners), view.sigma) for view in self.views])
 
     @property
     def wild(self) -> tuple[np.ndarray, ...]:
-        """`outliers`, spelt out where there are none."""
+        """`outliers`, with flags that are all False where there are none."""
         return self.outliers or tuple(np.zeros(len(view.corners), bool) for view in self.views)
 
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """An observation's corners in one row: (n, 3) in their face's frame, swept on by a rolling
+    """An observation's corners, concatenated: (n, 3) in their face's frame, corrected for a rolling
     shutter, face index (n,), pixels (n, 2), and 1/sigma (n,), 0 for outliers."""
 
     face_points: Array
@@ -156,7 +156,7 @@ class Points:
 
 
 def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> View | None:
-    """The view that a sighting gives, its sigma LEAST_SIGMA_PX at least; None where it does not fit
+    """The view of a sighting, with a sigma of at least LEAST_SIGMA_PX; None where it does not fit
     the target."""
     if sighting.face >= 0:
         indices = [i for i, face in enumerate(target.faces) if face.id == sighting.face]
@@ -182,8 +182,8 @@ def view_of(target: Target, sighting: FaceSighting, camera: CameraConfig) -> Vie
 def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ...]) -> Observation:
     """A new observation; its reading is chosen where there is only one.
 
-    `stamp_ns`: the picture's stamp, from which the views' times count. With a rolling shutter the
-    observation's moment is when the middle of its corners was exposed.
+    `stamp_ns`: the picture's stamp, to which the views' exposure times refer. With a rolling
+    shutter the observation's own moment is when the middle of its corners was exposed.
     """
     is_plain = all(len(view.readings) == 1 for view in views)
     chosen = tuple(view.readings[0] for view in views) if is_plain else None
@@ -201,9 +201,9 @@ def observation_of(camera: str, robot: str, stamp_ns: int, views: tuple[View, ..
 def moving(
     observations: list[Observation], track: OdometryTrack, times_ns: np.ndarray, scales: Array
 ) -> list[Observation]:
-    """Observations of a robot, each with the robot's twist at the true time (n,) at which it was
-    seen, by its odometry; those without a rolling shutter stay as they are. `scales`: of the
-    odometry, (2,)."""
+    """Observations of a robot, each with the robot's twist by odometry at the true time (n,) at
+    which it was seen; those without a rolling shutter are unchanged. `scales`: the odometry's scale
+    errors, (2,)."""
     if not any(observation.is_swept for observation in observations):
         return observations
     _, twists = track.carried(times_ns, np.zeros(len(times_ns)), scales)
@@ -220,7 +220,7 @@ def face_points(face: Face, corners: np.ndarray, *, is_turned: bool) -> Array:
 
 
 def swept(points: Array, view: View, face: Face) -> Array:
-    """A view's corners (n, 3) in their face's frame, each where it is as its row is exposed."""
+    """A view's corners (n, 3) in their face's frame, each when its own row is exposed."""
     if view.sweep is None:
         return points
     base_from_face = face.base_from_face
@@ -228,7 +228,7 @@ def swept(points: Array, view: View, face: Face) -> Array:
 
 
 def joined(views: Sequence[View]) -> Sweep | None:
-    """The sweep of all corners of many views in a row; None where none is swept."""
+    """The sweeps of many views, concatenated over their corners; None where no view has one."""
     if all(view.sweep is None for view in views):
         return None
     after_s, twists = [], []
@@ -240,7 +240,7 @@ def joined(views: Sequence[View]) -> Sweep | None:
 
 
 def points_of(observation: Observation, target: Target) -> Points:
-    """The observation's corners by its chosen readings."""
+    """The observation's corners according to its chosen readings."""
     assert observation.chosen is not None
     parts = []
     for index, (view, reading) in enumerate(

@@ -1,8 +1,8 @@
 """One robot's odometry, and the motion between any two moments of it with its uncertainty.
 
 The noise is the contract's random walk (`trigpoint.odometry_noise`). Between two messages the
-robot is taken to move with a constant twist, so a part of an increment is the same part of its
-twist, and its variance the same part of the increment's.
+robot is taken to move with a constant twist, so a fraction of an increment has that fraction of the
+increment's twist and of its variance.
 """
 
 import bisect
@@ -40,25 +40,25 @@ PARTS = (
     "tilt",
     "tilt_turn",
 )
-"""Of the stated noise: everything but the scales."""
+"""The parts of the stated noise, without the scales."""
 PLANAR = [0, 1, 5]
 SPATIAL = [0, 1, 2, 3, 4, 5]
 
-# What no robot of this kind does: a larger step means that its counters restarted or that it was
-# carried, and says nothing about where it is.
+# No robot of this kind exceeds these: a larger step means that its counters restarted or that it
+# was carried, and says nothing about where it is.
 MAXIMUM_SPEED = 5.0  # m/s
 MAXIMUM_TURN_RATE = 20.0  # rad/s
-# What a robot does while its odometry is away is not the straight line between its ends.
+# Over a longer gap in its odometry a robot is not taken to drive straight between the ends.
 LONGEST_GAP_S = 1.0
 _GAP_PERIODS = 10
 _GAP_SHARE = 0.5
-_GAP_RADIUS_M = 0.5  # the tightest bends that it is thought to have driven in a gap
+_GAP_RADIUS_M = 0.5  # the tightest bends that it is assumed to have driven in a gap
 ABOUT_S = 2e-3
-"""How a robot moves about a moment, within so many seconds: less than between messages, and more
-than what an estimate of a camera's clock still changes by when all else is known."""
+"""The robot's twist about a moment is taken over this many seconds to either side: less than
+between messages, and more than a camera's time offset still changes by once all else is known."""
 _ALLOWANCE = 0.05  # m and rad, for the rounding of stamps
-# Of a standstill so many messages are kept one by one (20 s at 50 Hz); the later ones are a single
-# step without motion, whose end moves on.
+# This many messages of a standstill are kept individually (20 s at 50 Hz); later ones are merged
+# into a single step without motion, whose end moves on.
 MOST_STANDING = 1024
 # A robot that turns also slips sideways, which the contract's model leaves out: with no translation
 # reported there would be no translation noise at all, and real robots contradict that.
@@ -77,8 +77,8 @@ class Added(Enum):
 class OdometryTrack:
     """The odometry of one robot so far. Not thread-safe.
 
-    `slip`, `skid`: what is added to the contract's noise, m per √rad turned, in both directions and
-    along the track alone; `scales`: the errors that were taken off what was reported.
+    `slip`, `skid`: noise added to the contract's, m per √rad turned, along both axes of the plane
+    and along the track alone; `scales`: the scale errors by which the reports were corrected.
     """
 
     def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
@@ -104,17 +104,17 @@ class OdometryTrack:
 
     @property
     def tangent(self) -> list[int]:
-        """Which of a pose's six disturbances are free."""
+        """Indices of the free components of a pose's disturbance (6,)."""
         return PLANAR if self.planar else SPATIAL
 
     @property
     def stamps_ns(self) -> np.ndarray:
-        """(n,) int64."""
+        """The stamps of the messages, (n,) int64."""
         return self._stamps[: self._count]
 
     @property
     def odom_from_base(self) -> Pose:
-        """The reported poses, n."""
+        """The reported poses (n)."""
         return Pose(self._rotations[: self._count], self._translations[: self._count])
 
     @property
@@ -172,8 +172,8 @@ class OdometryTrack:
         if row > 1:
             usual = self._period_ns / NANOSECONDS
             if seconds > max(LONGEST_GAP_S, _GAP_PERIODS * usual):
-                # Where it went on as before, the ends are known but not the way between them;
-                # where it came much less far, its counters missed some or it drove about.
+                # If it went on at its speed, the ends are known but not the path between them;
+                # if it came much less far, its counters missed some motion or it drove about.
                 reach = float(np.linalg.norm(self._twists[row - 1, :3])) / usual * seconds
                 self._gaps[row] = max(reach, length, _ALLOWANCE)
                 if length < _GAP_SHARE * reach - _ALLOWANCE:
@@ -193,7 +193,7 @@ class OdometryTrack:
         """Mark the motion as unknown between two moments, where the robot was moved and odometry
         does not show it.
 
-        It is taken to have happened while the robot stood, as far as that is known.
+        The break is put into a step in which the robot stood, where there is one.
         """
         self._split(after_ns)
         self._split(before_ns)
@@ -225,21 +225,21 @@ class OdometryTrack:
         self._broken_rows = [r + (r >= row) for r in self._broken_rows]
 
     def mended(self) -> "OdometryTrack":
-        """The same odometry so far without a break, to be broken where that is thought now."""
+        """A copy of the odometry so far without breaks, so that others can be marked in it."""
         track = copy.copy(self)
         track._jumps, track._jump_rows = self._jumps.copy(), list(self._jump_rows)
         track.mend()
         return track
 
     def noisy(self, noise: OdometryNoise, *, slip: float, skid: float) -> "OdometryTrack":
-        """The same odometry so far with other noise; read-only."""
+        """A read-only copy of the odometry so far with other noise."""
         track = copy.copy(self)
         track.noise, track.slip, track.skid = noise, slip, skid
         return track
 
     def scaled(self, scales: Array) -> "OdometryTrack":
-        """The same odometry so far without these scale errors (2,) of distance and heading;
-        read-only."""
+        """A read-only copy of the odometry so far, corrected for these scale errors (2,) of
+        distance and heading."""
         track = copy.copy(self)
         track._twists = self._twists * both(1 + scales)
         path = composed(moved(track._twists[1 : self._count])) if self._count else Pose.identity()
@@ -258,7 +258,7 @@ class OdometryTrack:
         self._broken_rows = []
 
     def pieces(self, stamps_ns: np.ndarray) -> np.ndarray:
-        """For moments (n,): how many jumps and breaks come before, (n,)."""
+        """The number (n,) of jumps and breaks before each of the moments (n,)."""
         return np.searchsorted(self._stamps[self._jump_rows], stamps_ns, "right")
 
     @property
@@ -270,7 +270,7 @@ class OdometryTrack:
 
     def jump_in(self, steps: Iterable[tuple[int, int]]) -> None:
         """Break the track in these steps, from one message's stamp to another's, and nowhere else;
-        what jumps by itself stays a jump."""
+        jumps that odometry itself shows remain."""
         self.mend()
         ends_ns = []
         for start_ns, end_ns in steps:
@@ -291,17 +291,17 @@ class OdometryTrack:
             setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
 
     def carried(self, stamps_ns: np.ndarray, seconds: Array, scales: Array) -> tuple[Pose, Array]:
-        """How the robot moves on from moments (n,) during seconds (n,), backwards where negative.
+        """The robot's motion from moments (n,) during seconds (n,), backwards where negative.
 
         Returns start_from_end (n) and the twist at the end (n, 6), in its base frame. Beyond the
-        odometry's ends, and across a jump, the robot goes on as it did.
+        odometry's ends, and across a jump, its last motion is extrapolated.
         """
         if self._count < 2:
             return Pose.identity().repeated(len(seconds)), np.zeros((len(seconds), 6))
         ends_ns = stamps_ns + np.round(seconds * NANOSECONDS).astype(np.int64)
         start = np.clip(np.searchsorted(self.stamps_ns, stamps_ns), 1, self._count - 1)
         end = np.clip(np.searchsorted(self.stamps_ns, ends_ns), 1, self._count - 1)
-        # Between them lies a jump where another number of jumps comes before.
+        # A jump lies between the two where the numbers of jumps before them differ.
         jumps = np.searchsorted(self._jump_rows, [start, end], "right")
         end = np.where(jumps[0] == jumps[1], end, start)
         period_s = (self._stamps[end] - self._stamps[end - 1]) / NANOSECONDS
@@ -313,8 +313,8 @@ class OdometryTrack:
         return way, self._twists[end] * both(1 + scales) / period_s[:, None]
 
     def twists_about(self, stamps_ns: np.ndarray) -> Array:
-        """The twists (n, 6) of a robot about moments (n,), in its base frame, from `ABOUT_S` before
-        to as much after them, without a jump."""
+        """The robot's mean twists (n, 6) about moments (n,), in its base frame, over `ABOUT_S` to
+        either side, but not across a jump."""
         around = to_ns(ABOUT_S)
         before, after = stamps_ns - around, stamps_ns + around
         pieces = self.pieces(stamps_ns)
@@ -326,7 +326,7 @@ class OdometryTrack:
         return twist_of(way) / seconds[:, None]
 
     def _within(self, rows: np.ndarray, since_s: Array) -> Pose:
-        """odom_from_base at a time after the message before each row, with the row's twist."""
+        """odom_from_base at `since_s` after the message before each row, by the row's twist."""
         period_s = (self._stamps[rows] - self._stamps[rows - 1]) / NANOSECONDS
         # A row's own pose, not the one before it: a jump lies between those.
         left = (since_s - period_s) / period_s
@@ -345,7 +345,7 @@ class OdometryTrack:
             return True
         first, last = np.searchsorted(self.stamps_ns, [start_ns, end_ns], "right")
         if np.any(np.abs(self._twists[first + 1 : last]) >= STILL):
-            return False  # a whole step moved; on a long way that is quickly seen
+            return False  # some whole step moved: quickly seen over a long time
         return bool(self.motion(np.array([start_ns, end_ns]), np.zeros(2)).is_still[0])
 
     def motion(self, stamps_ns: np.ndarray, scales: Array) -> Motion:
@@ -382,7 +382,7 @@ class OdometryTrack:
             slip=self.slip**2 * turned,
             tilt=stated.rotation[:, 0],
             heading=stated.rotation[:, 2],
-            # A moment on a message has a step of no length before it, which tells nothing of a
-            # jump.
+            # The step before a moment that coincides with a message has no length, and says
+            # nothing of a jump.
             is_unknown=self._jumps[rows] & (part > 0),
         )

@@ -1,4 +1,4 @@
-"""The corners of many observations in tables of one width, made at once."""
+"""Builds the corners of many observations at once, as tables padded to one width."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a state predicts of sightings and of odometry, and how that changes with it.
+"""The residuals of sightings and of odometry at a state, and their derivatives.
 
 Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
 axes.
@@ -46,7 +46,7 @@ def batch_jacobians(
 def _jacobian(
     problem: Problem, batch: Batch, state: State, scene: "_Scene"
 ) -> tuple[Array, Array, np.ndarray, Array]:
-    """`batch_jacobian`, and the derivative (n, K, 2, 3) by a corner in the map's axes."""
+    """`batch_jacobian`, and the derivative (n, K, 2, 3) by a corner's position, map axes."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain, layout = problem.chains[batch.robot], problem.layout
     weights = batch.weights[..., None]
@@ -83,8 +83,8 @@ def _jacobian(
 
 
 def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
-    """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot as it was
-    seen, in the map's axes."""
+    """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot's pose
+    when it was seen, in the map's axes."""
     camera = state.cameras[batch.camera]
     scene = _scene(problem, batch, state)
     by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
@@ -94,9 +94,9 @@ def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A batch's corners (n, K, 3) at a state, in the axes of the face, of the robot as it was seen,
-    of its node, and of the camera (from the camera in the map's axes, and in the optical frame).
-    `twist` (n, 6): the robot's, where the camera has a time offset."""
+    """A batch's corners (n, K, 3) at a state: from the face's origin, in the base's axes; from the
+    robot as it was seen (`seen`), from its node (`arm`) and from the camera, in the map's axes; and
+    in the optical frame. `twist` (n, 6): the robot's, where the time offset is estimated."""
 
     in_face_axes: Array
     in_seen_axes: Array
@@ -116,7 +116,7 @@ def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
     node = robot.map_from_base[batch.nodes]
     seen, twist = node, None
     if batch.camera in problem.layout.time_offset:
-        # True time = stamp - offset: the sighting is of the robot that much further on its way.
+        # True time = stamp - offset: the robot is seen that long after its node.
         after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
         moved, twist = chain.carried(batch.nodes, after_s)
         seen = node @ moved
@@ -137,7 +137,7 @@ def _rotated(rows: Array, matrix: Array) -> Array:
 
 
 def _offset_and_drift(since_epoch_s: Array) -> Array:
-    """(n, 1, 1, 2): how a camera's time offset and drift change its offset at each stamp."""
+    """Derivative (n, 1, 1, 2) of the time offset at each stamp by a camera's offset and drift."""
     return np.stack([np.ones_like(since_epoch_s), since_epoch_s], axis=-1)[:, None, None]
 
 

@@ -1,6 +1,6 @@
 """The smoother's least-squares problem: its data, its unknowns, and their order.
 
-Unknowns are the robots' poses at their sightings («nodes», a chain per robot, held by odometry)
+Unknowns are the robots' poses at their sightings («nodes», a chain per robot, linked by odometry)
 and the dense part: cameras, and where they have a prior sigma lenses, time offsets, odometry
 scales and the faces' poses. A camera sees one robot at a time, so the normal equations
 (`normal_equations`) are
@@ -10,7 +10,7 @@ scales and the faces' poses. A camera sees one robot at a time, so the normal eq
 
 Every pose is disturbed by the contract's convention: t' = t + δt, R' = Exp(δθ) R in the parent's
 axes; a planar robot by x, y and heading alone. The last node of each robot is in the dense part, so
-that what is left after the chains are eliminated is what a filter would know.
+that the Schur complement after the chains are eliminated is what a filter would know.
 """
 
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ from .odometry import ABOUT_S, PLANAR, SPATIAL, OdometryTrack
 
 @dataclass(frozen=True, slots=True)
 class CameraState:
-    """What is believed of one camera; its clock's offset at the data set's epoch, and its drift
+    """The estimate of one camera, with its clock's offset at the data set's epoch and its drift
     (s/s) from there."""
 
     map_from_camera: Pose
@@ -42,7 +42,7 @@ class CameraState:
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """What is believed of one robot: its nodes (n) in the map, its scales (2,), its faces."""
+    """The estimate of one robot: its nodes (n) in the map, its scales (2,), its faces."""
 
     map_from_base: Pose
     scales: Array
@@ -51,7 +51,7 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All unknowns with their present values."""
+    """All unknowns with their current values."""
 
     cameras: dict[str, CameraState]
     robots: dict[str, RobotState]
@@ -62,7 +62,7 @@ class Chain:
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
-    computed; `track`: the odometry behind it; `twists` (n, 6): how the robot moves about each node.
+    computed; `track`: the odometry behind it; `twists` (n, 6): the robot's twist about each node.
     """
 
     robot: str
@@ -84,16 +84,16 @@ class Chain:
 
     @property
     def tangent(self) -> list[int]:
-        """Which of the six disturbances are free."""
+        """Indices of the free components of a node's disturbance (6,)."""
         return PLANAR if self.planar else SPATIAL
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def carried(self, nodes: np.ndarray, seconds: Array) -> tuple[Pose, Array]:
-        """How the robot moves on from nodes (n,) during seconds (n,): `OdometryTrack.carried`, or,
-        where that is little, as it moves about each node. That has a derivative also where odometry
-        changes from one message to the next, just when a camera triggered with it sees the robot.
+        """The robot's motion from nodes (n,) during seconds (n,): `OdometryTrack.carried`, or, for
+        short times, by its twist about each node. That is differentiable also where the twist
+        changes at a message, just when a camera triggered with the odometry sees the robot.
         """
         if self.twists is None or np.abs(seconds).max(initial=0.0) >= ABOUT_S:
             return self.track.carried(self.stamps_ns[nodes], seconds, self.scales)
@@ -106,12 +106,12 @@ class Batch:
     """All used observations of one robot by one camera, padded to one size K.
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
-    1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): how much each
-    observation counts; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
-    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps; `jitter` (n, 6):
-    variances of how the target stands otherwise in each picture than its node says (a floor that
-    tilts, a mast that sways), a disturbance in the map's axes that all its corners share; None: not
-    at all.
+    1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): the weight of
+    each observation; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
+    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps, since the data set's epoch;
+    `jitter` (n, 6): variances of the deviation of the target's pose in each picture from its node
+    (a floor that tilts, a mast that sways), a disturbance in the map's axes that all its corners
+    share; None: no deviation.
     """
 
     camera: str
@@ -135,8 +135,8 @@ class Priors:
     `lens`: camera -> (parameters, sigmas); `time_offset`: camera -> (2,) sigmas of offset and
     drift; `scales`: robot -> (2,) sigmas; `faces`: robot -> (base_from_face, translation sigma,
     rotation sigma); `cameras`: known poses by name with their joint information (6n, 6n), in the
-    order of the dict; `owners`: camera -> the one whose lens and clock it has (of a camera's places
-    the first).
+    order of the dict; `owners`: camera -> the one whose lens and clock it shares (the first of a
+    camera's places).
     """
 
     lens: dict[str, tuple[Array, Array]]
@@ -154,7 +154,7 @@ class Priors:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Columns (q,) of the dense part by name; `size` of them in all."""
+    """Columns (q,) of each unknown of the dense part by name; `size`: how many there are in all."""
 
     pose: dict[str, np.ndarray]
     lens: dict[str, np.ndarray]

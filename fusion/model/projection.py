@@ -8,8 +8,8 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
-# What is behind a camera, or nearer to its plane, is put this far in front of it: there a residual
-# is large and its derivative harmless.
+# Points behind a camera, or nearer to its plane than this, are put this far in front of it: there a
+# residual is large and its derivative harmless.
 NEAREST_M = 1e-2
 
 

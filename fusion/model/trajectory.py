@@ -12,12 +12,12 @@ from .odometry import OdometryTrack
 def interpolated(
     track: OdometryTrack, scales: Array, nodes_ns: np.ndarray, nodes: Pose, stamps_ns: np.ndarray
 ) -> Pose:
-    """map_from_base at moments (m,) that odometry covers, by what it is at `nodes_ns` (n,), in
-    order, and odometry with scale errors (2,).
+    """map_from_base at moments (m,) that odometry covers, interpolated between nodes at `nodes_ns`
+    (n,), in order, by odometry with scale errors (2,).
 
-    From the node before by odometry; what is missing then at the node after is shared out by time.
-    Before the first node odometry is followed backwards, after the last one forwards, and so it is
-    on either side of a jump.
+    Each pose follows from the node before it by odometry; the discrepancy at the node after it is
+    distributed linearly in time. Before the first node odometry is followed backwards, after the
+    last one forwards, and likewise on either side of a jump.
     """
     every, where = np.unique(np.concatenate([nodes_ns, stamps_ns]), return_inverse=True)
     odometry = _dead_reckoned(track, scales, every)
@@ -46,7 +46,7 @@ def interpolated(
 
 
 def _dead_reckoned(track: OdometryTrack, scales: Array, stamps_ns: np.ndarray) -> Pose:
-    """Odometry alone at moments, from an arbitrary start."""
+    """Poses at moments by dead reckoning, relative to the first one."""
     if len(stamps_ns) == 1:
         return Pose.stack([Pose.identity()])
     return composed(track.motion(stamps_ns, scales).earlier_from_later)

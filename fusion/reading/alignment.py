@@ -1,4 +1,4 @@
-"""A robot's pose before a located camera, and the reading of what the camera saw."""
+"""Estimates a robot's pose before a located camera, and the reading of what the camera saw."""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -20,24 +20,23 @@ from .visibility import body_of
 # many sigmas away, so that only readings near the prior need to be looked at.
 _TIGHT_M = 0.15
 _TIGHT_RAD = 0.15
-# A reading is out of the question where it is worse by this χ² to first order; e^(-100/2) is
-# nothing.
+# A reading is excluded where its χ² is worse by this much to first order; e^(-100/2) is negligible.
 _HOPELESS = 100.0
-# A corner that is farther off than this at its view's best near the prior is wild; a view that
+# A corner with a larger residual at its view's best pose near the prior is an outlier; a view that
 # moves the robot by so many of the prior's sigmas is wrong.
 _FITS_SIGMAS = 6.0
-# A pose from which all corners are this far off is impossible: what one flat face leaves open is
-# less.
+# A pose with an RMS residual this large is impossible: the ambiguity of one flat face is less.
 _FAR_RMS_SIGMAS = 100.0
 _MOST_STEPS = 12
-# After a step this small, m and rad, the next one would be its square: nothing.
+# After a step this small, m and rad, the next one would be its square: negligible.
 _SMALL_STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """A robot's pose before a located camera; `cost`: χ² with the prior's; `margin`: how much worse
-    the next reading is; `wild`: (n,) bool over all corners, those that were not used."""
+    """A robot's pose before a located camera; `cost`: χ², the prior's included; `margin`: by how
+    much the next best reading is worse; `wild`: (n,) bool over all corners, the outliers left
+    out."""
 
     map_from_base: Pose
     readings: tuple[Reading, ...]
@@ -46,7 +45,7 @@ class Alignment:
     wild: np.ndarray
 
     def read(self, observation: Observation) -> Observation:
-        """The observation with these readings and wild corners."""
+        """The observation with these readings and outlier corners."""
         return observation.read_as(self.readings).marked(self.wild)
 
 
@@ -144,8 +143,8 @@ class _Search:
         return other
 
     def wild_near(self, prior: PosePrior) -> np.ndarray:
-        """The corners (n,) that fit nowhere near the prior, each view judged by itself: single ones
-        that lie elsewhere, or all of a view that shows something else than it says."""
+        """Which corners (n,) fit nowhere near the prior, each view judged by itself: single ones
+        that lie elsewhere, or all of a view that shows something else than it claims."""
         parts = []
         for view in self.observation.views:
             alone = copy(self)
@@ -231,7 +230,7 @@ class _Search:
         return Alignment(poses[best], named, float(costs[best]), margin, self.wild)
 
     def _starts(self) -> tuple[list[Pose], list[np.ndarray]]:
-        """Where the robot may be, and how the observation is read then."""
+        """The poses at which the robot may be, and the observation's readings at each of them."""
         starts, readings = [], []
         for candidate in candidates(self.observation, self.target, self.lens):
             starts.append(self.map_from_camera @ candidate.camera_from_base)
@@ -279,7 +278,7 @@ class _Search:
         return poses, costs
 
     def _steps(self, jacobian: Array, residual: Array, is_sound: np.ndarray) -> Array:
-        """`least_squares_steps`; what a prior is about is determined, which saves half the time."""
+        """`least_squares_steps`; a prior determines every direction, which saves half the time."""
         if self.prior is None:
             return least_squares_steps(jacobian, residual, is_sound)
         transposed = np.swapaxes(jacobian, 1, 2) * is_sound[:, None, None]
@@ -288,7 +287,7 @@ class _Search:
         return -np.linalg.solve(information, transposed @ wanted[..., None])[..., 0]
 
     def _linearised(self, poses: Pose, points: Array) -> tuple[Array, Array, np.ndarray]:
-        """Jacobian (b, m, k) and residual (b, m) of poses (b) with the prior's; which are sound."""
+        """Jacobian (b, m, k) and residual (b, m) at poses (b) with the prior's; which are valid."""
         found = projected(self.lens, poses, points, self.map_from_camera)
         residual = (found.pixels - self.pixels) * self.weights[:, None]
         residual = residual.reshape(len(points), -1)

@@ -1,5 +1,5 @@
-"""How many views read best, each where its camera is thought to be: by `faces.readings_rms_px` of
-all of them at once."""
+"""The best readings of many views, each at its assumed pose: `faces.readings_rms_px` for all of
+them at once."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from trigpoint.target import Target
 from .visibility import Body, are_seen, body_of, corners_in_base, ways_of
 
 _NEAREST_M = 1e-3
-# So many corners are held at once, by all their readings: some 20 MB.
+# The most corners that are processed at once, over all their readings: some 20 MB.
 _MOST_CORNERS = 100_000
 
 
@@ -52,7 +52,7 @@ def read_where_they_are(
 
 
 def groups_of(keys: Sequence[object]) -> list[np.ndarray]:
-    """The rows that share a key, by key in the order in which they come."""
+    """The rows that share a key, with the keys in the order in which they first occur."""
     found: dict[object, list[int]] = {}
     for row, key in enumerate(keys):
         found.setdefault(key, []).append(row)
@@ -60,7 +60,7 @@ def groups_of(keys: Sequence[object]) -> list[np.ndarray]:
 
 
 def points_of_views(views: Sequence[View], body: Body, faces: Array, is_turned: Array) -> Array:
-    """The corners in the base frame of views (v) with n corners each, by readings (v, r) of each:
+    """The corners in the base frame of views (v) with n corners each, for readings (v, r) of each:
     (v, r, n, 3)."""
     corners = np.stack([view.corners for view in views])
     points = corners_in_base(body, corners[:, None], faces[..., None], is_turned[..., None])
@@ -100,7 +100,7 @@ def _rms_px(views: Sequence[View], body: Body, lens: CameraModel, camera_from_ba
 
 def _outermost(pixels: Array) -> tuple[np.ndarray, np.ndarray]:
     """`visibility.outermost` of views with pixels (v, n, 2): indices (v, 4) of corners, and which
-    of them (v, 4) are not there already."""
+    of them (v, 4) are no duplicates."""
     rising, falling = pixels[..., 0] + pixels[..., 1], pixels[..., 0] - pixels[..., 1]
     ends = [np.argmin(sign * reach, axis=1) for reach in (rising, falling) for sign in (1, -1)]
     few = np.sort(np.stack(ends, axis=1), axis=1)

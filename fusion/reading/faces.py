@@ -1,4 +1,4 @@
-"""Which face a picture shows, which way up, and the camera's pose by it.
+"""Which face a picture shows, which way up, and the relative pose of camera and robot.
 
 Every reading of every view and both solutions of every plane are candidates until the evidence
 decides between them.
@@ -25,10 +25,10 @@ from trigpoint.target import Face, Target
 from .planar_pose import planar_poses, refined_poses
 from .visibility import Body, body_of, by_reading, can_be_seen, faces_of, outermost
 
-# A candidate whose reprojection is worse than this many pixels is no candidate. It is generous,
-# since the lens may still be a nominal one.
+# The largest reprojection RMS of a candidate, pixels. It is generous, since the lens may still be a
+# nominal one.
 _WORST_PX = 20.0
-# Of how many observations the candidates are kept.
+# The number of observations whose candidates are cached.
 _MOST_KEPT = 1024
 _SAME_PLACE_M = 0.05
 _SAME_TURN_RAD = 0.05
@@ -45,8 +45,8 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class _Reads:
-    """Ways to understand an observation before they are refined: `readings` (b, views), indices
-    into each view's; `camera_from_base` (b)."""
+    """Interpretations of an observation before refinement: `readings` (b, views), indices into each
+    view's; `camera_from_base` (b)."""
 
     readings: np.ndarray
     camera_from_base: Pose
@@ -91,7 +91,7 @@ def _by_view(
 
 
 def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[list[Pose], list[int]]:
-    """The camera_from_base of every reading of one view, and which reading that is."""
+    """Every camera_from_base that one view allows, and the index of the reading of each."""
     poses, own = [], []
     fits = {}
     base_from_face = base_from_faces(target)
@@ -109,13 +109,13 @@ def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[list[Pose],
 
 
 def _half_turn(face: Face) -> Pose:
-    """face_from_turned face: the pattern read from its other end."""
+    """face_from_turned_face: the pose of the pattern when it is read from its other end."""
     return Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1])
 
 
 def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_base: Pose) -> Array:
-    """RMS of a coordinate for poses (b) and each of a view's readings, pixels, (b, r); infinite for
-    a face that would be seen from behind or through another."""
+    """Reprojection RMS of a coordinate for poses (b) and each of a view's readings, pixels, (b, r);
+    infinite for a face that would be seen from behind or through another."""
     body = body_of(target)
     points = by_reading(view, body)
     optical = (camera_from_base @ points.reshape(-1, 3)).reshape(-1, *points.shape)
@@ -129,7 +129,7 @@ def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_b
 
 
 def corners_of(observation: Observation, body: Body, readings: np.ndarray) -> Array:
-    """All corners of an observation in the base frame by several readings (b, views), (b, n, 3)."""
+    """All corners (b, n, 3) of an observation in the base frame for several readings (b, views)."""
     parts = [
         by_reading(view, body)[readings[:, order]] for order, view in enumerate(observation.views)
     ]
@@ -144,7 +144,7 @@ def pixels_of(observation: Observation) -> tuple[Array, Array]:
 def _refined(
     observation: Observation, target: Target, lens: CameraModel, reads: _Reads
 ) -> list[Candidate]:
-    """The combinations that fit, at the pose of least error over all views."""
+    """The combinations that fit, each at its pose of least reprojection error over all views."""
     if not len(reads.readings):
         return []
     points = corners_of(observation, body_of(target), reads.readings)

@@ -72,7 +72,7 @@ def refined_poses(
     `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
     """
     if not len(points):
-        return []  # of corners nearly in one line OpenCV makes no pose
+        return []  # OpenCV returns no pose for nearly collinear corners
     weights = np.broadcast_to(1 / np.asarray(sigma), (points.shape[1],))[:, None]
     pose, rms = starts, np.full(len(points), np.nan)
     is_sound = np.ones(len(points), dtype=bool)
@@ -91,9 +91,9 @@ def refined_poses(
 
 
 def least_squares_steps(jacobian: Array, residual: Array, is_wanted: np.ndarray) -> Array:
-    """The steps (b, k) that least squares (b, m, k), (b, m) asks for; 0 where it is not wanted.
+    """The least-squares steps (b, k) of equations (b, m, k), (b, m); 0 where they are not wanted.
 
-    Directions that nothing determines stay where they are.
+    Directions that nothing determines are not changed.
     """
     steps = np.zeros((len(residual), jacobian.shape[-1]))
     if np.any(is_wanted):

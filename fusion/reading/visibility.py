@@ -57,7 +57,7 @@ def body_of(target: Target) -> Body:
 
 
 def by_reading(view: View, body: Body) -> Array:
-    """A view's corners in the base frame by each of its readings, (r, n, 3)."""
+    """A view's corners in the base frame for each of its readings, (r, n, 3)."""
     faces, is_turned = ways_of(view.readings)
     points = corners_in_base(body, view.corners, faces[:, None], is_turned[:, None])
     return points if view.sweep is None else points + view.sweep.shift(points)
@@ -66,8 +66,8 @@ def by_reading(view: View, body: Body) -> Array:
 def corners_in_base(
     body: Body, corners: np.ndarray, faces: np.ndarray, is_turned: np.ndarray
 ) -> Array:
-    """Where corner ids are by the face that they are on and the end that it is read from; all of
-    shapes that go together (…), (…, 3)."""
+    """Positions (…, 3) in the base frame of corner ids, given their face and whether it is read
+    from its other end; the shapes of all three broadcast to (…)."""
     ids = np.where(is_turned, body.counts[faces] - 1 - corners, corners)
     return body.table[faces, ids]
 

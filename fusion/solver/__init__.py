@@ -1,1 +1,1 @@
-"""Least squares over everything, and what a solution knows, carried on."""
+"""The least-squares solver, and the filter that carries its solution on."""

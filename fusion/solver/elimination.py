@@ -1,14 +1,14 @@
-"""Eliminates a chain of nodes from the normal equations: what it tells of the dense part.
+"""Eliminates a chain of nodes from the normal equations (Schur complement on the dense part).
 
 With A over the chain's nodes, B its coupling with the dense part and g its gradient, the chain's
 part of the reduced information is -BᵀA⁻¹B, that of the gradient -BᵀA⁻¹g, and the nodes' step for a
-step y of the dense part -A⁻¹(g + B y). Two ways give the same:
+step y of the dense part -A⁻¹(g + B y). Two implementations agree:
 
 - `BandElimination` solves with A as a band (LAPACK's pbtrf) for all columns of B: the quickest
   where the dense part is small;
-- `NestedElimination` makes use of it that a node sees few of many cameras: every other node is
-  eliminated, onto its two neighbours and the cameras that it sees, then every other one of those
-  left, and so on (nested dissection). What is left carries more cameras, but is soon few nodes.
+- `NestedElimination` exploits that a node sees few of many cameras: every other node is eliminated
+  onto its two neighbours and the cameras that it sees, then every other one of those left, and so
+  on (nested dissection). The nodes left are coupled with more cameras, but are soon few.
 """
 
 from typing import Protocol
@@ -22,7 +22,7 @@ from trigpoint.geometry.rotation import Array
 
 from .normal_equations import ChainEquations
 
-# Columns of the dense part from which the nested way is the quicker one (measured).
+# With at least this many columns of the dense part the nested way is quicker (measured).
 _MANY_COLUMNS = 60
 
 
@@ -34,12 +34,12 @@ class Elimination(Protocol):
     gradient: Array
 
     def nodes(self, dense_step: Array) -> Array:
-        """The nodes' step (n, d) that belongs to a step of the dense part."""
+        """The nodes' step (n, d) for a step of the dense part (back-substitution)."""
         ...
 
 
 def eliminated(equations: ChainEquations, dense: Array, damping: float) -> Elimination:
-    """The quicker way for a chain; `dense`: C, the dense part before; `damping`: relative, of A.
+    """Eliminate a chain in the quicker way; `dense`: C, before it; `damping`: relative, of A.
 
     Raises LinAlgError where A is not positive definite.
     """
@@ -77,9 +77,9 @@ class NestedElimination:
 
     SuperLU factorises the whole, bordered by B and g, in the order given and without pivoting:
 
-        M = [A  B  g ]     Its last pivots are the factors of the border less what the nodes
-            [Bᵀ K  0 ]     take from it, K - BᵀA⁻¹B. K is the dense part and its diagonal again,
-            [gᵀ 0  -1]     which keeps that well away from 0.
+        M = [A  B  g ]     Its trailing factors are those of the border's Schur complement,
+            [Bᵀ K  0 ]     K - BᵀA⁻¹B. K is the dense part plus its diagonal and 1, which
+            [gᵀ 0  -1]     keeps that well away from 0.
     """
 
     def __init__(self, equations: ChainEquations, dense: Array, damping: float) -> None:
@@ -105,7 +105,7 @@ class NestedElimination:
         self.gradient = self._left[:size, size]
 
     def nodes(self, dense_step: Array) -> Array:
-        # With the right side that makes the border's unknowns (y, 1), the nodes' are the step.
+        # With the right-hand side that makes the border's unknowns (y, 1), the nodes' are the step.
         right = np.zeros(self._factors.shape[0])
         inner = len(self._order)
         right[inner:] = self._left @ np.append(dense_step, 1.0)
@@ -149,7 +149,7 @@ def _of_blocks(blocks: list[tuple[np.ndarray, np.ndarray, Array]], place: np.nda
     """A square matrix of blocks (m, r, c) at rows (m, r) and columns (m, c), with each row and
     column at its place.
 
-    Written where it stays: of an hour's matrix every copy is tens of megabytes.
+    The entries are written in place: each copy of an hour's matrix is tens of megabytes.
     """
     count, size = sum(values.size for *_, values in blocks), len(place)
     place = place.astype(np.int32)

@@ -1,10 +1,10 @@
 """The live side of the smoother: what a batch solution knows, carried on sighting by sighting.
 
 The state is the dense part of the problem (cameras, lenses, scales and each robot's last pose) as
-mean and covariance about a fixed point. A new sighting appends a node, odometry ties it to the
-robot's last one, and the last one is forgotten; that is exact but for the fixed point, which the
-next batch solution moves. A step costs the same in a state of any size (see `gaussian`). Filters
-are immutable, so that going back to an earlier one, for a sighting that came late, costs nothing.
+mean and covariance about a fixed linearisation point. A new sighting appends a node, odometry links
+it to the robot's last one, and that is marginalised out; this is exact but for the fixed point,
+which the next batch solution moves. A step costs the same in a state of any size (see `gaussian`).
+Filters are immutable, so that going back to an earlier one for a late sighting costs nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -52,8 +52,8 @@ class RobotEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """`state`: the fixed point; its robots have one node, their last; `stamps_ns`: of those;
-    `source`: what is known about it, as it was worked out."""
+    """A Gaussian estimate about a fixed point. `state`: that point, with one node of each robot,
+    its last; `stamps_ns`: of those nodes; `source`: the distribution as it was computed."""
 
     state: State
     stamps_ns: dict[str, int]
@@ -62,8 +62,8 @@ class Filter:
 
     @cached_property
     def known(self) -> Gaussian:
-        """The step from the fixed point; raise LinAlgError where something is not determined at
-        all."""
+        """The distribution of the step from the fixed point; raise LinAlgError where something is
+        not determined at all."""
         if isinstance(self.source, Gaussian):
             return self.source
         covariance = self.source.covariance()
@@ -71,16 +71,16 @@ class Filter:
 
     @property
     def is_worth_settling(self) -> bool:
-        """Whether one of the next steps will have to evaluate everything."""
+        """Whether one of the next steps will have to evaluate the full covariance."""
         return isinstance(self.source, Gaussian) and self.source.is_worth_settling
 
     def settled(self) -> "Filter":
-        """The same filter, evaluated; raise LinAlgError as `known` does."""
+        """The same filter with its covariance evaluated; raise LinAlgError as `known` does."""
         return replace(self, source=self.known.settled())
 
     @property
     def reduced(self) -> Reduced:
-        """The knowledge in information form."""
+        """The estimate in information form."""
         if isinstance(self.source, Reduced):
             return self.source
         information = covariance_of(self.source.covariance)
@@ -117,7 +117,7 @@ class Filter:
 
     @classmethod
     def after(cls, state: State, problem: Problem, reduced: Reduced) -> "Filter":
-        """What a batch solution knows at its end."""
+        """The filter that carries a batch solution on from its last nodes."""
         stamps, robots = {}, dict(state.robots)
         for name, chain in problem.chains.items():
             nodes = state.robots[name].map_from_base
@@ -144,7 +144,7 @@ class Filter:
         return camera in self.layout.pose
 
     def robot(self, data: DataSet, robot: str, stamp_ns: int | None = None) -> RobotEstimate:
-        """The robot at its last node, or later by its odometry.
+        """The robot at its last node, or propagated to a later time by its odometry.
 
         Raises LinAlgError where nothing determines it.
         """
@@ -162,8 +162,8 @@ class Filter:
         return carried_on(data, robot, estimate, stamp_ns, self.scales(robot))
 
     def carried(self, data: DataSet, robot: str, stamp_ns: int) -> "Filter":
-        """The robot's last pose moved on to a later time by its odometry; unlike `carried_on`, with
-        the uncertainty of its scales."""
+        """The filter with the robot's last pose propagated to a later time by its odometry; unlike
+        `carried_on`, with the uncertainty of its scales."""
         start = self.robot(data, robot)
         if stamp_ns <= start.stamp_ns:
             return self
@@ -174,8 +174,8 @@ class Filter:
         """Covariance (6, 6) of a robot's pose relative to a camera, at the robot's last node or
         later by its odometry.
 
-        It may be far smaller than that of either in the map. A camera disturbed by (δt, δθ) takes
-        along what stands before it by δt + δθ × a, with a the way to it.
+        It may be far smaller than that of either in the map. A disturbance (δt, δθ) of the camera
+        moves what stands before it by δt + δθ × a, with a the vector from the camera to it.
         """
         ahead = self.carried(data, robot, stamp_ns)
         last = self.layout.last[robot]
@@ -191,7 +191,7 @@ class Filter:
         return self.state.robots[robot].scales
 
     def advanced(self, data: DataSet, robot: str, stamp_ns: int, guess: Pose) -> "Filter":
-        """The robot's last pose moved on to a time by odometry; `guess`: its new fixed point.
+        """The filter with the robot's last pose moved on by odometry; `guess`: its new fixed point.
 
         With r = e + J₀ δ₀ + J₁ δ₁ + Jₛ δₛ the whitened residual of odometry from the last pose to
         the new one, δ₁ = -J₁⁻¹(e + J₀ δ₀ + Jₛ δₛ) with the covariance J₁⁻¹ J₁⁻ᵀ.
@@ -223,10 +223,10 @@ class Filter:
         self, data: DataSet, observation: Observation, *, share: float = 1.0
     ) -> tuple["Filter", float]:
         """The filter after an observation of the robot at its last node; also the observation's
-        surprise, χ² over twice the corners (the normalised innovation squared). `share`: how much
-        it counts.
+        normalised innovation squared, χ² with twice as many degrees of freedom as corners.
+        `share`: its weight.
 
-        The Jacobian's triangular factor R stands for it (J = QR), so that there are only as many
+        The Jacobian is replaced by its triangular factor R (J = QR), so that there are only as many
         equations as unknowns that a sighting bears on.
         """
         robot = observation.robot
@@ -259,7 +259,7 @@ def is_placed(covariance: Array) -> bool:
 def carried_on(
     data: DataSet, robot: str, estimate: RobotEstimate, stamp_ns: int, scales: Array
 ) -> RobotEstimate:
-    """An estimate moved to a later time by odometry."""
+    """An estimate propagated to a later time by odometry."""
     if stamp_ns <= estimate.stamp_ns:
         return estimate
     motion = data.tracks[robot].motion(np.array([estimate.stamp_ns, stamp_ns]), scales)

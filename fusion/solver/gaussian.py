@@ -2,15 +2,15 @@
 
 A sighting bears on one robot and one camera, and what it says of all the others follows from their
 covariance with those two. So only the columns that were used lately, the near ones (n), are
-kept as they are now; of the far ones (f) it is kept how they follow from a Gaussian of before,
-marked by ⁰ (Guivant and Nebot, «Optimization of the simultaneous localization and map-building
-algorithm for real-time implementation», 2001):
+kept up to date; the far ones (f) are kept as functions of an earlier Gaussian, marked by ⁰
+(Guivant and Nebot, «Optimization of the simultaneous localization and map-building algorithm for
+real-time implementation», 2001):
 
     P_nf = Φ P⁰_nf        P_ff = P⁰_ff - P⁰_fn Ψ P⁰_nf        m_f = m⁰_f + P⁰_fn θ
 
-A step then costs time by the number of near columns alone, and is exact. A column is brought near
-when it is asked for; where there would be too many near ones, everything is worked out once and
-becomes the Gaussian of before.
+The time of a step then depends on the number of near columns alone, and the step is exact. A column
+is made near when it is asked for; when there would be too many near ones, everything is evaluated
+once and becomes the new earlier Gaussian.
 """
 
 from dataclasses import dataclass, field, replace
@@ -21,8 +21,8 @@ from scipy.linalg import solve_triangular
 
 from trigpoint.geometry.rotation import Array
 
-# So many columns are near at most: a step by all of them is still quicker than anything else in it.
-# Where there is time everything is worked out at half of that.
+# The most near columns: with so many, updating them is still quicker than anything else in a step.
+# Where there is time, everything is evaluated at half of that.
 _MOST_NEAR = 64
 
 
@@ -44,7 +44,7 @@ class _Near:
         return cls(np.zeros(0, dtype=int), nothing, square, square, square, nothing)
 
     def rows(self, columns: np.ndarray) -> np.ndarray:
-        """Where columns (m,), all of them near, are among the near ones."""
+        """The indices of columns (m,), all of them near, among the near ones."""
         return np.argmax(self.columns == columns[:, None], axis=1)
 
     def lacks(self, columns: np.ndarray) -> np.ndarray:
@@ -54,19 +54,19 @@ class _Near:
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """Of n unknowns; immutable. `before`: mean (n,) and covariance (n, n) that it came from."""
+    """A Gaussian of n unknowns; immutable. `before`: earlier mean (n,) and covariance (n, n)."""
 
     before: tuple[Array, Array]
     _near: _Near = field(default_factory=_Near.none)
 
     @classmethod
     def of(cls, mean: Array, covariance: Array) -> "Gaussian":
-        """From its mean (n,) and covariance (n, n), which must not change any more."""
+        """From its mean (n,) and covariance (n, n), which must not be modified any more."""
         return cls((mean, covariance))
 
     @cached_property
     def mean(self) -> Array:
-        """(n,)."""
+        """The mean of all unknowns, (n,)."""
         near, (mean, covariance) = self._near, self.before
         whole = mean + covariance[:, near.columns] @ near.pull
         whole[near.columns] = near.mean
@@ -74,7 +74,7 @@ class Gaussian:
 
     @cached_property
     def covariance(self) -> Array:
-        """(n, n); takes time and memory by the square of n."""
+        """The full covariance, (n, n); takes time and memory quadratic in n."""
         near, (_, covariance) = self._near, self.before
         across = covariance[near.columns]
         whole = covariance - across.T @ (near.weight @ across)
@@ -85,7 +85,7 @@ class Gaussian:
 
     @property
     def is_worth_settling(self) -> bool:
-        """Whether one of the next steps will have to evaluate everything."""
+        """Whether one of the next steps will have to evaluate the full covariance."""
         return len(self._near.columns) > _MOST_NEAR // 2
 
     def settled(self) -> "Gaussian":
@@ -98,13 +98,13 @@ class Gaussian:
         return near.mean[near.rows(columns)]
 
     def covariance_of(self, columns: np.ndarray) -> Array:
-        """The covariance of some columns (m,), (m, m)."""
+        """The marginal covariance of some columns (m,), (m, m)."""
         near = self._with_near(columns)
         rows = near.rows(columns)
         return near.covariance[np.ix_(rows, rows)]
 
     def blocks(self, columns: np.ndarray) -> Array:
-        """Covariances (b, m, m) of groups of columns (b, m), each by itself."""
+        """Marginal covariances (b, m, m) of groups of columns (b, m), each by itself."""
         near, (_, covariance) = self._near, self.before
         across = covariance[np.ix_(near.columns, columns.reshape(-1))]
         across = np.moveaxis(across.reshape(len(near.columns), *columns.shape), 0, 1)
@@ -117,8 +117,8 @@ class Gaussian:
     def moved(
         self, columns: np.ndarray, of: np.ndarray, matrix: Array, shift: Array, noise: Array
     ) -> "Gaussian":
-        """With columns (m,) replaced by matrix (m, k) times columns `of` (k,), plus a shift (m,)
-        and noise of covariance (m, m)."""
+        """The Gaussian with columns (m,) replaced by matrix (m, k) times columns `of` (k,),
+        plus a shift (m,) and noise of covariance (m, m)."""
         ready = self._ready(np.unique(np.concatenate([columns, of])))
         near = ready._near
         rows, source = near.rows(columns), near.rows(of)
@@ -134,12 +134,12 @@ class Gaussian:
     def updated(
         self, columns: np.ndarray, jacobian: Array, residual: Array
     ) -> tuple["Gaussian", Array]:
-        """After equations residual (r,) + jacobian (r, m) · columns (m,) = noise of unit variance;
-        and the whitened innovation (r,).
+        """The Gaussian after an update by residual (r,) + jacobian (r, m) · columns (m,) = noise of
+        unit variance; also the whitened innovation (r,).
 
-        `residual`: at a step of 0, as the mean is one. With H the Jacobian by the near columns, S =
-        1 + H P_nn Hᵀ = L Lᵀ and G = P_nn Hᵀ L⁻ᵀ the gain of the near ones, that of the far ones
-        is P⁰_fn W, W = Φᵀ Hᵀ L⁻ᵀ.
+        `residual`: where the unknowns are 0, not at the mean. With H the Jacobian by the near
+        columns, S = 1 + H P_nn Hᵀ = L Lᵀ and G = P_nn Hᵀ L⁻ᵀ the gain of the near ones, that of the
+        far ones is P⁰_fn W, W = Φᵀ Hᵀ L⁻ᵀ.
         """
         ready = self._ready(columns)
         near = ready._near
@@ -170,7 +170,7 @@ class Gaussian:
         return Gaussian(self.before, near)
 
     def _with_near(self, columns: np.ndarray) -> _Near:
-        """The near columns and these (m,), each once."""
+        """The near columns extended by these (m,), each once."""
         near, (mean, covariance) = self._near, self.before
         added = columns[near.lacks(columns)]
         if not len(added):

@@ -1,7 +1,7 @@
 """Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains.
 
 The chains are eliminated (`elimination`) in a time linear in the number of nodes. What remains is
-S = C - BᵀA⁻¹B, the information of the dense part, and S⁻¹ its covariance.
+S = C - BᵀA⁻¹B, the marginal information of the dense part, and S⁻¹ its marginal covariance.
 """
 
 from dataclasses import dataclass, replace
@@ -16,8 +16,9 @@ from trigpoint.geometry.uncertainty import symmetric
 from .elimination import Elimination, eliminated
 from .normal_equations import NormalEquations, linearise
 
-# Damping, relative to the diagonal, where a step fails. A bend of a long chain is so soft beside
-# its nodes that the least damping holds it: steps that succeed soon have none.
+# Damping, relative to the diagonal, after a failed step. The bending of a long chain is so weakly
+# determined beside its nodes that even the least damping suppresses it: after successful steps
+# there is soon none.
 _DAMPING_LEAST = 1e-6
 _DAMPING_NONE = 1e-9
 _DAMPING_END = 1e8
@@ -32,13 +33,13 @@ class Reduced:
     gradient: Array
 
     def covariance(self) -> Array:
-        """Joint covariance of the dense part; infinite where nothing determines it."""
+        """Joint covariance of the dense part; raise LinAlgError where it is not determined."""
         return covariance_of(self.information)
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A state at the minimum, and what is known there."""
+    """The state at the minimum, and the reduced information there."""
 
     state: State
     reduced: Reduced
@@ -55,9 +56,9 @@ def solve(
     tolerance: float = 1e-6,
     most_iterations: int = 50,
 ) -> Solution:
-    """The state of least cost near `start`.
+    """Find the state of least cost near `start`.
 
-    Ends when a step promises to lower the cost, which is in units of χ², by less than `tolerance`.
+    Has converged when the predicted decrease of the cost, a χ², is less than `tolerance`.
     """
     found = minimise(
         problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations
@@ -105,7 +106,7 @@ def minimise(
 
 
 def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
-    """Eliminate the chains."""
+    """Eliminate the chains: the information and the gradient of the dense part."""
     information, gradient, _ = eliminate(equations, 0.0)
     return Reduced(problem.layout, information, gradient)
 
@@ -136,7 +137,7 @@ def eliminate(
 
 
 def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dict[str, Array]]:
-    """The damped step of the dense part, the decrease of χ² it promises, the chains' steps."""
+    """The damped step of the dense part, the predicted decrease of χ², and the chains' steps."""
     information, gradient, chains = eliminate(equations, damping)
     damped = information + np.diag(damping * np.abs(np.diagonal(information)))
     diagonal = np.diagonal(damped)

@@ -17,7 +17,7 @@ EXACT = 1e13
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """Blocks (m, d, q) between inner nodes `rows` (m,) and dense `columns` (q,); they add up."""
+    """Blocks (m, d, q) between inner nodes `rows` (m,) and dense `columns` (q,), to be summed."""
 
     rows: np.ndarray
     blocks: Array
@@ -59,8 +59,8 @@ class ChainEquations:
 
 @dataclass(slots=True)
 class NormalEquations:
-    """Half the Hessian and the gradient of the cost Σ|r/σ|² at a state; `log_determinant`: of what
-    the pictures' jitter adds to their covariance."""
+    """Half the Hessian and the gradient of the cost Σ|r/σ|² at a state; `log_determinant`: of the
+    pictures' covariance with their jitter (`PictureJitter.log_determinant`)."""
 
     chains: dict[str, ChainEquations]
     dense: Array
@@ -70,7 +70,7 @@ class NormalEquations:
 
 
 def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> NormalEquations:
-    """The normal equations at a state; corners beyond `huber` sigmas count linearly."""
+    """The normal equations at a state; corners beyond `huber` sigmas have a linear cost (Huber)."""
     size = problem.layout.size
     equations = NormalEquations({}, np.zeros((size, size)), np.zeros(size), 0.0)
     for name, chain in problem.chains.items():
@@ -85,7 +85,7 @@ def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Norma
 
 
 def _hold_first(equations: NormalEquations, problem: Problem, chain: Chain) -> None:
-    """Hold node 0 where it starts."""
+    """Fix node 0 at its initial pose."""
     free = np.arange(len(chain.tangent))
     if len(chain) > 1:
         equations.chains[chain.robot].diagonal[0, free, free] += EXACT
@@ -193,7 +193,7 @@ def _add_odometry(
 
 
 def _add_between(equations: NormalEquations, problem: Problem, chain: Chain, blocks: Array) -> None:
-    """Add (later by earlier) blocks (n, d, d): inside the chain, and from it to the last node."""
+    """Add the blocks (n, d, d) of later by earlier nodes: in the chain, and to the last node."""
     target, last = equations.chains[chain.robot], problem.layout.last[chain.robot]
     target.lower[:-1] += blocks[:-1]
     row = np.array([len(blocks) - 1])
@@ -221,7 +221,7 @@ def _add_priors(equations: NormalEquations, problem: Problem, state: State) -> N
 
 
 def _add_known_cameras(equations: NormalEquations, problem: Problem, state: State) -> None:
-    """The joint prior; an error e turns with its camera by ∂Log/∂δθ = J_l⁻¹(e)."""
+    """Add the joint prior; the rotation error e has the derivative ∂Log/∂δθ = J_l⁻¹(e)."""
     priors, layout = problem.priors, problem.layout
     error = np.stack(
         [state.cameras[name].map_from_camera.difference(p) for name, p in priors.cameras.items()]
@@ -241,7 +241,7 @@ def _add_known_cameras(equations: NormalEquations, problem: Problem, state: Stat
 def _add_diagonal(
     equations: NormalEquations, columns: np.ndarray, error: Array, sigma: Array
 ) -> None:
-    """A prior with independent sigmas; one of 0 holds its unknown fixed."""
+    """Add a prior with independent sigmas; a sigma of 0 holds its unknown fixed."""
     held = sigma <= 0
     variance = np.where(held, 1e-18, np.where(held, 1.0, sigma) ** 2)
     equations.dense[columns, columns] += 1 / variance

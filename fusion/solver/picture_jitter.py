@@ -1,4 +1,4 @@
-"""What all corners of one picture err in together: the robot stands otherwise than its node says.
+"""The error that all corners of one picture share: the robot's deviation from its node.
 
 A floor that tilts by a third of a degree or a mast that sways by a millimetre moves all corners of
 a picture as one, so more corners do not average it away. With ε the disturbance of the robot in one
@@ -41,26 +41,26 @@ class PictureJitter:
         return cls(jacobian, variances, information)
 
     def compensated(self, residual: Array) -> Array:
-        """What is left of residuals (n, 2K) without the disturbances that they are due to."""
+        """Residuals (n, 2K) less what the best-fitting disturbances explain of them."""
         return self._squares(residual[..., None])[0][..., 0]
 
     def rows(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
-        """Equations of unit noise (n, 2K + 6, q) and (n, 2K + 6) in other unknowns, from the
-        corners' derivatives (n, 2K, q) and residuals (n, 2K), without the disturbances."""
+        """Jacobian (n, 2K + 6, q) and residual (n, 2K + 6), of unit noise, in other unknowns: the
+        corners' (n, 2K, q) and (n, 2K) after the disturbances are eliminated."""
         rows = np.concatenate([jacobian, residual[..., None]], axis=-1)
         rows = np.concatenate(self._squares(rows), axis=1)
         return rows[..., :-1], rows[..., -1]
 
     def eliminated(self, jacobian: Array, residual: Array) -> tuple[Array, Array, float]:
-        """Hessian (n, q, q), gradient (n, q) and cost of these."""
+        """Hessian (n, q, q), gradient (n, q) and cost of `rows`."""
         jacobian, residual = self.rows(jacobian, residual)
         rows = np.concatenate([jacobian, residual[..., None]], axis=-1)
         square = np.swapaxes(rows, 1, 2) @ rows
         return square[:, :-1, :-1], square[:, :-1, -1], float(np.sum(square[:, -1, -1]))
 
     def _squares(self, rows: Array) -> tuple[Array, Array]:
-        """Rows (n, 2K, q) without the disturbance, and what it costs itself, (n, 6, q): the sum of
-        the squares of both is what its elimination leaves."""
+        """Rows (n, 2K, q) less the fitted disturbance, and the residual (n, 6, q) of its own prior:
+        the sum of the squares of both is what its elimination leaves."""
         pull = np.swapaxes(self.jacobian, 1, 2) @ rows
         shift = np.linalg.solve(self.information, pull)
         return rows - self.jacobian @ shift, shift / np.sqrt(self.variances)[..., None]

@@ -1,7 +1,7 @@
 """Solves repeatedly until the linearisation point, odometry scales and time offsets, is stable.
 
-Nodes stand at true times, which time offsets move, and odometry between them is integrated with its
-scales; a problem holds both to first order, and is assembled again where they have changed.
+Nodes are at true times, which depend on the time offsets, and odometry between them is integrated
+with its scales; a problem has both to first order only, and is reassembled where they have changed.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Solved:
 
 
 def solve_consistently(data: DataSet, state: State, used: list[int], *, tolerance: float) -> Solved:
-    """Solve over these entries of the data set, and put the robot's poses into them."""
+    """Solve over these entries of the data set, and store the robots' poses in them."""
     solved = _solve_once(data, state, used, tolerance)
     iterations = solved.iterations
     for _ in range(_MOST_REBUILDS):

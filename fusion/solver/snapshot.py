@@ -1,4 +1,4 @@
-"""A copy of what a solution knows, which nothing changes later; guidance works on it."""
+"""An immutable copy of a solution's state and information, for guidance to work on."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,9 @@ from .filter import Filter
 
 @dataclass(frozen=True, slots=True)
 class ExpectedMotion:
-    """In the free disturbances (d) of the robot: of the end by those of the start (d, d), by the
-    scale errors of distance and heading (d, 2), and the covariance (d, d) that the way adds."""
+    """A motion in the free disturbances (d) of the robot: derivatives of the end's by those of the
+    start (d, d) and by the scale errors of distance and heading (d, 2), and the covariance (d, d)
+    that the motion adds."""
 
     by_start: Array
     by_scale: Array
@@ -28,7 +29,7 @@ class ExpectedMotion:
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """A robot where its odometry has it now, and what it is like.
+    """A robot's current pose by its odometry, with its noise and its target.
 
     `since`: the motion since the filter's last pose of it.
     """
@@ -48,7 +49,7 @@ class RobotPlace:
 
 
 def place_of(data: DataSet, known: Filter, robot: str) -> RobotPlace:
-    """Where a robot is by its last odometry message."""
+    """A robot at its last odometry message."""
     track, start_ns = data.tracks[robot], known.stamps_ns[robot]
     pose = known.state.robots[robot].map_from_base[0]
     still = np.eye(len(track.tangent))
@@ -81,8 +82,8 @@ class CameraViews:
 
 @dataclass(frozen=True, slots=True)
 class GuidanceWorld:
-    """`information`: of the dense part by `layout`; `ways`: each robot's solved poses in order;
-    `views`: of the located cameras, each at its last place."""
+    """What guidance works on. `information`: of the dense part by `layout`; `ways`: each robot's
+    solved poses in order; `views`: of the located cameras, each at its last place."""
 
     layout: Layout
     information: Array

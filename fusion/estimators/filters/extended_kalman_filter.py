@@ -2,9 +2,9 @@
 
 The state is an error about nominal values: each robot's last pose (x, y and heading where it is
 planar), every camera, and where the site file gives them a prior sigma the cameras' time offsets
-and the robots' odometry scales. After each update the error is put into the nominal values, which
-are then linearised about anew (iterated: Bell and Cathey, «The iterated Kalman filter update as a
-Gauss-Newton method», 1993). Errors of poses are left twists, which is what keeps the filter honest
+and the robots' odometry scales. After each update the error is added to the nominal values, about
+which the filter is then relinearised (iterated: Bell and Cathey, «The iterated Kalman filter update
+as a Gauss-Newton method», 1993). Errors of poses are left twists, which keeps the filter consistent
 where the heading drifts (`pose_errors`, decision 0643).
 
 A new camera enters with its full cross covariance: its first sighting, solved for the camera alone,
@@ -66,7 +66,7 @@ class KalmanFilterState(KalmanState):
         motion = data.tracks[robot].motion(moments_ns, self.scales(robot))
         step = odometry_step(self.poses[robot], motion)
         part, tangent = self.columns["last", robot], self.tangents[robot]
-        # The start's twist is the end's; only what the motion itself does wrong is added.
+        # A left twist of the start is the same twist of the end; only the motion's error is added.
         by_end = twist_by_disturbance(step.end)[np.ix_(tangent, tangent)]
         covariance = self.covariance.copy()
         if ("scales", robot) in self.columns:
@@ -88,7 +88,7 @@ class KalmanFilterState(KalmanState):
     def updated(
         self, data: DataSet, sighting: ReadSighting
     ) -> tuple["KalmanFilterState", Innovation] | None:
-        """Iterated over what the sighting bears on; all the rest follows by its covariance."""
+        """Iterate over the parts that the sighting bears on; the rest follows by its covariance."""
         if sighting.places_robot:
             return self._with_robot(data, sighting)
         parts = _parts_of(sighting)
@@ -116,7 +116,7 @@ class KalmanFilterState(KalmanState):
     def _followed(
         self, kalman: ExtendedKalmanFilter, jacobian: Array, columns: np.ndarray
     ) -> "KalmanFilterState":
-        """All of the state after an update (k equations) of some of its columns."""
+        """The whole state after an update (k equations) of some of its columns."""
         gain = self.covariance[:, columns] @ jacobian.T @ kalman.SI
         # A product with its own transpose is half the work, and symmetric to the last bit.
         known = gain @ np.linalg.cholesky(kalman.S)
@@ -135,7 +135,7 @@ class KalmanFilterState(KalmanState):
     def _with_robot(
         self, data: DataSet, sighting: ReadSighting
     ) -> tuple["KalmanFilterState", Innovation] | None:
-        """A robot enters by its first sighting by a camera of the state."""
+        """Add a robot by its first sighting by a camera of the state."""
         robot, camera = sighting.observation.robot, sighting.observation.camera
         stamp_ns = sighting.observation.stamp_ns - to_ns(self.states[camera].time_offset_s)
         ready = self.with_robot_priors(data, robot, sighting.map_from_base, stamp_ns)
@@ -146,7 +146,7 @@ class KalmanFilterState(KalmanState):
     ) -> "tuple[KalmanFilterState, Innovation] | None":
         name, robot = sighting.observation.camera, sighting.observation.robot
         camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
-        # What is known of its time offset before any sighting is that it is about nothing.
+        # Before any sighting its time offset is taken to be near zero.
         map_from_camera = self.poses[robot] @ camera_from_base.inverse()
         placed = CameraState(map_from_camera, data.lenses[name])
         return self.with_camera_priors(data, name, placed)._entered(data, sighting, ("pose", name))
@@ -154,9 +154,9 @@ class KalmanFilterState(KalmanState):
     def _entered(
         self, data: DataSet, sighting: ReadSighting, part: Part
     ) -> tuple["KalmanFilterState", Innovation] | None:
-        """With a new part that this sighting alone determines, given everything else.
+        """Add a new part that this sighting alone determines, given everything else.
 
-        The sighting's equations ρ + A δ + B ν = noise are turned by B's full factorisation: the
+        The sighting's equations ρ + A δ + B ν = noise are rotated by B's full QR factorisation: the
         upper rows give the part ν from the rest δ, the lower ones, free of ν, update the rest.
         """
         count = len(self.tangents[part[1]]) if part[0] == "last" else 6
@@ -185,7 +185,7 @@ class KalmanFilterState(KalmanState):
     def _placed(
         self, part: Part, rest: np.ndarray, by_rest: Array, error: Array
     ) -> "KalmanFilterState":
-        """A part whose error is `error` (k,) and by_rest (k, m) times that of some columns (m,)."""
+        """Set a part's error to `error` (k,) + by_rest (k, m) · that of some columns (m,)."""
         columns, covariance = self.columns[part], self.covariance.copy()
         whole = np.zeros(len(covariance))
         whole[columns] = error
@@ -197,9 +197,9 @@ class KalmanFilterState(KalmanState):
     # -- how a sighting follows the state ---------------------------------------------------------
 
     def _seen(self, data: DataSet, sighting: ReadSighting) -> tuple[Pose, Array]:
-        """Where the robot was when it was seen, and its disturbance per second then, (6,).
+        """The robot's pose when it was seen, and its disturbance per second then, (6,).
 
-        Its node stands where an earlier estimate of the camera's time offset put it.
+        Its node is at the time that an earlier estimate of the camera's time offset gave.
         """
         camera, robot = sighting.observation.camera, sighting.observation.robot
         pose, node_ns = self.poses[robot], self.stamps_ns[robot]
@@ -221,7 +221,7 @@ class KalmanFilterState(KalmanState):
         )
 
     def _jacobian(self, data: DataSet, sighting: ReadSighting, view: RelativeView) -> Array:
-        """The compressed residual by the whole error, (k, n)."""
+        """The derivative of the compressed residual by the whole error, (k, n)."""
         camera, robot = sighting.observation.camera, sighting.observation.robot
         map_from_camera = self.states[camera].map_from_camera
         pose, moving = self._seen(data, sighting)
@@ -235,7 +235,7 @@ class KalmanFilterState(KalmanState):
             :, self.tangents[robot]
         ]
         if ("offset", camera) in self.columns:
-            # True time = stamp - offset: a larger one looks at the robot earlier on its way.
+            # True time = stamp - offset: with a larger one the robot was seen earlier.
             jacobian[:, self.columns["offset", camera]] = -(by_base @ moving)[:, None]
         return jacobian
 

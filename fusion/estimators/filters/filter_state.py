@@ -1,4 +1,4 @@
-"""What a recursive filter knows at a moment; immutable, so that going back costs nothing."""
+"""The state of a recursive filter at a moment; immutable, so that going back costs nothing."""
 
 from dataclasses import dataclass
 from typing import Protocol, Self
@@ -20,11 +20,11 @@ _VELOCITY_WINDOW_NS = to_ns(0.02)
 
 @dataclass(frozen=True, slots=True)
 class ReadSighting:
-    """An observation prepared for a filter: read, its wild corners marked, and the approximate pose
-    of the robot by it, `map_from_base`.
+    """An observation prepared for a filter: read, its outlier corners marked, and the approximate
+    pose of the robot by it, `map_from_base`.
 
-    `variances` (6,): of how the robot stands otherwise in this picture than its odometry says, None
-    where it does not; `places_robot`: the robot's pose is not known otherwise.
+    `variances` (6,): of the robot's deviation in this picture from its pose by odometry, None where
+    there is no deviation; `places_robot`: the robot's pose is not known otherwise.
     """
 
     observation: Observation
@@ -37,8 +37,8 @@ class ReadSighting:
 class Innovation:
     """How far an observation was from its prediction.
 
-    `chi2` over `freedom`: of the innovation; `total`, `total_freedom`: with what no pose explains;
-    `rms_px`: of a coordinate, afterwards.
+    `chi2`, `freedom`: of the innovation, with its degrees of freedom; `total`, `total_freedom`:
+    with what no pose explains; `rms_px`: the residual's RMS of a coordinate after the update.
     """
 
     chi2: float
@@ -53,12 +53,12 @@ class FilterState(Protocol):
 
     @property
     def stamps_ns(self) -> dict[str, int]:
-        """Of the last node of each robot that is located in the map."""
+        """The stamp of the last node of each robot that is located in the map."""
         ...
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The cameras that are part of it."""
+        """The cameras that are part of the state."""
         ...
 
     def camera(self, camera: str) -> CameraState: ...
@@ -78,15 +78,15 @@ class FilterState(Protocol):
         ...
 
     def updated(self, data: DataSet, sighting: ReadSighting) -> tuple[Self, Innovation] | None:
-        """With a sighting of the robot at its last node, or one that locates it, by a camera that
-        is part of this; None where it says nothing."""
+        """The state after a sighting of the robot at its last node, or one that locates it, by a
+        camera that is part of the state; None where the sighting is of no use."""
         ...
 
     def with_camera(
         self, data: DataSet, sighting: ReadSighting, camera: CameraState
     ) -> tuple[Self, Innovation] | None:
-        """With a new camera by its first sighting; `camera`: about where it is. None where the
-        sighting does not determine it."""
+        """The state with a new camera, by its first sighting; `camera`: its approximate state.
+        None where the sighting does not determine its pose."""
         ...
 
     def without_robot(self, robot: str) -> Self: ...
@@ -96,12 +96,12 @@ class FilterState(Protocol):
         ...
 
     def particles(self, robot: str) -> Pose | None:
-        """Places where the robot may be, all equally likely; None where there are none."""
+        """Samples of the robot's pose, all equally likely; None for a filter without samples."""
         ...
 
 
 def velocity(track: OdometryTrack, map_from_base: Pose, stamp_ns: int, scales: Array) -> Array:
-    """How a robot's pose is disturbed per second at a moment, (…, 6), in the map's axes."""
+    """A robot's velocity at a moment, as the disturbance per second, (…, 6), in the map's axes."""
     begin = max(stamp_ns - _VELOCITY_WINDOW_NS, track.first_ns)
     end = min(stamp_ns + _VELOCITY_WINDOW_NS, track.last_ns)
     if end <= begin:

@@ -1,5 +1,5 @@
-"""The outcome of each sighting that a filter processed: the robots' trajectories by it, and how
-well everything fits."""
+"""The outcome of each sighting that a filter processed; from these, the robots' trajectories and
+the quality of the fit."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from trigpoint.geometry import Pose
 
 from .filter_state import FilterState, Innovation
 
-# One wrong reading in twenty makes so many in a row once in 160,000 times.
+# With one wrong reading in twenty, so many in a row occur once in 160,000 times.
 _IN_A_ROW = 4
 
 
@@ -58,7 +58,7 @@ def poses_at(
 
 
 def rms_px(data: DataSet, steps: list[Step], camera: str) -> float | None:
-    """Of a coordinate of what a camera's used sightings leave over; None where it has none."""
+    """The residuals' RMS of a coordinate over a camera's used sightings; None without any."""
     squares = [
         step.innovation.rms_px**2
         for step in steps
@@ -76,8 +76,8 @@ def chi2_per_dof(steps: list[Step]) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """Sightings in a row by one camera or of one robot, `what`, all of which contradict the filter
-    state: noise or a wrong reading does not do that."""
+    """Consecutive sightings by one camera or of one robot, `what`, all of which contradict the
+    filter state, which noise or a single wrong reading does not explain."""
 
     what: str
     since_ns: int
@@ -85,7 +85,7 @@ class Contradiction:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """The report to the user."""
         return (
             f"{_IN_A_ROW} pictures or more in a row {self.what} contradict the rest: a robot was "
             "carried, a camera was moved, or the filter went wrong and with it the cameras that it "
@@ -94,7 +94,7 @@ class Contradiction:
 
 
 def contradictions(data: DataSet, steps: list[Step]) -> list[Contradiction]:
-    """Those among the steps, in order of their ends."""
+    """The contradictions among the steps, in order of their ends."""
     found: list[Contradiction] = []
     runs: dict[str, list[int]] = {}
     for step in steps:

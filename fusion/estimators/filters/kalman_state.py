@@ -24,7 +24,7 @@ class KalmanState:
     """Robots at their last nodes, cameras, and the error's covariance (n, n); immutable.
 
     The error of a pose is its left twist (`pose_errors`). `columns`: where each part is in
-    `covariance`; `tangents`: which six of a robot's error are free.
+    `covariance`; `tangents`: which of the six components of a robot's error are free.
     """
 
     stamps_ns: dict[str, int]
@@ -80,13 +80,13 @@ class KalmanState:
     # -- the error's parts ------------------------------------------------------------------------
 
     def of(self, parts: list[Part]) -> np.ndarray:
-        """The columns of those of these parts that there are, (m,)."""
+        """The columns of these parts, as far as they exist, (m,)."""
         every = np.arange(len(self.covariance))
         here = [every[self.columns[part]] for part in parts if part in self.columns]
         return np.concatenate([np.zeros(0, dtype=int), *here])
 
     def only(self, parts: list[Part]) -> Self:
-        """With these parts of the error alone: what is known of them stays as it is."""
+        """The marginal of these parts of the error."""
         kept, columns, size = [part for part in parts if part in self.columns], {}, 0
         for part in kept:
             length = self.columns[part].stop - self.columns[part].start
@@ -96,7 +96,7 @@ class KalmanState:
         return replace(self, columns=columns, covariance=self.covariance[np.ix_(every, every)])
 
     def with_part(self, part: Part, covariance: Array) -> Self:
-        """With a part that is independent of the rest so far."""
+        """With a new part that is uncorrelated with the rest."""
         size, more = len(self.covariance), len(covariance)
         whole = np.zeros((size + more, size + more))
         whole[:size, :size], whole[size:, size:] = self.covariance, covariance
@@ -104,7 +104,7 @@ class KalmanState:
         return replace(self, columns=columns, covariance=whole)
 
     def with_known_cameras(self, data: DataSet) -> Self:
-        """With the cameras of an earlier network, as that knew them together."""
+        """With the cameras of an earlier network, with their joint covariance."""
         state, joint = self, np.linalg.inv(data.known.information)
         for index, (name, pose) in enumerate(data.known.poses.items()):
             rows = slice(6 * index, 6 * index + 6)
@@ -150,8 +150,8 @@ class KalmanState:
     def moved(self, error: Array) -> Self:
         """The nominal values moved by an error (n,).
 
-        What is known of the error then is taken to be as it was: turning the twists of each pose by
-        its own correction would make what all of them share differ, and so a thing that is known.
+        The covariance is left as it is: transforming each pose's twist by its own correction would
+        make the error that all poses share differ between them, and so appear observable.
         """
         poses, states = dict(self.poses), self._moved_cameras(error)
         scales = dict(self.scale_errors)
@@ -185,6 +185,6 @@ class KalmanState:
 
 
 def _turn(covariance: Array, rows: slice, jacobian: Array) -> None:
-    """Carry some rows and columns of a covariance over to other coordinates, in place."""
+    """Transform some rows and columns of a covariance to other coordinates, in place."""
     covariance[rows] = jacobian @ covariance[rows]
     covariance[:, rows] = covariance[:, rows] @ jacobian.T

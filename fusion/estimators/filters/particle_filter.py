@@ -9,9 +9,9 @@ A pose is drawn as late as can be: while one camera sees the robot, that camera 
 one Gaussian in each particle, and when the next one sees it the pose is drawn from what odometry
 and both cameras say together (FastSLAM 2.0, 2003, draws at every sighting).
 
-A revisit knows thousands of times more than the particles' spread, and would leave a handful of
-them. It is taken in shares that leave half of them effective, with low-variance resampling after
-each (`particle_resampling`, decision 0641).
+A revisit is thousands of times more informative than the particles' spread, and would leave a
+handful of them. Its likelihood is taken in shares that leave half of them effective, with
+low-variance resampling after each (`particle_resampling`, decision 0641).
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ from .sequential import SequentialEstimator
 
 _MOST_SHARES = 200
 _MOST_LINEARISATIONS = 3
-# Weights as even as this say nothing: less than a hundredth of a sigma.
+# Weights as even as this carry no information: less than a hundredth of a sigma.
 _ALIKE = 0.9999
 
 
@@ -55,7 +55,7 @@ class _Terms:
 
     @property
     def log_likelihood(self) -> Array:
-        """(n,), up to a constant."""
+        """The log likelihood of each particle, (n,), up to a constant."""
         solved = (self.information @ self.residual[..., None])[..., 0]
         _, log_determinant = np.linalg.slogdet(self.information)
         return -0.5 * (np.sum(self.residual * solved, axis=1) - log_determinant)
@@ -72,12 +72,12 @@ class _Relative:
     spread: Array
 
     def expected(self, camera_from_base: Pose) -> tuple[Array, Array]:
-        """Mean (6,) and covariance (6, 6) of the disturbance of a pose, of all particles."""
+        """Mean (6,) and covariance (6, 6), over all particles, of the disturbance from a pose."""
         apart = self.camera_from_base.difference(camera_from_base)
         return apart.mean(axis=0), np.cov(apart.T, bias=True) + self.spread.mean(axis=0)
 
     def terms(self, view: RelativeView) -> _Terms:
-        """How far a sighting is from each particle."""
+        """The terms of a sighting in each particle."""
         apart = self.camera_from_base.difference(view.camera_from_base)
         total = view.root @ self.spread @ view.root.T + np.eye(len(view.residual))
         residual = view.residual + apart @ view.root.T
@@ -182,7 +182,7 @@ class ParticleFilterState(Particles):
     def with_camera(
         self, data: DataSet, sighting: ReadSighting, camera: CameraState
     ) -> tuple["ParticleFilterState", Innovation] | None:
-        """Each particle's pose is drawn, and the camera placed by it, with the sighting's error."""
+        """Draw each particle's pose, and place the camera by it, with the sighting's covariance."""
         robot, name = sighting.observation.robot, sighting.observation.camera
         camera_from_base = camera.map_from_camera.inverse() @ sighting.map_from_base
         target = data.targets[robot]
@@ -230,7 +230,7 @@ class ParticleFilterState(Particles):
     def _linearised(
         self, data: DataSet, sighting: ReadSighting, relative: _Relative
     ) -> RelativeView | None:
-        """The sighting about the camera_from_base that it and the particles say together."""
+        """The sighting linearised about the best camera_from_base by it and the particles."""
         place = self.places[sighting.observation.camera].mean
         view = self._view(data, sighting, place.inverse() @ sighting.map_from_base)
         for _ in range(_MOST_LINEARISATIONS - 1):
@@ -252,8 +252,8 @@ class ParticleFilterState(Particles):
     def _conditioned(
         self, view: RelativeView, relative: _Relative, robot: str, camera: str
     ) -> "ParticleFilterState":
-        """Particles by how well they expect the sighting, in shares that keep half effective, and
-        improved by it."""
+        """The particles resampled by the likelihood of the sighting, in shares that keep half of
+        them effective, and each updated by it."""
         filter_state, terms, left = self, relative.terms(view), 1.0
         for _ in range(_MOST_SHARES):
             log_likelihood = terms.log_likelihood
@@ -271,8 +271,8 @@ class ParticleFilterState(Particles):
     def _improved(
         self, relative: _Relative, terms: _Terms, robot: str, camera: str
     ) -> "ParticleFilterState":
-        """Each particle's Gaussians by the sighting; where another camera saw the robot before,
-        its pose is drawn, after which the two know nothing of each other."""
+        """Each particle's Gaussians updated by the sighting; where another camera saw the robot
+        before, the robot's pose is drawn, after which the two cameras are uncorrelated."""
         covariance, jacobian = relative.covariance, terms.jacobian
         gain = covariance @ transposed(jacobian) @ terms.information
         step = -(gain @ terms.residual[..., None])[..., 0]

@@ -7,12 +7,12 @@ from filterpy.monte_carlo import systematic_resample
 
 from trigpoint.geometry.rotation import Array
 
-# How far a copy is drawn apart from its original, as a share of the spread (Liu and West, «Combined
+# How far a copy is drawn from its original, as a share of the spread (Liu and West, «Combined
 # parameter and state estimation in simulation-based filtering», 2001).
 _APART = 0.3
-# Keeps a spread of nothing (the map's origin) positive: 0.1 µm and µrad.
+# Keeps a spread of zero (the map's origin) positive: 0.1 µm and µrad.
 _FLOOR_VARIANCE = 1e-14
-# Particles that differ by less than this many sigmas of a sighting do not differ for it.
+# Particles that differ by less than this many sigmas of a sighting count as equal for it.
 _NARROW = 0.01
 
 
@@ -23,7 +23,7 @@ def normalised(log_weights: Array) -> Array:
 
 
 def effective_sample_size(weights: Array) -> float:
-    """1/Σw²: as many equally weighted particles would know as much (Kong, Liu and Wong, 1994)."""
+    """1/Σw²: so many equally weighted particles are as informative (Kong, Liu and Wong, 1994)."""
     return float(1 / np.sum(weights**2))
 
 
@@ -35,7 +35,7 @@ def low_variance_indices(weights: Array, random: np.random.Generator) -> np.ndar
     before = np.random.get_state()
     np.random.seed(int(random.integers(2**32)))
     try:
-        # The sum may end a rounding below the last position.
+        # By rounding, the sum may end below the last position.
         return systematic_resample(weights * (1 + 1e-12))
     finally:
         np.random.set_state(before)
@@ -44,14 +44,14 @@ def low_variance_indices(weights: Array, random: np.random.Generator) -> np.ndar
 def resampled(
     errors: Array, shown: Array, weights: Array, random: np.random.Generator
 ) -> tuple[Array, np.ndarray]:
-    """Equally weighted particles in place of weighted ones: errors (n, D), and of which particle
-    each took what is shown, (n,).
+    """Equally weighted particles in place of weighted ones: errors (n, D), and the index (n,) of
+    the particle whose `shown` each of them took.
 
-    `shown`: (n, k), what the weights go by, in sigmas. It is resampled; the rest of a particle
+    `shown`: (n, k), what the weights depend on, in sigmas. It is resampled; the rest of a particle
     follows by its regression on it, and what does not depend on it stays (Anderson, «A local least
     squares framework for ensemble filtering», 2003), so that a sighting of one camera adds no noise
-    to the others. Copies are drawn apart by a Gaussian kernel, and all moved together so that mean
-    and covariance of what is shown are exactly the weighted ones.
+    to the others. Copies are drawn apart by a Gaussian kernel, and all are moved so that mean and
+    covariance of `shown` are exactly the weighted ones.
     """
     values, vectors = np.linalg.eigh(np.cov(shown.T, bias=True))
     wide = values > _NARROW**2
@@ -67,8 +67,8 @@ def resampled(
 
 
 def regression(values: Array, on: Array) -> Array:
-    """How values (n, k) follow others (n, D) in this sample, (D, k); directions in which the others
-    do not differ have no part in it."""
+    """Coefficients (D, k) of the linear regression of values (n, k) on others (n, D) in this
+    sample; 0 in directions in which the others do not vary."""
     centred = on - on.mean(axis=0)
     scale = 1 / np.maximum(np.sqrt(np.mean(centred**2, axis=0)), 1e-12)
     centred = centred * scale
@@ -77,7 +77,7 @@ def regression(values: Array, on: Array) -> Array:
 
 
 def standardised(values: Array) -> Array:
-    """Values (n, k) moved and stretched together to mean 0 and covariance 1."""
+    """Values (n, k), shifted and scaled together to mean 0 and covariance 1."""
     centred = values - values.mean(axis=0)
     covariance = centred.T @ centred / len(values)
     root = np.linalg.cholesky(covariance + _FLOOR_VARIANCE * np.eye(values.shape[1]))
@@ -99,10 +99,10 @@ def moments(errors: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def largest_share(log_likelihood: Array, most: float) -> float:
-    """The largest exponent up to `most` of a likelihood that leaves half of even weights effective.
+    """The largest exponent, up to `most`, of a likelihood that keeps half of n particles effective.
 
-    A sighting that knows far more than the particles is taken in such shares, with resampling in
-    between (tempering: Neal, «Annealed importance sampling», 2001).
+    A sighting that is far more informative than the particles is taken in such shares, with
+    resampling in between (tempering: Neal, «Annealed importance sampling», 2001).
     """
 
     def is_kept(share: float) -> bool:

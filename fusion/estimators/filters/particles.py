@@ -18,9 +18,9 @@ from .particle_resampling import independent_draws, resampled
 from .pose_samples import PoseSamples
 
 PARTICLES = 2000
-_UNKNOWN_VARIANCE = 100.0**2  # m² and rad²: where a robot is that nothing ties to the map
+_UNKNOWN_VARIANCE = 100.0**2  # m² and rad²: of a robot that nothing ties to the map
 _SHOWN = 500
-# Of the largest variance of a covariance: less is rounding.
+# Relative to the largest variance of a covariance: less is rounding.
 _NOTHING = 1e-12
 
 
@@ -31,7 +31,7 @@ class Particles:
     `poses`: robot -> map_from_base (n), with `spreads` (n, d, d) of what is not drawn yet;
     `companions`: robot -> the camera that saw it last, with `crossed` (n, d, 6) between the two;
     `places`: camera -> map_from_camera (n) with `covariances` (n, 6, 6), given what is drawn;
-    `scale_errors`: robot -> (n, 2). `seed`, `draws`: what random numbers come next.
+    `scale_errors`: robot -> (n, 2). `seed`, `draws`: determine the next random numbers.
     """
 
     seed: int
@@ -82,7 +82,7 @@ class Particles:
         return self.scale_errors[robot].mean(axis=0)
 
     def joint_covariance(self, cameras: list[str]) -> Array:
-        """Between the particles and, on the diagonal, within them."""
+        """The covariance between the particles plus, on the diagonal, the mean one within them."""
         errors = [self.places[name].errors for name in cameras]
         joint = np.cov(np.concatenate(errors, axis=1).T, bias=True)
         for index, name in enumerate(cameras):
@@ -103,7 +103,7 @@ class Particles:
     # -- changes -----------------------------------------------------------------------------------
 
     def with_robot(self, data: DataSet, robot: str, map_from_base: Pose, stamp_ns: int) -> Self:
-        """With a robot at about a place, of which nothing is known."""
+        """With a robot about a pose, with a covariance as wide as if nothing were known."""
         tangent = data.tracks[robot].tangent
         wide = np.broadcast_to(
             _UNKNOWN_VARIANCE * np.eye(len(tangent)), (PARTICLES, *[len(tangent)] * 2)
@@ -124,7 +124,7 @@ class Particles:
         return replace(filter_state, draws=self.draws + 1, scale_errors=scales)
 
     def with_drawn(self, robots: Iterable[str]) -> Self:
-        """With the poses of some robots drawn from what is left open of them."""
+        """With the poses of some robots drawn from their remaining covariance."""
         filter_state = self
         for robot in robots:
             companion = filter_state.companions.get(robot)
@@ -148,8 +148,8 @@ class Particles:
         return whole
 
     def drawn_from(self, robot: str, cameras: list[str], step: Array, covariance: Array) -> Self:
-        """The robot's pose drawn, and the cameras moved with it, by their mean steps (n, m) and
-        their covariance (n, m, m) together."""
+        """Draw the robot's pose and condition the cameras on it, given the mean steps (n, m) and
+        the joint covariance (n, m, m) of them all."""
         d = len(self.tangents[robot])
         others = covariance[:, d:, :d]
         root, inverse = roots(covariance[:, :d, :d])
@@ -164,8 +164,8 @@ class Particles:
         return filter_state.moved(robot, cameras, [step, apart], whole)
 
     def moved(self, robot: str, cameras: list[str], steps: list[Array], covariance: Array) -> Self:
-        """A robot and cameras moved by steps (n, m) of theirs, one after the other, with their
-        covariance (n, m, m) then; the last camera goes with the robot from now on."""
+        """Move a robot and cameras by steps (n, m), one after the other, and set their covariance
+        (n, m, m) then; the last camera becomes the robot's companion."""
         tangent = self.tangents[robot]
         d = len(tangent)
         disturbances = [np.zeros((PARTICLES, 6)) for _ in steps]
@@ -231,8 +231,8 @@ class Particles:
 
 
 def roots(covariances: Array) -> tuple[Array, Array]:
-    """Square roots (n, d, d) of covariances (n, d, d), and their inverses without the directions in
-    which they are nothing."""
+    """Symmetric square roots (n, d, d) of covariances (n, d, d), and the pseudo-inverses of the
+    covariances, without the directions in which they vanish."""
     values, vectors = np.linalg.eigh(covariances)
     values = np.maximum(values, 0.0)
     some = values > _NOTHING * values[:, -1:]

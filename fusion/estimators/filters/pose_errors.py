@@ -1,11 +1,11 @@
 """Errors of poses as left twists of SE(3): exp(ξ) · map_from_base, ξ = (v, ω), metres and radians.
 
 A rigid motion of the whole map is the same twist for every pose in it, wherever that stands and
-however it is estimated; a filter whose errors are twists therefore never believes that it has
-learnt where the map is from cameras and robots that only see each other, and what a turned robot
-does to its later way is exact (Barrau and Bonnabel, «An EKF-SLAM algorithm with consistency
+however it is estimated; a filter whose errors are twists therefore gains no spurious information
+on where the map is from cameras and robots that only see each other, and the effect of a heading
+error on a robot's later way is exact (Barrau and Bonnabel, «An EKF-SLAM algorithm with consistency
 properties», 2015; Long et al., «The banana distribution is Gaussian», 2012). In the contract's
-disturbances, δt = v + ω × t, that holds to first order about one estimate alone.
+disturbances, δt = v + ω × t, that holds only to first order about one estimate.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def twist_by_disturbance(pose: Pose) -> Array:
 
 
 def twisted(pose: Pose, twist: Array) -> Pose:
-    """exp(ξ) · pose of twists (…, 6)."""
+    """exp(ξ) · pose for twists ξ (…, 6)."""
     return pose.moved((disturbance_by_twist(pose) @ twist[..., None])[..., 0])
 
 

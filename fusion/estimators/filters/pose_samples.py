@@ -1,4 +1,4 @@
-"""Many poses that are samples of one: about which pose they lie, and how far from it."""
+"""Samples of one pose, as disturbances from a pose near their mean."""
 
 from collections.abc import Iterable
 from functools import cached_property
@@ -17,9 +17,9 @@ _MOST_STEPS = 10
 class PoseSamples:
     """Samples of a pose; immutable.
 
-    `about`: a pose near their mean and the disturbances (n, 6) from it to them, of which the
-    samples themselves are worked out where they are asked for: most cameras of a filter are moved
-    many times, a little each, before they see a robot again.
+    `about`: a pose near their mean and the disturbances (n, 6) from it to the samples, which
+    themselves are only computed where they are asked for: most cameras of a filter are moved many
+    times, a little each, before they see a robot again.
     """
 
     def __init__(self, about: tuple[Pose, Array]) -> None:
@@ -27,41 +27,41 @@ class PoseSamples:
 
     @classmethod
     def of(cls, poses: Pose) -> Self:
-        """Samples that are known, (n)."""
+        """From the samples themselves, (n)."""
         samples = cls(_centred(poses))
         samples.__dict__.update(poses=poses, _centre=samples._about)
         return samples
 
     @cached_property
     def poses(self) -> Pose:
-        """(n)."""
+        """The samples (n)."""
         about, disturbances = self._about
         return about.repeated(len(disturbances)).disturbed(disturbances)
 
     @property
     def disturbances(self) -> Array:
-        """(n, 6), about a pose near the mean."""
+        """The samples' disturbances (n, 6) about a pose near the mean."""
         return self._about[1]
 
     @property
     def mean(self) -> Pose:
-        """The pose from which the disturbances to all of them add up to nothing."""
+        """The pose from which the disturbances to all samples add up to zero."""
         return self._centre[0]
 
     @property
     def errors(self) -> Array:
-        """The disturbances (n, 6) from the mean to them."""
+        """The disturbances (n, 6) from the mean to the samples."""
         return self._centre[1]
 
     def disturbed(self, disturbances: Iterable[Array]) -> "PoseSamples":
-        """Each by its own disturbances, (n, 6), one after the other."""
+        """Each sample moved by its own disturbances, (n, 6), one after the other."""
         poses = self.poses
         for disturbance in disturbances:
             poses = poses.disturbed(disturbance)
         return PoseSamples.of(poses)
 
     def redrawn(self, disturbances: Array) -> "PoseSamples":
-        """As many others, by their `disturbances` about the same pose."""
+        """As many new samples, by their `disturbances` about the same pose."""
         return PoseSamples((self._about[0], disturbances))
 
     @cached_property
@@ -70,7 +70,7 @@ class PoseSamples:
 
 
 def _centred(poses: Pose) -> tuple[Pose, Array]:
-    """Their mean and the disturbances from it."""
+    """The mean of poses (n) and their disturbances (n, 6) from it."""
     mean = Pose(_nearest_rotation(poses), poses.translation.mean(axis=0))
     errors = poses.difference(mean)
     for _ in range(_MOST_STEPS):
@@ -84,7 +84,7 @@ def _centred(poses: Pose) -> tuple[Pose, Array]:
 
 def _nearest_rotation(poses: Pose) -> Array:
     """The rotation (3, 3) from which the squared distances to all of them are least (Moakher,
-    «Means and averaging in the group of rotations», 2002): the mean but for the third order."""
+    «Means and averaging in the group of rotations», 2002): the mean up to the third order."""
     left, _, right = np.linalg.svd(poses.rotation.mean(axis=0))
     turned = np.array([1.0, 1.0, np.linalg.det(left @ right)])
     return left * turned @ right

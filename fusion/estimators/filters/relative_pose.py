@@ -1,9 +1,9 @@
 """A sighting as a measurement of camera_from_base: all that a picture says of camera and robot.
 
-The corners' residuals depend on camera_from_base alone, so that the least squares
-over a hundred corners are those over six numbers: with the thin factorisation J = Q R of their
-weighted Jacobian, |r + J d|² = |Qᵀr + R d|² + what no pose explains (Golub and Van Loan, «Matrix
-Computations», section 5.3). Both filters measure by this.
+The corners' residuals depend on camera_from_base alone, so that the least-squares problem over a
+hundred corners reduces to six equations: with the thin QR factorisation J = Q R of their weighted
+Jacobian, |r + J d|² = |Qᵀr + R d|² + what no pose explains (Golub and Van Loan, «Matrix
+Computations», section 5.3). Both filters use this as their measurement.
 """
 
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ _DETERMINED = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class RelativeView:
-    """A sighting to first order about `camera_from_base`.
+    """A sighting linearised about `camera_from_base`.
 
     A disturbance d (6,) of that pose costs |residual + root d|², unit noise each; `root`: (6, 6),
-    `residual`: (6,). `left_over`: χ² that no pose explains, over `freedom`; `rms_px`: of a used
-    coordinate.
+    `residual`: (6,). `left_over`: χ² that no pose explains, with `freedom` degrees of freedom;
+    `rms_px`: the RMS of a used coordinate.
     """
 
     camera_from_base: Pose
@@ -42,7 +42,7 @@ class RelativeView:
 
     @property
     def determines_pose(self) -> bool:
-        """Whether the sighting alone says where the robot is from the camera."""
+        """Whether the sighting alone determines the robot's pose relative to the camera."""
         strength = np.linalg.svd(self.root, compute_uv=False)
         return len(self.root) == 6 and bool(strength[-1] >= _DETERMINED * strength[0])
 
@@ -55,8 +55,8 @@ def relative_view(
     variances: Array | None = None,
 ) -> RelativeView | None:
     """The view of a read observation at a pose; None where a corner lies behind the camera or too
-    few are left. `variances` (6,): of how the robot stands otherwise in this picture, about and
-    along its own axes."""
+    few are left. `variances` (6,): of the robot's deviation in this picture, along and about its
+    own axes."""
     points = points_of(observation, target)
     used = points.weights > 0
     found = projected(lens, camera_from_base, points.in_base(base_from_faces(target))[used])
@@ -83,9 +83,9 @@ def relative_view(
 def without_wild_corners(
     observation: Observation, target: Target, lens: CameraModel, camera_from_base: Pose
 ) -> Observation | None:
-    """The observation with the corners marked that no pose near by explains, worst first.
+    """Mark the corners of an observation that no nearby pose explains as outliers, worst first.
 
-    None where too many are wild, or nothing is left to fit.
+    None where there are too many outliers, or nothing is left to fit.
     """
     points = points_of(observation.with_outliers(()), target)
     found = projected(lens, camera_from_base, points.in_base(base_from_faces(target)))

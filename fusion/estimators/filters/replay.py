@@ -29,15 +29,15 @@ _HISTORY = 64
 
 
 class Replay:
-    """`filter_state`: after all of the `steps`; `located`: about where cameras are, by all of their
-    sightings."""
+    """A filter and its steps so far. `filter_state`: after all of the `steps`; `located`: the
+    approximate states of cameras, by all of their sightings."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self._data, self._origin = data, origin
         self.filter_state = origin(data)
         self.steps: list[Step] = []
         self.located: Mapping[str, CameraState] = {}
-        # By entry, where several pictures stand alike: see `Jitter.among`.
+        # By entry, where several pictures share a tilt: see `Jitter.among`.
         self._variances: dict[int, Array] = {}
 
     def copy(self) -> "Replay":
@@ -65,7 +65,7 @@ class Replay:
         return correction
 
     def restart(self, located: Mapping[str, CameraState]) -> None:
-        """Process from the beginning what is accepted of these cameras' sightings."""
+        """Process all accepted observations from the beginning; `located`: as in the class."""
         self.filter_state, self.steps, self.located = self._origin(self._data), [], located
         accepted = [
             index
@@ -77,7 +77,7 @@ class Replay:
             self._take(index)
 
     def _time_ns(self, index: int) -> int:
-        """When the robot stood as it was seen: stamp minus the camera's time offset."""
+        """The true time at which the robot was seen: stamp minus the camera's time offset."""
         observation, offset_s = self._data.entries[index].observation, 0.0
         if observation.camera in self.filter_state.cameras:
             offset_s = self.filter_state.camera(observation.camera).time_offset_s
@@ -85,7 +85,7 @@ class Replay:
         return int(np.clip(observation.stamp_ns - to_ns(offset_s), track.first_ns, track.last_ns))
 
     def _back_to(self, place: int) -> list[Step]:
-        """Go back before a step; the steps to process again."""
+        """Go back to before a step; return the steps to process again."""
         later, self.steps = self.steps[place:], self.steps[:place]
         if later:
             assert later[0].before is not None
@@ -95,7 +95,7 @@ class Replay:
     # -- one sighting -----------------------------------------------------------------------------
 
     def _take(self, index: int) -> RobotEstimate | None:
-        """Process one sighting; the robot's pose then, None where it makes no correction."""
+        """Process one sighting; return the robot's pose, None where it makes no correction."""
         before, entry = self.filter_state, self._data.entries[index]
         robot, camera = entry.observation.robot, entry.observation.camera
         time_ns = max(self._time_ns(index), before.stamps_ns.get(robot, 0))
@@ -139,7 +139,7 @@ class Replay:
     def _begun(
         self, before: FilterState, index: int, time_ns: int
     ) -> tuple[FilterState, Innovation] | None:
-        """With the first sighting of a camera that was located by all of its sightings."""
+        """The state with a camera that all of its sightings located, added by its first one."""
         entry = self._data.entries[index]
         observation = _as_read(entry.observation)
         filter_state, predicted = predicted_at(self._data, before, observation.robot, time_ns)
@@ -152,14 +152,14 @@ class Replay:
         return filter_state.with_camera(self._data, sighting, camera) if sighting else None
 
     def _disturbance(self, index: int) -> Array | None:
-        """The variances (6,) of how the robot stands otherwise in one picture."""
+        """The variances (6,) of the robot's deviation in one picture; None where there is none."""
         jitter = self._data.jitter.get(self._data.entries[index].observation.robot)
         return None if jitter is None else self._variances.get(index, jitter.variances)
 
 
 def _shared_variances(data: DataSet, indices: list[int]) -> dict[int, Array]:
-    """By entry of these the variances (6,) of how its robot stands otherwise in its picture, beside
-    the others in which the same camera saw it."""
+    """For each of these entries the variances (6,) of its robot's deviation in its picture, given
+    the other pictures in which the same camera saw it."""
     together = defaultdict[tuple[str, str], list[int]](list)
     for index in indices:
         observation = data.entries[index].observation
@@ -173,7 +173,7 @@ def _shared_variances(data: DataSet, indices: list[int]) -> dict[int, Array]:
 
 
 def _as_read(observation: Observation) -> Observation:
-    """An observation of its right views alone, each with the one reading that was chosen."""
+    """An observation reduced to its correct views, each with the one reading that was chosen."""
     if observation.chosen is None:
         return observation
     every = zip(observation.views, observation.chosen, observation.wild, strict=True)

@@ -1,7 +1,7 @@
 """An estimator that processes the sightings one by one, in order of time, as both filters do.
 
 What happened in the session is explained as for the smoother (`explainer`). `replay` decides which
-sighting comes next; `filter_state` is the filter's own. Here results are given out.
+sighting comes next; `filter_state` is the filter's own state. Results are given out here.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class SequentialEstimator:
         self._explainer = Explainer(data)
         # None before the odometry that fixes the map begins.
         self._replay: Replay | None = None
-        # Until when contradictions were told, by what they are of.
+        # Until when contradictions were reported, by camera or robot.
         self._told_ns: dict[str, int] = {}
         self._carried: dict[str, tuple[FilterState, RobotEstimate]] = {}
         self.iterations = 0
@@ -79,7 +79,7 @@ class SequentialEstimator:
         self.data.entries.append(Entry(observation))
 
     def _known_place(self, observation: Observation) -> RobotEstimate | None:
-        """Where a robot stands that a camera sees as it did when its sighting was accepted."""
+        """The pose of a robot in a repeated sighting; None unless the last one was accepted."""
         seen = self.data.of_camera(observation.camera)
         of_robot = (e for e in reversed(seen) if e.observation.robot == observation.robot)
         last = next(of_robot, None)
@@ -99,8 +99,8 @@ class SequentialEstimator:
     # -- all of it anew ---------------------------------------------------------------------------
 
     def finish(self) -> None:
-        """Explain everything that came, and process what the explanation uses from the beginning,
-        in order of time; where that is not done yet."""
+        """Explain everything that came, unless that is done already, and process what the
+        explanation uses from the beginning, in order of time."""
         replay = self._replay
         if replay is None or not self._explainer.has_new:
             return

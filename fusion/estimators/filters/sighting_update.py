@@ -55,8 +55,8 @@ def first_sighting(
     map_from_base: Pose,
     variances: Array | None,
 ) -> ReadSighting | None:
-    """The sighting that places a camera which all of its sightings located; None where those
-    contradict it. `variances`: see `ReadSighting`."""
+    """The sighting by which a camera enters that all of its sightings located; None where it
+    contradicts them. `variances`: see `ReadSighting`."""
     lens, target = camera.lens, data.targets[observation.robot]
     pose = camera.map_from_camera.inverse() @ map_from_base
     sound = without_wild_corners(observation, target, lens, pose)
@@ -69,5 +69,5 @@ def first_sighting(
 
 
 def is_expected(innovation: Innovation) -> bool:
-    """Whether an innovation is one that noise makes (normalised innovation squared)."""
+    """Whether an innovation passes the χ² gate (normalised innovation squared)."""
     return innovation.freedom == 0 or is_noise(innovation.chi2, innovation.freedom)

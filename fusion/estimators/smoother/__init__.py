@@ -1,1 +1,1 @@
-"""The default estimator: a smoother over all poses, with a filter for the moment."""
+"""The default estimator: a smoother over all poses, with a filter for live corrections."""

@@ -1,7 +1,7 @@
-"""The batch solution: what explains everything that came in, solved.
+"""The batch solution: solves for everything that came in, as the association explains it.
 
-In goes the data set: observations and the robots' odometry. The association says what happened, the
-solver what follows from it:
+Its input is the data set: observations and the robots' odometry. The association determines what
+happened, the solver what follows from it:
 
 - the `state` (cameras, robots, scales), its `solution` and the `problem` behind it;
 - a `Filter` with what is known at the end, which `solve` returns;
@@ -26,11 +26,11 @@ from .contradicting_sightings import leave_out_contradicting
 from .second_look import take_back
 
 _MOST_ROUNDS = 6
-# What is taken back says more of its neighbours; what contradicts after that stays left out.
+# Sightings taken back inform on their neighbours; what contradicts after that stays left out.
 _MOST_LOOKS = 2
-# What a step may still promise of χ² at the end: a hundredth of a sigma.
+# The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
-# Of a variance: what changes no sigma by more than a two-hundredth.
+# The relative increase of a variance that changes no sigma by more than a two-hundredth.
 _LITTLE_SPREAD = 0.01
 
 
@@ -49,8 +49,8 @@ class BatchSolution:
         self.iterations = 0
 
     def solve(self, explanation: Explanation) -> Filter:
-        """Solve by an explanation to the end; the estimate then. Where that fails, everything is as
-        before."""
+        """Solve to convergence by an explanation; return the filter at its end. Where that fails,
+        nothing is changed."""
         draft, state = explained(self.data, explanation)
         state, solved, iterations = _solved(draft, state)
         if solved is None:
@@ -105,8 +105,8 @@ def _scales(state: State, after: Filter) -> dict[str, tuple[Array, Array]]:
 
 
 def _left_open(state: State, explanation: Explanation, events: Events) -> dict[str, Array]:
-    """By camera, the covariance (6, 6) of what explanations leave open of its place: which of two
-    faces that contradict each other is wrong, say; or all of it, where they have it at several."""
+    """By camera, the covariance (6, 6) of what explanations leave open of its pose: for example
+    which of two contradicting faces is wrong; or all of it, where several poses are possible."""
     found = {}
     for camera in state.cameras:
         finding = explanation.findings.get(camera)

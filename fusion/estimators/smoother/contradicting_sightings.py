@@ -1,11 +1,11 @@
-"""Sightings that contradict the solution which they are a part of.
+"""Sightings that contradict the solution of which they are a part.
 
-The association judges most of a session's sightings to first order, and those that it did not
-choose to look at each by itself. In the solution everything has its word, also how the robot stood
-otherwise in each picture than its odometry says. What a sighting would have it stand otherwise
-than that, ν, has there at most its own covariance P; so with the score of a sighting that is right
-at least νᵀP⁻¹ν + ln |P|, one for which that is more than a wrong one's is wrong, whatever the rest
-of its covariance is.
+The association judges most of a session's sightings to first order, and those outside the subset
+that it examines each by itself. In the solution all of them take part, and so does the robot's
+deviation in each picture from its odometry. The further offset ν of the pose that a sighting calls
+for has at most its own covariance P there; so a correct sighting scores at least νᵀP⁻¹ν + ln |P|,
+and one for which that exceeds the score of a wrong one is wrong, whatever the rest of its
+covariance.
 """
 
 import numpy as np
@@ -26,7 +26,8 @@ def leave_out_contradicting(
 ) -> bool:
     """Leave out the worst of each robot's sightings that contradict the solution; whether any was.
 
-    What draws good ones off beside it is at least twice as bad as they are; they get another look.
+    A wrong sighting that pulls good ones away is at least twice as bad as they are, so those that
+    are less than half as bad as the worst are judged again later.
     """
     worst: dict[str, float] = {}
     found: list[tuple[str, _Excess]] = []
@@ -46,8 +47,8 @@ def leave_out_contradicting(
 def _excesses(
     data: DataSet, assembled: Assembled, batch: Batch, state: State, events: Events
 ) -> list[_Excess]:
-    """By how much each sighting of a batch that contradicts is worse than a wrong one, with its
-    source and order."""
+    """By how much the score of each contradicting sighting of a batch exceeds a wrong one's, with
+    its source and order."""
     by_base = base_jacobian(assembled.problem, batch, state)
     residual = batch_residual(assembled.problem, batch, state)
     jitter, found = PictureJitter.of(assembled.problem, batch, state), []

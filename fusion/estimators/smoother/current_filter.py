@@ -1,4 +1,4 @@
-"""The filter of the moment and its last steps.
+"""The current filter and its last steps.
 
 A late sighting is inserted at its place in time, and the later ones are applied again. Filters are
 immutable and share what a step does not change, so that going back costs nothing.
@@ -16,9 +16,9 @@ from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
 
-# Corners err together where the lens is known less well than stated: by so much their variance may
-# be more in one place of the picture than in all of it. Beyond that the sighting, the robot or the
-# camera is not where the rest says.
+# Corner errors are correlated where the lens is known less well than stated: by this factor their
+# variance may be larger in one place of the picture than in all of it. Beyond that the sighting,
+# the robot or the camera contradicts the rest.
 _EXCESS = 3.0
 _MOST_STEPS = 64
 
@@ -33,7 +33,7 @@ class _Step:
 
 
 class CurrentFilter:
-    """The filter of one moment. Not thread-safe.
+    """The filter at the current moment, with its history. Not thread-safe.
 
     `known`: None before the first odometry message; `shares`: (camera, robot) -> stamp and share of
     the last observation.
@@ -44,8 +44,8 @@ class CurrentFilter:
         self.known: Filter | None = None
         self._steps: list[_Step] = []
         self.shares: dict[tuple[str, str], tuple[int, float]] = {}
-        # Where each robot is by its odometry since the filter's last step, and by which filter;
-        # where scales are estimated, the filter carried on that far.
+        # By robot: the filter, the robot's estimate carried on from it by odometry, and, where
+        # scales are estimated, the filter carried on as far.
         self._carried: dict[str, tuple[Filter, RobotEstimate, Filter]] = {}
 
     def begin(self, robot: str) -> None:
@@ -104,7 +104,7 @@ class CurrentFilter:
         return known.has_camera(observation.camera)
 
     def _moment_of(self, entry: Entry) -> int:
-        """When its robot stood so; its twist then is put into the observation."""
+        """The true time of an entry; sets its observation's twist to the robot's at that time."""
         assert self.known is not None
         time_ns = true_time_ns(self.data, entry.observation, self.known.state)
         scales = self.known.scales(entry.observation.robot)
@@ -112,7 +112,7 @@ class CurrentFilter:
         return time_ns
 
     def _rewind(self, robot: str, time_ns: int) -> list[_Step]:
-        """Go back before all later steps of this robot; the steps to apply again."""
+        """Go back to before all later steps of this robot; return the steps to apply again."""
         assert self.known is not None
         if self.known.stamps_ns[robot] <= time_ns:
             return []
@@ -123,7 +123,7 @@ class CurrentFilter:
                 later = self._steps[row:]
                 del self._steps[row:]
                 return later
-        return []  # older than all of it; the next solution has it
+        return []  # older than all steps; the next solution uses it
 
     def _apply(self, entry: Entry, time_ns: int) -> RobotEstimate | None:
         """Update the filter by an observation; None where it was rejected or came too late."""
@@ -131,7 +131,7 @@ class CurrentFilter:
         assert current is not None
         robot = entry.observation.robot
         if time_ns < current.stamps_ns[robot]:
-            return None  # older than the steps: the next solution has it
+            return None  # older than the steps: the next solution uses it
         predicted = current.robot(self.data, robot, time_ns)
         aligned = align_before(self.data, current, entry.observation, predicted)
         if aligned is None:
@@ -171,7 +171,7 @@ class CurrentFilter:
     # -- where a robot is -------------------------------------------------------------------------
 
     def robot(self, robot: str) -> RobotEstimate | None:
-        """At its last odometry message; None while it is not located in the map."""
+        """The robot at its last odometry message; None while it is not located in the map."""
         if self.known is None or not self.known.has_robot(robot):
             return None
         carried = self._carried.get(robot)

@@ -1,13 +1,13 @@
-"""The noise of an odometry whose scales are unknown, learnt from what the pictures say of it.
+"""Estimates the noise of an odometry whose scales are unknown from the pictures.
 
-An odometry that is off by some per cent also scatters otherwise than the site file says: turns that
+An odometry that is off by some per cent also has other noise than the site file states: turns that
 end late, wheels that slip, drifts that go on for seconds (decision 0606). While one camera sees the
-robot, its pictures say how it moved far better than its odometry does. Over windows of seconds,
-long enough for what goes on that long to add up, the difference e of both is normal with
+robot, its pictures measure its motion far better than its odometry does. Over windows of seconds,
+long enough for such drifts to add up, the difference e of both is normal with
 
     C = S + Σ σₖ² Bₖ
 
-where S is what the pictures leave open and Bₖ the covariance by a noise σₖ of 1. The σₖ of greatest
+where S is the covariance by the pictures and Bₖ that by a noise σₖ of 1. The σₖ of maximum
 likelihood are taken in place of the stated ones where those are rejected at one in a thousand
 (variance components: Searle, Casella and McCulloch, «Variance Components», 1992).
 """
@@ -29,15 +29,15 @@ from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
-# What goes on for seconds adds up over such a window; over a longer one there are few.
+# Drifts that go on for seconds add up over such a window; of longer ones there would be few.
 _WINDOW_NS = to_ns(4.0)
 _LONGEST_WINDOW_NS = 2 * _WINDOW_NS
 _LEAST_WINDOWS = 20
-# Of a logarithm of a sigma before any picture: what the pictures do not show stays near the stated.
+# Prior sigma of a noise sigma's logarithm: what the pictures do not show stays near the stated.
 _PRIOR_LOG_SIGMA = 2.0
 _LEAST_SIGMA = 1e-3
 _WIDE = 0.03
-# Of noise that is as the site file says, one session in so many thinks otherwise.
+# The probability that noise which is as the site file states is rejected in a session.
 _SIGNIFICANCE = 1e-3
 _CHANGED = 0.1
 _PARTS = ("distance", "lateral", "heading_drive", "heading_turn")
@@ -58,7 +58,7 @@ class _Seen:
 @dataclass(frozen=True, slots=True)
 class Windows:
     """Differences (n, d) between pictures and odometry, their covariance (n, d, d) by the pictures,
-    and by each part of the noise, were its sigma 1, (6, n, d, d)."""
+    and that by each part of the noise with a sigma of 1, (6, n, d, d)."""
 
     difference: Array
     by_pictures: Array
@@ -75,8 +75,8 @@ class Windows:
 
 
 def learn(data: DataSet, assembled: Assembled, state: State) -> bool:
-    """Give every planar robot whose scales are estimated the noise that its odometry has; whether
-    one changed by a tenth."""
+    """Estimate the odometry noise of every planar robot whose scales are estimated; whether a sigma
+    changed by a tenth."""
     changed = False
     for robot in assembled.problem.priors.scales:
         track = data.tracks[robot]
@@ -105,7 +105,7 @@ def likeliest(windows: Windows, stated: Array) -> Array:
         apart = (logs - start) / _PRIOR_LOG_SIGMA
         return value + float(apart @ apart), gradient + 2 * apart / _PRIOR_LOG_SIGMA
 
-    # From above: a sigma of nearly nothing has no gradient.
+    # From above: the gradient vanishes for a sigma near zero.
     wide = np.maximum(start, np.log(_WIDE))
     found = minimize(cost, wide, jac=True, method="L-BFGS-B")
     gain = cost(start)[0] - float(found.fun)
@@ -113,7 +113,7 @@ def likeliest(windows: Windows, stated: Array) -> Array:
 
 
 def windows_of(problem: Problem, state: State, robot: str) -> Windows | None:
-    """The windows of a robot's way, one after the other; None where there are too few."""
+    """The windows of a robot's trajectory, one after the other; None where there are too few."""
     chain, scales = problem.chains[robot], state.robots[robot].scales
     spans = _spans([_seen(problem, b, state) for b in problem.batches if b.robot == robot])
     if len(spans) < _LEAST_WINDOWS:
@@ -182,7 +182,7 @@ def _carried(jacobian: Array, covariance: Array) -> Array:
 
 
 def _of_one_part(track: OdometryTrack) -> list[OdometryTrack]:
-    """The same odometry with one part of the noise alone, of 1, for each part."""
+    """Copies of the odometry, each with one part of the noise alone, with a sigma of 1."""
     nothing = dict.fromkeys(_PARTS, 0.0)
     silent = OdometryNoise(**nothing)
     stated = [OdometryNoise(**(nothing | {part: 1.0})) for part in _PARTS]

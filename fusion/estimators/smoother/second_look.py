@@ -1,8 +1,8 @@
 """A second look at sightings that were taken to be wrong.
 
 The association reads each visit's pictures by odometry and by each other. In the solution those
-before and after each, of all cameras, say where the robot stood in between, whatever its wheels did
-on the way; what fits there is right.
+before and after each, of all cameras, determine where the robot stood in between, whatever its
+wheels did on the way; a sighting that fits there is correct.
 """
 
 import numpy as np
@@ -21,8 +21,8 @@ from trigpoint.geometry.rotation import Array
 
 
 def take_back(data: DataSet, assembled: Assembled, state: State, events: Events) -> bool:
-    """Read every observation with a sighting that is not used again, where the solution puts its
-    robot, and use what is right by that; whether there was any."""
+    """Read every observation that has an unused sighting once more, at its robot's pose in the
+    solution, and use the sightings that fit there; whether there were any."""
     waiting: dict[tuple[str, str], list[Entry]] = {}
     for entry in data.entries:
         observation = entry.observation
@@ -75,9 +75,10 @@ def _there(
     stamps_ns: np.ndarray,
     seen_ns: np.ndarray,
 ) -> tuple[Pose, Array, np.ndarray]:
-    """Where a robot stood at moments (n) by the solution, the covariance (n, 6, 6) of how it went
-    there from the nearest of the moments (m) at which the camera saw it, and whether odometry leads
-    there, (n,). What other cameras saw meanwhile is as uncertain as where those are."""
+    """The robot's poses at moments (n) by the solution, the covariance (n, 6, 6) of its motion
+    there from the nearest of the moments (m) at which the camera saw it, and whether odometry
+    connects the two, (n,). What other cameras saw meanwhile is as uncertain as their poses, and is
+    left out."""
     track, chain = data.tracks[robot], assembled.problem.chains[robot]
     moments = np.clip(stamps_ns, track.first_ns, track.last_ns)
     seen = np.unique(np.clip(seen_ns, track.first_ns, track.last_ns))

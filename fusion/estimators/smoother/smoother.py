@@ -1,8 +1,8 @@
-"""The default estimator: a smoother over all robot poses and cameras, with a filter for the moment.
+"""The default estimator: a smoother over all robot poses and cameras, with a filter for live use.
 
-Each sighting of a located camera updates the filter at once. What any other one means, or one that
-contradicts the filter, is explained together with everything else (`explainer`), and that is solved
-anew (`batch`).
+Each sighting of a located camera updates the filter at once. Any other one, or one that contradicts
+the filter, is explained together with everything else (`explainer`), and the whole is solved anew
+(`batch`).
 """
 
 import numpy as np
@@ -65,7 +65,7 @@ class Smoother:
         return Update(update.correction, located, update.problem)
 
     def take(self, observation: Observation) -> Update:
-        """The correction that an observation makes; what it means beside is left to `finish`."""
+        """Use an observation in the filter alone; anything else is left to `finish`."""
         entry = Entry(self.data.concluded(observation))
         try:
             if observation.is_repeat:
@@ -90,11 +90,11 @@ class Smoother:
         return self._explainer.is_due
 
     def finish(self) -> None:
-        """Explain and solve everything that came, where that is not done yet."""
+        """Explain and solve everything that came, unless that is done already."""
         if not self._explainer.has_new:
             return
         before = list(self.data.changes)
-        # Scales of which little is known are found by a solution, and by them the rest.
+        # Where little is known of the scales, a draft solution estimates them for the second one.
         is_rough = self._batch.solution is None and bool(rough_robots(self.data))
         try:
             if is_rough:
@@ -113,7 +113,7 @@ class Smoother:
 
     @property
     def current(self) -> CurrentFilter:
-        """What is known at the moment."""
+        """The filter at the current moment."""
         return self._current
 
     def robot(self, robot: str) -> RobotEstimate | None:

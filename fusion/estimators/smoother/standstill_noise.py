@@ -73,7 +73,7 @@ def _common_share(problem: Problem, batch: Batch, state: State) -> float:
 
     A planar robot cannot rise, pitch or roll, so what its pictures gain by letting it do so is
     error: χ² of three degrees of freedom a picture where corners err independently and the floor
-    is even, and more in the measure in which a picture knows less than its corners say.
+    is even, and proportionally more where a picture is less informative than its corners suggest.
     """
     chain = problem.chains[batch.robot]
     if not chain.planar or batch.jitter is not None:
@@ -91,7 +91,7 @@ def _common_share(problem: Problem, batch: Batch, state: State) -> float:
 
 
 def _explained(jacobian: Array, residual: Array) -> Array:
-    """χ² that unknowns (n, m, k) take from residuals (n, m), each for itself, (n,)."""
+    """The decrease of χ² (n,) by fitting unknowns (n, m, k) to residuals (n, m), row by row."""
     gradient = (np.swapaxes(jacobian, 1, 2) @ residual[..., None])[..., 0]
     hessian = np.swapaxes(jacobian, 1, 2) @ jacobian
     step = (np.linalg.pinv(hessian, hermitian=True) @ gradient[..., None])[..., 0]
