@@ -66,7 +66,7 @@ def complaint_of(program: Program, stop_s: float) -> str:
         return f"its status is {program.process.returncode}"
     if "Traceback" in said or "left by force" in said:
         return "it ended in disorder"
-    reasons = ("the network is in", "nothing is worked out yet", "stopped before")
+    reasons = ("the network is in", "there is no solution yet", "stopped before")
     if program.name == "fusion" and "runs on site" in said:
         return "" if any(reason in said for reason in reasons) else "no word of its network"
     return ""

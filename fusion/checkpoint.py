@@ -195,7 +195,7 @@ def _sound(path: Path, data: mmap.mmap) -> Iterator[_Record]:
             record = _next_record(data, start)
             end = len(data) if record is None else record.start
             _log.warning(
-                "%s: %d bytes at %d are damaged or were cut off; they are passed over",
+                "%s: %d bytes at %d are damaged or were cut off; they are skipped",
                 path,
                 end - start,
                 start,

@@ -146,7 +146,7 @@ class FusionNode:
                 "run `trigpoint calibrate` over the recording for the last one"
             )
         if not self._pipeline.reports.has_results:
-            _log.warning("no network is written: nothing is worked out yet")
+            _log.warning("no network is written: there is no solution yet")
             return
         with ENDING.writing():
             self._pipeline.results().save(self._out)

@@ -23,7 +23,7 @@ def _of_robot(data: DataSet, lifts: list[Lift]) -> str:
     first_ns, last_ns = min(lift.after_ns for lift in lifts), max(lift.before_ns for lift in lifts)
     text = (
         f"robot {robots} was put down elsewhere {_span(data, first_ns, last_ns)} while its "
-        "odometry showed nothing; its way is broken there, and it is located anew"
+        "odometry showed nothing; its trajectory is split there, and it is located anew"
     )
     if len(lifts) > 1:
         text += "; a camera that it met only in between has no place until it drives there again"

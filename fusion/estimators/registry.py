@@ -37,6 +37,6 @@ def check_estimator(site: Site) -> None:
             asked.append(f"the time offset of camera {name} (time_offset_sigma)")
     if asked:
         raise ConfigError(
-            f"the estimator «{chosen}» does not work out {asked[0]}; "
+            f"the estimator «{chosen}» does not estimate {asked[0]}; "
             'write estimator = "smoother", or leave that out'
         )

@@ -214,7 +214,7 @@ class Follower:
 
     def results(self) -> Results:
         if self._reported is None:
-            raise OperationError("nothing is worked out yet; ask again in a moment")
+            raise OperationError("there is no solution yet; ask again in a moment")
         return self._reported.results
 
     # -- output -----------------------------------------------------------------------------------

@@ -142,7 +142,7 @@ def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dic
     damped = information + np.diag(damping * np.abs(np.diagonal(information)))
     diagonal = np.diagonal(damped)
     if np.any(diagonal <= 0):
-        raise LinAlgError("something is not determined")
+        raise LinAlgError("the equations are singular: an unknown is not determined")
     scale = 1 / np.sqrt(diagonal)
     factor = cho_factor(damped * scale[:, None] * scale, lower=True)
     step = -scale * cho_solve(factor, scale * gradient)

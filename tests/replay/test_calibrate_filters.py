@@ -66,5 +66,5 @@ def test_what_a_filter_does_not_work_out_is_one_line(
     )
     assert run(["calibrate", str(folder), "--estimator", "ekf"]) == 2
     text = capsys.readouterr().err.strip()
-    assert "the estimator «ekf» does not work out the faces' places" in text
+    assert "the estimator «ekf» does not estimate the faces' places" in text
     assert len(text.splitlines()) == 1

@@ -141,5 +141,5 @@ def check_stop(program: Program, took_s: float) -> None:
     assert "Traceback" not in program.said
     assert "left by force" not in program.said
     if program.name == "fusion" and "runs on site" in program.said:
-        reasons = ("the network is in", "nothing is worked out yet", "stopped before")
+        reasons = ("the network is in", "there is no solution yet", "stopped before")
         assert any(reason in program.said for reason in reasons), program.said

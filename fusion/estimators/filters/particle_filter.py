@@ -266,7 +266,7 @@ class ParticleFilterState(Particles):
             left -= share
             if left <= 0:
                 return filter_state._improved(relative, terms, robot, camera)
-        raise ValueError("no particle is near what is seen")
+        raise ValueError("no particle is consistent with the sightings")
 
     def _improved(
         self, relative: _Relative, terms: _Terms, robot: str, camera: str

@@ -87,7 +87,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
             break
     assert solved is not None
     if not solved.solution.has_converged:
-        raise ValueError(f"no minimum is found in {solved.iterations} steps")
+        raise ValueError(f"the solution did not converge in {solved.iterations} iterations")
     in_use = solved.assembled.problem.layout.pose
     cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
     return State(cameras, state.robots), solved, iterations

@@ -101,7 +101,9 @@ class Smoother:
                 self._batch.solve(self._explainer.explain(is_draft=True))
             known = self._batch.solve(self._explainer.explain(self._batch.scales))
         except (LinAlgError, ValueError) as reason:
-            self.data.note("unsolved", f"what came last could not be solved for yet ({reason})")
+            self.data.note(
+                "unsolved", f"the newest observations could not be solved for yet ({reason})"
+            )
             return
         self._explainer.note(self.data.entries)
         self._current.go_on_from(known, self.data.entries)
