@@ -14,11 +14,11 @@ from typing import Self
 from trigpoint.clock import to_seconds
 from trigpoint.fusion.model.odometry import OdometryTrack
 
-# Twice what `calibrate` is meant to take: ten seconds, and a tenth of the session.
-_AT_LEAST = 20e6
-_A_SECOND = 0.2e6
-# Of it where robots look alike: for telling them apart, and for all else.
-ALIKE_SHARE = 0.5
+# A fifth more than `calibrate` is meant to take: ten seconds, and a tenth of the session.
+_AT_LEAST = 12e6
+_A_SECOND = 0.12e6
+# Where robots look alike, telling them apart may take this share of it, and all else as much.
+ALIKE_SHARE = 5 / 6
 # As measured. Of a visit's solution: a step, and a corner in it; assembling it and judging what is
 # wrong by it are as much as so many steps.
 _STEP = 1200.0
@@ -26,13 +26,13 @@ _CORNER = 1.2
 _AROUND = 3
 # Of where hypotheses put everything: those of one layout together, each of them, and a number of a
 # dense factor's arithmetic, or an unknown of a sparse one.
-_LAYOUT = 8000.0
-_PLACED = 300.0
+_LAYOUT = 3000.0
+_PLACED = 100.0
 _NUMBER = 0.0004
-_UNKNOWN = 5.0
+_UNKNOWN = 6.0
 # Of starts: a way to read a sighting by itself, and a pair of those.
-_WAY = 1000.0
-_PAIR = 6.0
+_WAY = 400.0
+_PAIR = 2.0
 # Of filters: a part, and a number of a covariance, of all filters together.
 _PART = 1500.0
 _FILTERED = 0.12
