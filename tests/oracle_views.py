@@ -33,7 +33,7 @@ class Priors:
     camera hangs below it; `is_opaque`: no face is seen through another one, nor from behind."""
 
     wrong: float = 0.02
-    disturbed: float = 1e-6
+    disturbed: float = 1e-4
     event: float = 1e-2
     room: tuple[float, float, float] = (30.0, 30.0, 5.0)
     is_above_floor: bool = True

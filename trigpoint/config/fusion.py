@@ -23,7 +23,7 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     wrong_sighting: Probability = 0.02
     wild_corner: Probability = 1e-4
-    disturbed: Probability = 1e-6
+    disturbed: Probability = 1e-4
     event: Probability = 1e-2
     push_translation: Positive = 0.1
     push_rotation: Positive = 0.1
