@@ -31,8 +31,6 @@ from trigpoint.tools.session_inputs import session_inputs
         pytest.param("everything", 39, id="lift between clocks"),
         # Of single pictures the last hundredth of a step was taken for a contradiction.
         pytest.param("everything", 79, id="single pictures, lenses unknown"),
-        # A displaced picture beside a right one was taken for a camera that had been pushed.
-        pytest.param("space", 422, id="one right picture is no push"),
         # Ten cameras, one picture a stop: too few to tell of odometry by themselves.
         pytest.param("everything-mismatch", 88, id="noise twice the stated"),
     ],
