@@ -1,9 +1,9 @@
-"""How much work a session may take to be explained: counted, not timed, so that what is decided is
+"""How much work the explanation of a session may take: counted, not timed, so that decisions are
 the same on every machine and in every run.
 
-A unit is about what one core does in a microsecond. The work of a usual session is a small part of
-what one of its length may take; where it would go on without an end it is given up there, and what
-is still open is left open.
+A unit is about what one core does in a microsecond. A usual session takes a small part of the
+budget for its length; a search that would go on without end is given up when the budget is spent,
+and what is undecided then is left undecided.
 """
 
 import math
@@ -14,33 +14,36 @@ from typing import Self
 from trigpoint.clock import to_seconds
 from trigpoint.fusion.model.odometry import OdometryTrack
 
-# A fifth more than `calibrate` is meant to take: ten seconds, and a tenth of the session.
+# A fifth more than `calibrate` is meant to take: ten seconds and a tenth of the session's length.
 _AT_LEAST = 12e6
 _A_SECOND = 0.12e6
-# Where robots look alike, telling them apart may take this share of it, and all else as much.
+# Where robots look alike, telling them apart may take this share of the budget, and all else as
+# much again.
 ALIKE_SHARE = 5 / 6
-# As measured. Of a visit's solution: a step, and a corner in it; assembling it and judging what is
-# wrong by it are as much as so many steps.
+# All costs are as measured. Solving a visit: for each step, and for each corner in a step;
+# assembling it and judging what is wrong cost as much as so many more steps.
 _STEP = 1200.0
 _CORNER = 1.2
 _AROUND = 3
-# Of where hypotheses put everything: those of one layout together, each of them, and a number of a
-# dense factor's arithmetic, or an unknown of a sparse one.
+# Solving the graphs of hypotheses: for all those of one layout together, for each of them, and for
+# each of the n³ operations of a dense factor of n unknowns, or each unknown of a sparse one.
 _LAYOUT = 3000.0
 _PLACED = 100.0
 _NUMBER = 0.0004
 _UNKNOWN = 6.0
-# Of starts: a way to read a sighting by itself, and a pair of those.
+# Searching starts: for each way to read a single sighting, and for each pair of such ways.
 _WAY = 400.0
 _PAIR = 2.0
-# Of filters: a part, and a number of a covariance, of all filters together.
+# Filtering a visit for wrong sightings, all filters together: for each part, and for each entry of
+# a covariance in it.
 _PART = 1500.0
 _FILTERED = 0.12
-# Of a view that is looked at by itself; and of any that is read where its visit says, and solved
-# for in the end.
+# For each view that is judged by itself; and for each view at all, which is read with its visit's
+# mode and used in the final solution.
 _VIEW = 2500.0
 _READ = 300.0
-# Of a likelihood of noise: one of a visit, and a number of its factor's arithmetic.
+# The likelihood of noise: for each evaluation over a visit, and for each of the n³ operations of
+# its factor of n unknowns.
 _LIKELIHOOD = 200.0
 _LEARNT = 0.0003
 
@@ -54,7 +57,7 @@ class Budget:
 
     @classmethod
     def of(cls, tracks: Iterable[OdometryTrack], *, share: float = 1.0) -> Self:
-        """What a session may take that is as long as its robots' odometry, or a share of it."""
+        """Return the budget, or a `share` of it, of a session as long as its robots' odometry."""
         ends = [(track.first_ns, track.last_ns) for track in tracks if len(track)]
         if not ends:
             return cls(share * _AT_LEAST)
@@ -66,30 +69,30 @@ class Budget:
         return self.spent >= self.allowed
 
     def spend_reading(self, *, views: int) -> None:
-        """Note what grows with the pictures alone: all of them read, and solved for."""
+        """Note the work that grows with the pictures alone: all views are read and solved for."""
         self.spent += _READ * views
 
     def spend_looking(self) -> None:
-        """Note a view that is looked at by itself."""
+        """Note a view that is judged by itself."""
         self.spent += _VIEW
 
     def spend_learning(self, *, unknowns: int) -> None:
-        """Note a likelihood of noise by a visit."""
+        """Note one evaluation of the likelihood of noise over a visit with so many unknowns."""
         self.spent += _LIKELIHOOD + _LEARNT * unknowns**3
 
     def spend_solving(self, *, steps: int, corners: int) -> None:
-        """Note a visit's solution in so many steps."""
+        """Note the solution of a visit with so many corners in so many steps."""
         self.spent += (steps + _AROUND) * (_STEP + _CORNER * corners)
 
     def spend_placing(self, *, layouts: int, unknowns: Iterable[int]) -> None:
-        """Note hypotheses that are placed, of so many layouts; `unknowns`: of each."""
+        """Note the solution of graphs with so many different layouts; `unknowns`: of each graph."""
         self.spent += _LAYOUT * layouts
         self.spent += sum(_PLACED + min(_NUMBER * n**3, _UNKNOWN * n) for n in unknowns)
 
     def spend_starting(self, *, ways: int, seeds: int) -> None:
-        """Note a search for starts among so many ways to read sightings."""
+        """Note a search for starts: so many ways to read sightings, so many of them seeds."""
         self.spent += _WAY * ways + _PAIR * ways * seeds
 
     def spend_filtering(self, *, parts: int, unknowns: int) -> None:
-        """Note filters over so many parts."""
+        """Note the filters over so many parts of a visit with so many unknowns."""
         self.spent += parts * (_PART + _FILTERED * unknowns**2)

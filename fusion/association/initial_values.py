@@ -1,8 +1,8 @@
-"""Where the search for a graph's minimum starts.
+"""The initial values from which Gauss-Newton searches the minimum of a graph.
 
-A tie may be the first to hold a part of a robot's way: that of a robot which began anywhere, or
-what came after a lift. From metres away Gauss-Newton takes many steps, so such a part is first
-moved, as one, to where the tie puts it.
+A tie may be the first to constrain a part of a robot's path: the path of a robot that may have
+started anywhere, or what follows a lift. From metres away Gauss-Newton takes many steps, so such a
+part is first moved rigidly to where the tie puts it.
 """
 
 from collections.abc import Sequence
@@ -14,15 +14,15 @@ from trigpoint.geometry import Pose
 
 from .graph import Graph, Place, Variant
 
-# What is off by less (m, rad) is left to the steps.
+# A part that is off by less than this (m, rad) is left to Gauss-Newton.
 _FAR = 0.1
-# Node, place, and base_from_camera.
+# A tie: its node, its place, and base_from_camera.
 _Seen = tuple[int, Place, Pose]
 
 
 def initial_values(graph: Graph, variant: Variant) -> tuple[dict[str, Pose], dict[Place, Pose]]:
-    """By robot its nodes (n), and where the places are: as in what the variant is near, else along
-    odometry."""
+    """Return the initial poses of each robot's nodes (n) and of the places: as in the graph that
+    the variant is near, or else by odometry, with loose parts moved to their first ties."""
     known = graph.data.known.poses
     places: dict[Place, Pose] = {(camera, 0): pose for camera, pose in known.items()}
     nodes: dict[str, Pose] = {}
@@ -32,7 +32,7 @@ def initial_values(graph: Graph, variant: Variant) -> tuple[dict[str, Pose], dic
         gaps = sorted(gap for name, gap in variant.breaks if name == robot)
         near = variant.near
         if near is not None and any(b[0] == robot for b in near.breaks - variant.breaks):
-            near = None  # its nodes are apart where these are not
+            near = None  # its path is broken where this one is not
         whole = path.odometry if near is None else near.nodes[robot]
         parts = []
         for first, end in pairwise([0, *(gap + 1 for gap in gaps), len(path.stamps_ns)]):
@@ -54,8 +54,8 @@ def initial_values(graph: Graph, variant: Variant) -> tuple[dict[str, Pose], dic
 def _shift(
     part: Pose, ties: Sequence[_Seen], places: dict[Place, Pose], *, is_planar: bool
 ) -> Pose | None:
-    """What moves a part of a way to where its first tie to a known place puts it; None where it
-    has none, or is there."""
+    """Return the motion that takes a part of a path to where its first tie to one of the places
+    puts it; None if it has no such tie, or is within `_FAR` of there."""
     for node, place, seen in ties:
         if place not in places:
             continue
@@ -69,7 +69,7 @@ def _shift(
 
 
 def _ties(graph: Graph, variant: Variant) -> dict[str, list[_Seen]]:
-    """By robot, in order of its nodes."""
+    """Return each robot's ties, in order of its nodes."""
     found: dict[str, list[_Seen]] = {robot: [] for robot in graph.paths}
     for number, tie in variant.ties.items():
         visit = graph.visits[number].visit

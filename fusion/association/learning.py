@@ -1,4 +1,4 @@
-"""What a session tells of its own noise: that of each camera's corners, and of each robot."""
+"""Learns the noise of a session from its observations: of each camera's corners and each robot."""
 
 from dataclasses import dataclass, replace
 
@@ -21,7 +21,7 @@ _MOST_SCATTERS = 40
 
 @dataclass(frozen=True, slots=True)
 class SessionNoise:
-    """The noise of each robot, and the score of its prior."""
+    """A hypothesis of the noise of each robot, and the score of its prior."""
 
     by_robot: dict[str, Noise]
     score: float = 0.0
@@ -30,10 +30,14 @@ class SessionNoise:
 def learnt_noise(
     data: DataSet, observations: list[Observation], events: Events, memory: Memory
 ) -> tuple[dict[str, float], list[SessionNoise]]:
-    """By camera how many times as much as stated its corners scatter, and what the robots' noise
-    may be: one where the session tells, else as stated and as a decision must survive it; also as
-    it is by events that it may be taken for. Where corners scatter otherwise than stated, odometry
-    that does costs nothing more, and where they scatter more, odometry alone may do so too."""
+    """Return, by camera, the factor on its corners' stated sigma, and the hypotheses of the robots'
+    noise, the least first.
+
+    Where the session determines a robot's noise, it is that one, with an alternative if events may
+    have been taken for noise (`learn`); else the stated one or the pessimistic one. The latter has
+    the prior `Events.noise_score` only if corners scatter as stated; if they scatter more, a third
+    hypothesis has only odometry noisier, by the same factor.
+    """
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scatters = _scatters(data, observations, events, known_lens, memory)
@@ -68,8 +72,9 @@ def learnt_noise(
 def _worlds(
     told: dict[str, tuple[Noise | None, ...]], unknown: list[tuple[Noise, float]]
 ) -> list[SessionNoise]:
-    """What the robots' noise may be, the least first, by what is `told` of each, in which None
-    stands for the `unknown` ones, each with its score."""
+    """Return the hypotheses of the noise of all robots, the least first. `told`: by robot, the
+    noise learnt and its alternatives, in which None stands for all of the `unknown` ones; these
+    have the scores of their priors."""
     may_be = {
         robot: [one for noise in noises for one in ([(noise, 0.0)] if noise else unknown)]
         for robot, noises in told.items()
@@ -90,7 +95,8 @@ def _learnt(
     finder: ModeFinder,
     memory: Memory,
 ) -> dict[str, tuple[Noise | None, ...]]:
-    """What the noise of each robot may be by what visits show, whose modes are `found`."""
+    """Return, by robot, the noise and its alternatives that visits with the modes `found` show.
+    `wide`: the data set with pessimistic noise, under which modes are solved."""
     events = finder.events
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
@@ -115,8 +121,8 @@ def _learnt(
 
 
 def _with_neighbours(visit: Visit) -> Visit:
-    """Of a visit its chosen pictures, each with the next one: far and near show how far a floor's
-    slope reaches."""
+    """Return a visit in which the picture after each chosen one is chosen too: pictures both near
+    each other and far apart show the correlation length of a floor's slope."""
     rows = {visit.indices.index(index) for index in visit.chosen}
     near = rows | {row + 1 for row in rows if row + 1 < len(visit.indices)}
     return replace(visit, chosen=tuple(visit.indices[row] for row in sorted(near)))
@@ -129,8 +135,8 @@ def _scatters(
     cameras: set[str],
     memory: Memory,
 ) -> dict[str, list[float]]:
-    """How the corners of single boards scatter by what is stated of them, for each of these cameras
-    that tells."""
+    """Return, by camera, for each of these `cameras` that has any, the variances of the corners of
+    single boards relative to the stated ones (`Alone.scatter`)."""
     finder = ModeFinder(data, observations, events, memory)
     scatters: dict[str, list[float]] = {}
     for index, observation in enumerate(observations):

@@ -1,7 +1,8 @@
-"""The minimum of a graph, for many explanations that differ only in how visits are read.
+"""Finds the minima of the graphs of many explanations at once.
 
-Gauss-Newton over all of them at once: their equations have one shape, and most of the time of small
-problems is spent in saying what to compute.
+Graphs with the same ties of visits to places have normal equations of one shape, so Gauss-Newton
+runs over all of them together: for small problems most of the time is the overhead of calls, not
+arithmetic.
 """
 
 from collections.abc import Sequence
@@ -20,17 +21,19 @@ from .linear import HELD
 from .path import RobotPath
 
 _MOST_STEPS = 8
-# Where no step moves anything by more than this (m, rad), or promises more of the score.
+# The iteration ends where each graph's step is smaller than this in every unknown (m, rad), or
+# promises a smaller gain in its score.
 _SMALL_STEP = 1e-5
 _SMALL_GAIN = 1e-2
-# No odometry's scale is so far off; a step beyond comes from where the first order means nothing.
+# The bound of scale errors: no odometry is so far off, and a step beyond it comes from where the
+# linearisation is not valid.
 _FAR_OFF = 0.9
-# So many numbers of equations are held at once.
+# Graphs solved together have at most so many matrix entries.
 _MOST_NUMBERS = 4_000_000
 
 
 def placed(graph: Graph, variants: Sequence[Variant]) -> list[Placed | None]:
-    """The minimum for each variant; None where it is not determined."""
+    """Return the minimum of each variant's graph; None where it is not determined."""
     found: list[Placed | None] = [None] * len(variants)
     alike: dict[tuple[tuple[int, int], ...], list[int]] = {}
     for order, variant in enumerate(variants):
@@ -54,7 +57,8 @@ def _minima(
     shape: tuple[tuple[int, int], ...],
     variants: list[Variant],
 ) -> list[Placed | None]:
-    """Where one of them is not determined, the others are all the same."""
+    """Return the minima of variants of one shape, None where one is not determined: they are halved
+    until it is alone, so that the others are still found."""
     try:
         return _Minimum(graph, layout, shape, variants).found()
     except np.linalg.LinAlgError:
@@ -67,8 +71,8 @@ def _minima(
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Equations of k groups of m unknowns: `hessian` (b, k, m, m), `gradient` (b, k, m), and
-    `cost` (b,), all of it."""
+    """The contribution of k terms of m unknowns each to the normal equations of b variants:
+    `hessian` (b, k, m, m), `gradient` (b, k, m), and `cost` (b,), summed over the terms."""
 
     hessian: Array
     gradient: Array
@@ -76,7 +80,8 @@ class _Block:
 
 
 def _block(jacobian: Array, residual: Array, information: Array) -> _Block:
-    """Of residuals (b, k, r) with their derivatives (b, k, r, m) and information (b, k, r, r)."""
+    """Return the block of residuals (b, k, r), given their derivatives (b, k, r, m) and information
+    (b, k, r, r)."""
     weighted = np.swapaxes(jacobian, -1, -2) @ information
     gradient = (weighted @ residual[..., None])[..., 0]
     cost = np.einsum("bki,bkij,bkj->b", residual, information, residual)
@@ -84,7 +89,8 @@ def _block(jacobian: Array, residual: Array, information: Array) -> _Block:
 
 
 def _prior(error: Array, information: Array) -> _Block:
-    """Of errors (b, m) of the unknowns themselves, with their information (m, m)."""
+    """Return the block of a prior on the unknowns themselves, given their errors (b, m) and
+    information (m, m)."""
     shape = len(error), 1, *information.shape
     jacobian = np.broadcast_to(np.eye(error.shape[-1]), shape)
     return _block(jacobian, error[:, None], np.broadcast_to(information, shape))
@@ -92,9 +98,12 @@ def _prior(error: Array, information: Array) -> _Block:
 
 @dataclass(frozen=True, slots=True)
 class _Ties:
-    """The ties (k) of one robot to cameras with o unknowns of their own, of b variants: nodes,
-    places and `cameras` (k,) by number; what each says, base_from_camera (b, k), of the camera's
-    own unknowns (b, k, o), and its information (b, k, 6 + o, 6 + o); `rows` (k, d + 6 + o)."""
+    """The ties (k) of one robot to cameras with o unknowns of their own, in b variants.
+
+    `nodes`, `places` (k,): by number; `cameras`: by name; `relative` (b, k): base_from_camera by
+    the tied mode, `own` (b, k, o): the camera's own unknowns by it, `information`
+    (b, k, 6 + o, 6 + o): of both; `rows` (k, d + 6 + o): the unknowns of each tie.
+    """
 
     robot: str
     nodes: np.ndarray
@@ -107,7 +116,7 @@ class _Ties:
 
 
 class _Minimum:
-    """Gauss-Newton over graphs of one layout; arrays lead with the variants (b)."""
+    """Gauss-Newton over graphs of one layout; the first axis of arrays is the variants' (b)."""
 
     def __init__(
         self,
@@ -137,7 +146,8 @@ class _Minimum:
         self.pattern = Pattern(layout.size, self._rows())
 
     def _tied(self) -> list[_Ties]:
-        """The ties, those together that have equations of one shape."""
+        """Return the ties, grouped by the robot and the number of the camera's own unknowns, so
+        that the equations of each group have one shape."""
         graph, layout = self.graph, self.layout
         alike: dict[tuple[str, int], list[int]] = {}
         for order, (number, key) in enumerate(zip(self.numbers, self.keys, strict=True)):
@@ -175,7 +185,8 @@ class _Minimum:
     # -- steps ------------------------------------------------------------------------------------
 
     def found(self) -> list[Placed | None]:
-        """The minima."""
+        """Return the minima, None where a score is not finite. Raise LinAlgError if a graph is not
+        determined."""
         for _ in range(_MOST_STEPS):
             equations, cost = self._linearised()
             step = equations.step()
@@ -207,7 +218,7 @@ class _Minimum:
         return [Pose(r, t) for r, t in zip(rotations, translations, strict=True)]
 
     def _constant(self, row: int) -> float:
-        """What does not hang on where things are."""
+        """Return the part of a variant's score that does not depend on the unknowns' values."""
         graph, variant = self.graph, self.variants[row]
         score = sum(float(shown.log_covariance[row]) for shown in self.shown.values())
         known = graph.data.known.poses
@@ -233,7 +244,8 @@ class _Minimum:
     # -- equations --------------------------------------------------------------------------------
 
     def _rows(self) -> list[np.ndarray]:
-        """The unknowns of all blocks, in the order in which `_linearised` has them."""
+        """Return the rows of the unknowns of all blocks, in the order of the blocks in
+        `_linearised`."""
         rows = []
         for robot, path in self.graph.paths.items():
             nodes = self.layout.nodes[robot]
@@ -251,7 +263,7 @@ class _Minimum:
         return rows
 
     def _linearised(self) -> tuple[Equations, Array]:
-        """The equations where everything is now, and their cost (b,)."""
+        """Return the normal equations, linearised at the current estimate, and its cost (b,)."""
         blocks: list[_Block] = []
         for robot, path in self.graph.paths.items():
             blocks += self._beginning(robot, path)
@@ -260,7 +272,7 @@ class _Minimum:
         blocks += [self._said(ties) for ties in self.ties]
         for camera in self.layout.own:
             mean, sigma = self.graph.own_prior[camera]
-            # Each tie has the prior once; together they have it once.
+            # The information of each tie includes this prior, which counts only once in all.
             times = 1 - sum(name == camera for name, _ in self.keys)
             blocks.append(_prior(self.own[camera] - mean, np.diag(times / sigma**2)))
         blocks += self._known()
@@ -269,7 +281,8 @@ class _Minimum:
         return self.pattern.equations(hessians, gradients, count=len(self.variants)), cost
 
     def _beginning(self, robot: str, path: RobotPath) -> list[_Block]:
-        """Where a path begins, and its scales' prior."""
+        """Return the priors on a path's first pose, anywhere in the room unless the path is the
+        anchored one, and on its scale errors."""
         tangent = path.tangent
         nodes = self.nodes[robot]
         first = Pose(nodes.rotation[:, 0], nodes.translation[:, 0])
@@ -282,8 +295,8 @@ class _Minimum:
         return found
 
     def _steps(self, robot: str, path: RobotPath) -> _Block:
-        """What odometry says between a robot's nodes, or a visit where that shows more; where the
-        robot was lifted, a visit alone."""
+        """Return the block of the motions between a robot's nodes: by odometry, or by a visit that
+        shows one more precisely; where the robot was lifted, by a visit alone, if one shows it."""
         nodes, tangent = self.nodes[robot], path.tangent
         earlier = Pose(nodes.rotation[:, :-1], nodes.translation[:, :-1])
         later = Pose(nodes.rotation[:, 1:], nodes.translation[:, 1:])
@@ -302,8 +315,8 @@ class _Minimum:
         return _block(np.concatenate(parts, axis=-1), residual, shown.information)
 
     def _reported(self, robot: str, path: RobotPath) -> tuple[Pose, Array]:
-        """The motions that odometry reports or visits show (b, m) by the scales, and their
-        derivatives."""
+        """Return the motions (b, m) that odometry reports or visits show, at the current scale
+        errors, and their derivatives (b, m, d, 2) by these."""
         count, tangent = len(self.variants), path.tangent
         scales = self.scales.get(robot, np.zeros((count, 2)))
         steps = [path.steps(row) for row in scales]
@@ -319,7 +332,7 @@ class _Minimum:
         return reported, by_scale[..., tangent, :]
 
     def _said(self, ties: _Ties) -> _Block:
-        """What visits say of where their cameras are from the robot."""
+        """Return the block of ties: the poses of cameras relative to the robot that visits show."""
         nodes = self.nodes[ties.robot]
         base = Pose(nodes.rotation[:, ties.nodes], nodes.translation[:, ties.nodes])
         there = Pose(self.places.rotation[:, ties.places], self.places.translation[:, ties.places])
@@ -339,7 +352,8 @@ class _Minimum:
         return _block(jacobian, residual, ties.information)
 
     def _known(self) -> list[_Block]:
-        """What is known of cameras from before, each for itself."""
+        """Return the priors on the poses of cameras known from before, each by its marginal
+        information."""
         known, found = self.graph.data.known, []
         index = {key: place for place, key in enumerate(self.layout.places)}
         for order, (name, pose) in enumerate(known.poses.items()):
@@ -349,15 +363,18 @@ class _Minimum:
         return found
 
 
-# -- what is said of the steps ----------------------------------------------------------------
+# -- what constrains the steps ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What is said of a robot's steps (m) for b variants: `information` (b, m, d, d) and the sum of
-    ln |covariance| (b,), where the robot was lifted that of where it may be put down, too; which
-    are anywhere, (b, m); and where visits show them (k): `rows` and `steps` (k,), their motions,
-    `by_scale` (k, 6, 2)."""
+    """What constrains a robot's steps (m) in b variants.
+
+    `information` (b, m, d, d): of the steps; `log_covariance` (b,): the sum of their
+    ln |covariance|, and for each lift that of where the robot may be put down; `is_anywhere`
+    (b, m): the steps that are not constrained otherwise. Of the motions (k) that visits show:
+    `rows`, `steps` (k,): their variants and steps, `motion` (k), and `by_scale` (k, 6, 2).
+    """
 
     information: Array
     log_covariance: Array
@@ -381,7 +398,7 @@ def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
             across = graph.across((robot, step), variant.nothing)
             way = way.broken(step, across)
             log_covariance[row] += np.sum(np.log(room))
-            if across is None:  # the width alone keeps it determined
+            if across is None:  # only the prior of the room keeps it determined
                 is_anywhere[row, step] = True
         ways.append(way)
         information[row] = way.information
@@ -402,7 +419,7 @@ def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
 
 
 def _stacked(poses: list[Pose]) -> Pose:
-    """Poses (n) of b variants as one (b, n)."""
+    """Stack the poses (n) of each of b variants as (b, n)."""
     return Pose(
         np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses])
     )

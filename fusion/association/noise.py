@@ -1,27 +1,30 @@
-"""How noisy odometry and pictures are otherwise than the site file says."""
+"""The noise of odometry and of the robot's pose in pictures that the site file does not state."""
 
 import math
 from dataclasses import dataclass
 
 from trigpoint.fusion.model.jitter import Jitter
 
-# What a floor or a mast does where nothing is known of it: 0.3° and a millimetre (medians of an
-# exponential prior).
+# The medians of the exponential priors on the tilt by a floor and the sway of a mast: 0.3° and a
+# millimetre.
 TILT = math.radians(0.3)
 SWAY = 1e-3
 LEAST = 1e-3
-"""Of these medians: nothing."""
-# Noise is told in such steps of its logarithm: what is known finer changes nothing, and what was
-# worked out by it can be kept when more pictures come in.
+"""The share of these medians that is as good as none."""
+# Learnt noise is rounded to such steps of its logarithm: finer differences change nothing, and what
+# was computed with it stays cached when more pictures come in.
 _STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """`tilt` (rad) and `sway` (m): standard deviations, in each picture, of the robot's turn about
-    and its shift along each axis; `length` (m): over which a floor's slope changes, 0: it tilts
-    anew in each picture; `odometry`: by what its stated sigmas are multiplied; `slip`: by what the
-    slip of a robot that turns is, which nobody states."""
+    """The noise of one robot.
+
+    `tilt` (rad), `sway` (m): standard deviations, in each picture, of the robot's rotation about
+    and its shift along each axis; `length` (m): the correlation length of the floor's slope, 0: the
+    tilts of pictures are independent; `odometry`: the factor on its stated sigmas; `slip`: the
+    factor on the slip of a turning robot, which no site file states.
+    """
 
     tilt: float = 0.0
     sway: float = 0.0
@@ -31,7 +34,7 @@ class Noise:
 
     @property
     def jitter(self) -> Jitter | None:
-        """How the robot stands otherwise in a picture; None where it does not."""
+        """The deviation of the robot's pose in a picture from its odometry; None without any."""
         if self.tilt <= 0 and self.sway <= 0:
             return None
         tilt, sway = max(self.tilt, LEAST * TILT), max(self.sway, LEAST * SWAY)
@@ -39,10 +42,10 @@ class Noise:
 
 
 STATED = Noise()
-# What a decision must survive where a session does not tell.
+# A decision must hold under this noise too where the session does not determine its own.
 PESSIMISTIC = Noise(tilt=TILT, sway=SWAY, odometry=2.0, slip=2.0)
 
 
 def in_steps(value: float) -> float:
-    """A positive number, rounded to a tenth."""
+    """Return a number, if positive, with its logarithm rounded to steps of a tenth."""
     return math.exp(round(math.log(value) / _STEP) * _STEP) if value > 0 else value

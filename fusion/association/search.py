@@ -1,9 +1,9 @@
 """The search for what explains a session: joint hypotheses, pruned by their score.
 
-Visits come in order of time. A camera that was met once constrains nothing, so its visit is left
-`open` and costs no branch; at its next visit every pair of modes that agree becomes a hypothesis.
-Where none agrees well, what else may have happened is tried: the visit's sightings are wrong, the
-camera was moved, the robot was lifted in one of the gaps.
+Visits are added in order of time. The first visit of a camera constrains nothing else, so it is
+left `open` and costs no branch; at the next one every pair of modes that agree becomes a
+hypothesis. The alternatives are that the visit's sightings are wrong and that the camera was moved;
+where no pair agrees well, also that the robot was lifted in one of the gaps before.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,9 +18,9 @@ from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .minimum import placed
 
-# What a partial explanation lost so far it may win back. All within the window are kept; of those
-# that are further behind, which no window bounds, a few of the best of which different things
-# happened.
+# A partial explanation may win back what its score has lost so far, and no window bounds how much.
+# So the hypotheses within the window are kept, and of those behind it a few of the best that differ
+# in what happened.
 _WINDOW = 2 * window()
 _FAR_WINDOW = 6 * window()
 _MOST_HYPOTHESES = 64
@@ -33,10 +33,11 @@ _MOST_PAIRS = 24
 class Hypothesis:
     """One explanation of the visits so far.
 
-    `ties`: visits that tie a robot to a place seen more than once; `open`: the only visits to their
-    places, by number -> place; `nothing`: visits all of whose sightings are wrong; `breaks`:
-    (robot, the node before it was lifted); `placed`: the graph of it; `score`: of all of it;
-    `is_stale`: the graph still has as right what is not, which shows of the robot's way.
+    `ties`: by number, the visits that tie a robot to a place in the graph; `open`: by number, the
+    other visits that are right, each the only one to its place, and that place; `nothing`: the
+    visits all of whose sightings are wrong; `breaks`: the lifts; `placed`: the graph at its
+    minimum; `score`: of the whole explanation; `is_stale`: `placed` still uses the motion of a
+    robot as shown by a visit that has since been taken to be wrong.
     """
 
     ties: dict[int, Tie] = field(default_factory=dict)
@@ -48,7 +49,7 @@ class Hypothesis:
     is_stale: bool = False
 
     def place_of(self, number: int) -> int | None:
-        """The place that a visit is of; None where its sightings are wrong."""
+        """Return the number of a visit's place; None if its sightings are wrong."""
         if number in self.ties:
             return self.ties[number].place
         return self.open.get(number)
@@ -56,8 +57,8 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class _Join:
-    """A hypothesis to which a visit may be added at a place that its camera had: `there`: the
-    visits that saw it there so far."""
+    """A visit that may be tied to a place that its camera already has. `before`: the hypothesis
+    without that visit; `there`: the visits to this place so far."""
 
     before: Hypothesis
     number: int
@@ -65,13 +66,15 @@ class _Join:
     there: tuple[int, ...]
 
 
-# Modes of the only visit that saw a place (None: others hold it) and of the new one.
+# The mode of the only visit to a place so far (None: the graph has the place already), and that of
+# the new visit.
 _Pair = tuple[int | None, int]
 
 
 class Search:
-    """Explains the visits of one graph; once the budget is spent, what is left of them is taken to
-    be wrong. `is_cut`: whether more hypotheses than are kept held what evidence asks for."""
+    """Searches the explanations of the visits of one graph; those that are left when the budget is
+    spent are taken to be wrong. `is_cut`: whether hypotheses were dropped for their number alone
+    although their scores were within `window()` of the best."""
 
     def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
         self.graph, self.events, self.budget = graph, events, budget
@@ -83,8 +86,8 @@ class Search:
     def explained(
         self, start: Hypothesis, numbers: Iterable[int], *, wrong: int | None = None
     ) -> list[Hypothesis]:
-        """The hypotheses within the window that add these visits, best first; `wrong`: the visit
-        all of whose sightings are taken to be wrong."""
+        """Return the hypotheses that add these visits to `start`, pruned after each visit, best
+        first. `wrong`: the visit all of whose sightings are taken to be wrong."""
         hypotheses = [start]
         for number in numbers:
             if number == wrong:
@@ -97,13 +100,13 @@ class Search:
         return hypotheses
 
     def beginning(self) -> Hypothesis:
-        """Nothing explained yet."""
+        """Return the hypothesis that explains no visit yet."""
         (start,) = self.placed([(Hypothesis(), Variant({}, frozenset(), frozenset()))])
         return start
 
     def placed(self, wanted: Sequence[tuple[Hypothesis, Variant]]) -> list[Hypothesis]:
-        """Hypotheses with ties and breaks of their own, placed and scored; without those that are
-        not determined."""
+        """Return each hypothesis with the ties and breaks of its variant, its graph solved and
+        scored; those whose graph is not determined are left out."""
         found = []
         minima = self._minima([variant for _, variant in wanted])
         for (like, variant), there in zip(wanted, minima, strict=True):
@@ -112,7 +115,8 @@ class Search:
         return found
 
     def _of(self, like: Hypothesis, variant: Variant, placed: Placed) -> Hypothesis:
-        """A hypothesis by what was placed for it."""
+        """Return a hypothesis with the ties and breaks of a variant and that variant's solved
+        graph, scored."""
         ties, breaks = dict(variant.ties), variant.breaks
         return self.scored(replace(like, ties=ties, breaks=breaks, placed=placed, is_stale=False))
 
@@ -124,7 +128,7 @@ class Search:
         return found
 
     def scored(self, hypothesis: Hypothesis) -> Hypothesis:
-        """With its score, of what it holds."""
+        """Return the hypothesis with its score computed from its graph and all else in it."""
         assert hypothesis.placed is not None
         score = hypothesis.placed.score
         score += sum(self._open_score[number] for number in hypothesis.open)
@@ -138,8 +142,8 @@ class Search:
         return replace(hypothesis, score=score)
 
     def _places(self, hypothesis: Hypothesis) -> dict[str, list[int | Place]]:
-        """By camera that was moved its places one after another, each as the graph has it or the
-        visit that alone sees it."""
+        """Return, for each camera that was moved, its places in order of time: each as a place of
+        the graph or, where it is open, as the number of the only visit to it."""
         placed = hypothesis.placed
         assert placed is not None
         places: dict[Place, int | Place] = {place: place for place in placed.layout.places}
@@ -151,8 +155,9 @@ class Search:
         return found
 
     def _moved_score(self, placed: Placed, earlier: int | Place, later: int | Place) -> float:
-        """What it adds that a camera which was moved hangs where it does. A picture by itself that
-        is off by little is sooner wrong than shows a push."""
+        """Return the score of a camera's move from one of its places to the next, which may have
+        been only a push (`Events.moved`). A single picture never shows a push: one that is off by
+        little is likelier wrong."""
         if any(self.visits[n].is_one_picture for n in (earlier, later) if isinstance(n, int)):
             return self.events.moved(np.inf)
         cost = agreement(self.graph, placed, earlier, later, self.events.push)
@@ -163,7 +168,7 @@ class Search:
         return self.events.moved(apart)
 
     def happened(self, hypothesis: Hypothesis) -> int:
-        """How many lifts and moves there were."""
+        """Return the number of lifts and moves in a hypothesis."""
         last: dict[str, int] = {}
         for number, place in [
             *((n, tie.place) for n, tie in hypothesis.ties.items()),
@@ -174,7 +179,8 @@ class Search:
         return len(hypothesis.breaks) + sum(last.values())
 
     def lifted_elsewhere(self, hypothesis: Hypothesis) -> list[Hypothesis]:
-        """The same with each lift of a robot in every other gap of its way."""
+        """Return the alternatives to a hypothesis in which one of its lifts is in another gap of
+        the robot's path, for each lift and each such gap."""
         wanted = [
             (hypothesis, _variant(hypothesis, hypothesis.breaks - {(robot, gap)} | {other}))
             for robot, gap in hypothesis.breaks
@@ -184,8 +190,8 @@ class Search:
         return self.placed(wanted) if wanted else []
 
     def first_after_events(self, hypothesis: Hypothesis) -> list[int]:
-        """The visits that are the first to show what happened: that a robot was lifted, or that a
-        camera was moved."""
+        """Return the numbers of the visits that are the first after an event: of a robot after it
+        was lifted, or of a camera after it was moved."""
         lifts: dict[Break, int] = {}
         moves: dict[Place, int] = {}
         for number in sorted([*hypothesis.ties, *hypothesis.open]):
@@ -218,7 +224,8 @@ class Search:
     # -- one more visit ---------------------------------------------------------------------------
 
     def _with(self, hypotheses: list[Hypothesis], number: int) -> list[Hypothesis]:
-        """Everything that one more visit may be."""
+        """Return all hypotheses that add one more visit to one of these; once the budget is spent,
+        only the first of these with the visit wrong."""
         if self.budget.is_spent:
             return [self._wrong(hypotheses[0], number)]
         found: list[Hypothesis] = []
@@ -237,8 +244,9 @@ class Search:
         return found + self._lifted(unexplained)
 
     def _beside(self, before: Hypothesis, number: int) -> tuple[list[Hypothesis], _Join | None]:
-        """What a visit may be that binds nothing: all of it wrong, its camera's first or anew, or
-        the one before it wrong; and where it may join what its camera saw before."""
+        """Return the hypotheses in which a visit is not tied to a place seen before: it is wrong,
+        it is its camera's first, its camera was moved, or the only visit to the camera's last place
+        was wrong; and the join with that last place, None if there is none."""
         visit = self.visits[number]
         wrong = self._wrong(before, number)
         if not visit.modes:
@@ -247,7 +255,7 @@ class Search:
         if not mine and visit.visit.camera in self.graph.data.known.poses:
             moved = self.scored(replace(before, open=before.open | {number: 1}))
             return [wrong, moved], _Join(before, number, 0, ())
-        if not mine:  # whether it is wrong matters once the camera is met again
+        if not mine:  # whether it is wrong matters only at the camera's next visit
             return [self.scored(replace(before, open=before.open | {number: 0}))], None
         place = max(p for p in (before.place_of(n) for n in mine) if p is not None)
         there = tuple(n for n in mine if before.place_of(n) == place)
@@ -259,8 +267,10 @@ class Search:
         return found, _Join(before, number, place, there)
 
     def _opened(self, before: Hypothesis, number: int, place: int) -> list[Hypothesis]:
-        """A visit that alone sees a place. Where its camera has a lens or a clock of its own to
-        tell, its places share that: then each of them is in the graph, by each mode."""
+        """Return the hypotheses in which a visit is the only one to its place. All places of a
+        camera whose lens or clock is estimated share these unknowns: the visit and the camera's
+        open ones are then tied in the graph, by each combination of their modes (at most
+        `_MOST_PAIRS`)."""
         camera = self.visits[number].visit.camera
         others = self._of_camera(before, camera)
         if camera not in self.graph.own_prior or not others:
@@ -277,12 +287,12 @@ class Search:
         return self.placed([(left, variant) for variant in variants])
 
     def _still_sees(self, number: int, stamp_ns: int) -> bool:
-        """Whether a visit goes on from where it began, right, after a moment: nobody moved its
-        camera before."""
+        """Return whether a visit has pictures after this moment that are right, so that its camera
+        was not moved before."""
         return any(seen_ns > stamp_ns for seen_ns, _ in self.visits[number].right)
 
     def _wrong(self, before: Hypothesis, number: int) -> Hypothesis:
-        """With all sightings of a visit wrong."""
+        """Return a hypothesis with all sightings of a visit wrong."""
         ties = {n: tie for n, tie in before.ties.items() if n != number}
         opened = {n: place for n, place in before.open.items() if n != number}
         after = replace(before, ties=ties, open=opened, nothing=before.nothing | {number})
@@ -291,7 +301,8 @@ class Search:
         return self.scored(replace(after, is_stale=self.graph.shows_steps(number)))
 
     def _fresh(self, hypothesis: Hypothesis) -> Hypothesis:
-        """With a graph of its own."""
+        """Return a hypothesis with its graph solved anew, or as it was if that is not
+        determined."""
         found = self.placed([(hypothesis, _variant(hypothesis, hypothesis.breaks))])
         return found[0] if found else self.scored(replace(hypothesis, is_stale=False))
 
@@ -300,7 +311,7 @@ class Search:
         return sorted(n for n in used if self.visits[n].visit.camera == camera)
 
     def _tied(self, joins: Sequence[tuple[_Join, frozenset[Break]]]) -> list[list[Hypothesis]]:
-        """For each join, with breaks: its hypotheses by each pair of modes that agrees."""
+        """Return, for each join with its breaks, a hypothesis by each pair of modes that agree."""
         wanted: list[tuple[Hypothesis, Variant]] = []
         source: list[int] = []
         for order, (join, breaks) in enumerate(joins):
@@ -317,7 +328,8 @@ class Search:
     def _joined(
         self, join: _Join, pair: _Pair, breaks: frozenset[Break]
     ) -> tuple[Hypothesis, Variant]:
-        """What a pair of modes makes of a hypothesis, to be placed."""
+        """Return the hypothesis and the variant, yet to be solved, that tie a visit by this pair of
+        modes."""
         before, (first, second) = join.before, pair
         ties = before.ties | {join.number: Tie(second, join.place)}
         if first is None:
@@ -329,7 +341,8 @@ class Search:
     # -- lifts ------------------------------------------------------------------------------------
 
     def _may_be_lifted(self, join: _Join, tied: list[Hypothesis]) -> bool:
-        """Whether nothing explains a visit so well that a lift before it need not be tried."""
+        """Return whether a lift before a visit is to be tried: none of the `tied` hypotheses
+        explains the visit well enough, and there are not too many breaks yet."""
         if len(join.before.breaks) >= _MOST_BREAKS:
             return False
         before, number = join.before, join.number
@@ -341,7 +354,9 @@ class Search:
         return not (best < expected + another or best < alternative - _WINDOW)
 
     def _lifted(self, joins: list[_Join]) -> list[Hypothesis]:
-        """The same after a lift of the robot in each of the gaps since the place was first seen."""
+        """Return the hypotheses that tie a visit after a lift of its robot, in each of the gaps
+        since the robot's first visit to the place. The pairs of modes are chosen with the lift in
+        the last gap."""
         gaps = [self._gaps(join) for join in joins]
         some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
         broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
@@ -370,7 +385,8 @@ class Search:
         return self.visits[join.number].visit.robot
 
     def _gaps(self, join: _Join) -> list[int]:
-        """The nodes after which a robot may have been lifted since the place was first seen."""
+        """Return the nodes after which a robot may have been lifted: those since its first visit
+        to the place, or since its first node if it has none."""
         robot = self._robot(join)
         same = [n for n in join.there if self.visits[n].visit.robot == robot]
         first = self.graph.node_of[min(same)] if same else 0
@@ -380,7 +396,7 @@ class Search:
     # -- which modes agree ------------------------------------------------------------------------
 
     def _pairs(self, join: _Join) -> list[_Pair]:
-        """The pairs of modes that agree best."""
+        """Return the pairs of modes that agree best, within the window of the best one."""
         before = join.before
         assert before.placed is not None
         is_open = bool(join.there) and join.there[0] in before.open
@@ -397,20 +413,21 @@ class Search:
 
 
 def _happening(hypothesis: Hypothesis) -> object:
-    """What happened by a hypothesis, whichever way faces are read and in whichever gap a robot was
-    lifted: other gaps are tried in the end."""
+    """Return what happened according to a hypothesis: the visits' places, which visits are wrong,
+    and which robots were lifted. Modes and gaps do not count, since other gaps are tried in the
+    end."""
     places = {n: tie.place for n, tie in hypothesis.ties.items()} | hypothesis.open
     lifted = sorted(robot for robot, _ in hypothesis.breaks)
     return tuple(sorted(places.items())), hypothesis.nothing, tuple(lifted)
 
 
 def _variant(hypothesis: Hypothesis, breaks: frozenset[Break]) -> Variant:
-    """A hypothesis with these breaks, to be placed."""
+    """Return the variant of a hypothesis with these breaks, yet to be solved."""
     return Variant(hypothesis.ties, hypothesis.nothing, breaks, hypothesis.placed)
 
 
 def _log_sum(scores: list[float]) -> float:
-    """-2 ln Σ exp(-score/2)."""
+    """Return -2 ln Σ exp(-score/2), the score of all alternatives together."""
     if not scores:
         return np.inf
     least = min(scores)

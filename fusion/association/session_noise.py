@@ -1,4 +1,4 @@
-"""Puts what is learnt of a session's noise into its data: jitter, odometry."""
+"""Applies the noise learnt from a session to its data set: jitter and the noise of odometry."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from .noise import Noise
 
 
 def with_noise(data: DataSet, noise: dict[str, Noise]) -> DataSet:
-    """The data set with each robot's noise as learnt, beside the one given."""
+    """Return a copy of the data set with each robot's noise as learnt; the original is kept."""
     tracks, jitter = dict(data.tracks), {}
     for robot, learnt in noise.items():
         stated = data.site.robots[robot].odometry
