@@ -159,7 +159,9 @@ class Pipeline:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:
             return self._push_camera_info(node, message)
-        self._left_out.add("unknown_sender")
+        self._left_out.add(
+            "unknown_sender", f"«{node}» is not in the site file; add it there or correct its name"
+        )
         return False
 
     def _push_odometry(self, robot: str, message: Odometry) -> bool:

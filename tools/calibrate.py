@@ -113,8 +113,14 @@ def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
 def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Path) -> Pipeline:
     """A pipeline after these messages, which are in stamp order, lenses first."""
     pipeline = Pipeline(inputs, is_live=False)
-    if not any(isinstance(message, Odometry) for _, message in messages):
+    robots = {node for node, message in messages if isinstance(message, Odometry)}
+    if not robots:
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
+    if robots.isdisjoint(inputs.site.robots):
+        raise InputError(
+            f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
+            f"{', '.join(sorted(inputs.site.robots))}; use the same names"
+        )
     with closing(Progress("calibrate", len(messages))) as progress:
         for node, message in messages:
             pipeline.push(node, message)

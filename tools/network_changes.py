@@ -53,7 +53,7 @@ def changes(old: Network, new: Network) -> list[Change]:
     names = [name for name in old.located if name in new.located]
     if len(names) < _FEWEST:
         raise InputError(
-            f"{len(names)} cameras are located in both networks; at least {_FEWEST} are needed to "
+            f"located in both networks: {len(names)}; at least {_FEWEST} cameras are needed to "
             "say which one moved"
         )
     pairs = [_pair(old.cameras[name], new.cameras[name]) for name in names]

@@ -7,8 +7,8 @@ _FAR = 2.0
 
 
 def noise_text(chi2_per_dof: float) -> str:
-    """One line, or two if the noise is not as stated."""
-    text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is as stated)"
+    """One line, or two if the noise is not as stated or as the session tells."""
+    text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is as assumed)"
     if chi2_per_dof > _FAR:
         return (
             f"{text}\n  the noise is {math.sqrt(chi2_per_dof):.1f} times what was stated, and the "
@@ -18,7 +18,7 @@ def noise_text(chi2_per_dof: float) -> str:
     if chi2_per_dof < 1 / _FAR:
         return (
             f"{text}\n  the noise is {math.sqrt(chi2_per_dof):.2f} times what was stated, so the "
-            "sigmas are too large: no corner counts as better than 0.02 px (decisions/0661), "
+            "sigmas are too large: no corner counts as better than 0.02 px, "
             "though sharp pictures through a known lens are, and the odometry may be better than "
             "the site file says"
         )

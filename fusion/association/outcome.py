@@ -11,14 +11,15 @@ from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.solver.filter import is_placed
 from trigpoint.geometry import Pose
 
-from .events import window
+from .events import EVIDENCE, window
 from .evidence import alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Read
 from .mode import Mode
 from .world import World
 
-_LIKE = (
-    "position and orientation: {} fit alike; drive past it again, where it sees the robot from "
+_SEVERAL = (
+    "position and orientation: {} fit, and none of them holds all but "
+    f"{EVIDENCE:.3%} of the probability; drive past it again, where it sees the robot from "
     "elsewhere"
 )
 _NOTHING = "its pictures contradict each other and the odometry"
@@ -100,7 +101,7 @@ class Outcome:
         if camera in self.crowded:  # some of its alternatives may be missing
             return CameraFinding(alternatives, _LATE)
         if len(alternatives) > 1:
-            return CameraFinding(alternatives, _fit_alike(alternatives))
+            return CameraFinding(alternatives, _several_fit(alternatives))
         if not is_placed(next(iter(alternatives)).covariance):
             return CameraFinding((), self._lost())
         if camera in self.loose:
@@ -246,12 +247,14 @@ class Outcome:
         return found
 
 
-def _fit_alike(alternatives: tuple[Alternative, ...]) -> str:
+def _several_fit(alternatives: tuple[Alternative, ...]) -> str:
     places = [
-        "({:.2f}, {:.2f}, {:.2f})".format(*place.map_from_camera.translation)
+        "({:.2f}, {:.2f}, {:.2f}) m ({:.3g} %)".format(
+            *place.map_from_camera.translation, 100 * place.probability
+        )
         for place in alternatives
     ]
     if len(places) <= 4:
-        return _LIKE.format(f"cameras at {', '.join(places[:-1])} and {places[-1]} m")
+        return _SEVERAL.format(f"cameras at {', '.join(places[:-1])} and {places[-1]}")
     more = f"{len(places) - 3} more places"
-    return _LIKE.format(f"cameras at {', '.join(places[:3])} m and {more}")
+    return _SEVERAL.format(f"cameras at {', '.join(places[:3])} and {more}")

@@ -95,7 +95,7 @@ def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | 
 
 
 def chi2_per_dof(problem: Problem, solution: Solution) -> float | None:
-    """Cost over its degrees of freedom: 1 where the noise is as stated."""
+    """Cost over its degrees of freedom: 1 where the noise is as stated, or as the session tells."""
     corners = sum(
         float(((batch.weights > 0) * batch.shares[:, None]).sum()) for batch in problem.batches
     )

@@ -60,7 +60,7 @@ def _truth(results: CalibrationResults) -> str:
 
 def noise_words(chi2: float) -> str:
     """What χ² says, and what follows where it is far from 1."""
-    words = "χ² per degree of freedom; 1 where noise is as stated"
+    words = "χ² per degree of freedom; 1 where noise is as assumed"
     if chi2 > 2.0:
         return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
     if chi2 < 0.5:

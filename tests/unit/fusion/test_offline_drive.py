@@ -129,7 +129,7 @@ def test_camera_that_saw_one_look_alike_face_is_undetermined_in_words(
     results = offline(changed(checkerboard, messages=only_once(checkerboard.messages, "c2")))
     record = results.network.cameras["c2"]
     assert (record.status, record.sightings) == ("undetermined", 2)
-    assert "fit alike" in record.undetermined[0]
+    assert "none of them holds all" in record.undetermined[0]
     assert record.map_from_camera is None
     assert record.covariance is None
     assert results.network.located == ["c1", "c3"]
@@ -164,7 +164,7 @@ def test_look_alikes_on_the_spot_leave_the_camera_undetermined(checkerboard: Ses
     session = make_session(replace(checkerboard.plan, robots=robots, seconds=2.5))
     results = offline(session)
     assert statuses(results) == {"c1": "undetermined", "c2": "unseen", "c3": "unseen"}
-    assert "fit alike" in results.network.cameras["c1"].undetermined[0]
+    assert "none of them holds all" in results.network.cameras["c1"].undetermined[0]
     assert_sound(results)
 
 

@@ -226,6 +226,19 @@ def test_session_without_odometry_is_refused(
     assert "no odometry of a robot is in it; record a drive" in refused(capsys, folder)
 
 
+def test_session_of_a_robot_that_the_site_file_lacks_is_refused(
+    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = tuple(
+        ("cart" if isinstance(message, Odometry) else node, message)
+        for node, message in session.messages
+    )
+    folder = write_session(replace(session, messages=named), tmp_path)
+    assert "it is of robot cart, and the site file has only r1; use the same names" in refused(
+        capsys, folder
+    )
+
+
 def test_session_without_sightings_has_unseen_cameras(
     session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

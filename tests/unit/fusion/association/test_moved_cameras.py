@@ -98,4 +98,4 @@ def test_known_camera_that_may_have_been_moved_is_not_given_out() -> None:
     network = pushed(replace(session.inputs, known=known), session.messages).results().network
     camera = network.cameras["c1"]
     assert camera.status == "undetermined"
-    assert any("fit alike" in reason for reason in camera.undetermined)
+    assert any("none of them holds all" in reason for reason in camera.undetermined)

@@ -78,7 +78,7 @@ def test_one_frontal_picture_of_one_of_six_look_alikes_is_undetermined_in_words(
     data = frontal(seen_data(target_of("checkerboard")))
     found = found_in(data)
     assert not found.is_located
-    assert "fit alike" in found.reason
+    assert "none of them holds all" in found.reason
     assert len(found.alternatives) >= 2
     # One of those that fit alike is where it truly is.
     near = [np.abs(each.map_from_camera.difference(EYE)).max() for each in found.alternatives]
