@@ -41,17 +41,15 @@ def learnt_noise(
     wide = with_noise(data, dict.fromkeys(data.site.robots, PESSIMISTIC))
     known_lens = {n for n, c in data.site.cameras.items() if not c.estimates_intrinsics}
     scatters = _scatters(data, observations, events, known_lens, memory)
-    common = corner_scale([each for mine in scatters.values() for each in mine])
-    scales = {name: corner_scale(mine) for name, mine in scatters.items()}
-    seen = [memory.scattering(o, scales.get(o.camera, common)) for o in observations]
+    scales, _ = _corner_scales(observations, scatters)
+    seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     finder = ModeFinder(wide, seen, events, memory)
     visits = visits_of(data, observations)
     found = [finder.modes_of(visit) for visit in telling(visits)]
     for visit in telling_of_lenses(visits, data.site.cameras.keys() - known_lens):
         memory.learn_lens(finder.modes_of(visit))
-    scatters = _scatters(data, observations, events, set(memory.lenses), memory)
-    scales |= {name: corner_scale(mine) for name, mine in scatters.items()}
-    scales = {o.camera: scales.get(o.camera, common) for o in observations}
+    scatters |= _scatters(data, observations, events, set(memory.lenses), memory)
+    scales, common = _corner_scales(observations, scatters)
     seen = [memory.scattering(o, scales[o.camera]) for o in observations]
     visits = [_with_neighbours(each.visit) for each in found if each.modes]
     shown = [[seen[index].views for index in visit.chosen] for visit in visits]
@@ -63,10 +61,27 @@ def learnt_noise(
         if not memory.budget.is_spent:
             memory.learnt = key, learnt
     told = {robot: learnt.get(robot, (None,)) for robot in data.site.robots}
-    unknown = [(STATED, 0.0), (PESSIMISTIC, events.noise_score if common == 1.0 else 0.0)]
-    if common > 1.0:
-        unknown.insert(1, (Noise(odometry=common), 0.0))
-    return scales, _worlds(told, unknown)
+    return scales, _worlds(told, _unknown(common, events))
+
+
+def _corner_scales(
+    observations: list[Observation], scatters: dict[str, list[float]]
+) -> tuple[dict[str, float], float]:
+    """Return, by camera, the factor on its corners' stated sigma, and that of all cameras together,
+    which a camera has whose own boards show none."""
+    common = corner_scale([each for mine in scatters.values() for each in mine])
+    own = {name: corner_scale(mine) for name, mine in scatters.items()}
+    return {o.camera: own.get(o.camera, common) for o in observations}, common
+
+
+def _unknown(common: float, events: Events) -> list[tuple[Noise, float]]:
+    """Return what the noise of a robot may be where nothing determines it, the least first, each
+    with the score of its prior; `common`: the factor on the corners' stated sigma."""
+    if common == 1.0:
+        return [(STATED, 0.0), (PESSIMISTIC, events.noise_score)]
+    pessimistic = replace(PESSIMISTIC, odometry=max(PESSIMISTIC.odometry, common))
+    noisier = [Noise(odometry=common)] if common > 1.0 else []
+    return [(noise, 0.0) for noise in (STATED, *noisier, pessimistic)]
 
 
 def _worlds(
