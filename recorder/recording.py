@@ -76,7 +76,9 @@ class Recording:
         """The attached site.toml; raise RecordingError if there is none."""
         data = self.attachments.get(SITE_ATTACHMENT)
         if data is None:
-            raise RecordingError(f"{self.path}: no site.toml is attached; give it with --site")
+            beside = self.path.parent / SITE_ATTACHMENT
+            give = f"give it with --site {beside}" if beside.exists() else "give it with --site"
+            raise RecordingError(f"{self.path}: no site.toml is attached; {give}")
         return data.decode(errors="replace")
 
     @property

@@ -19,10 +19,6 @@ def session_inputs(recording: Recording, *, site: Path | None, network: Path | N
     """
     if site is not None:
         return load_inputs(load_site(site), network=network)
-    if not recording.site_text:
-        beside = recording.path.parent / "site.toml"
-        give = f"give it with --site {beside}" if beside.exists() else "give it with --site"
-        raise InputError(f"{recording.path}: no site.toml is attached; {give}")
     attached = parse_site(
         recording.site_text,
         directory=recording.path.parent,

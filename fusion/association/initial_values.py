@@ -12,7 +12,7 @@ import numpy as np
 
 from trigpoint.geometry import Pose
 
-from .graph import Graph, Place, Variant
+from .graph import Graph, Place, Placed, Variant
 
 # A part that is off by less than this (m, rad) is left to Gauss-Newton.
 _FAR = 0.1
@@ -28,14 +28,11 @@ def initial_values(graph: Graph, variant: Variant) -> tuple[dict[str, Pose], dic
     nodes: dict[str, Pose] = {}
     ties = _ties(graph, variant)
     for robot in sorted(graph.paths, key=lambda name: not graph.paths[name].is_anchored):
-        path = graph.paths[robot]
-        gaps = sorted(gap for name, gap in variant.breaks if name == robot)
-        near = variant.near
-        if near is not None and any(b[0] == robot for b in near.breaks - variant.breaks):
-            near = None  # its path is broken where this one is not
+        path, near = graph.paths[robot], _near(variant, robot)
         whole = path.odometry if near is None else near.nodes[robot]
+        lifts = sorted(gap + 1 for name, gap in variant.breaks if name == robot)
         parts = []
-        for first, end in pairwise([0, *(gap + 1 for gap in gaps), len(path.stamps_ns)]):
+        for first, end in pairwise([0, *lifts, len(path.stamps_ns)]):
             part = whole[first:end]
             here = [(n - first, place, seen) for n, place, seen in ties[robot] if first <= n < end]
             is_held = path.is_anchored and not first
@@ -49,6 +46,15 @@ def initial_values(graph: Graph, variant: Variant) -> tuple[dict[str, Pose], dic
         rotation = np.concatenate([part.rotation for part in parts])
         nodes[robot] = Pose(rotation, np.concatenate([part.translation for part in parts]))
     return nodes, places
+
+
+def _near(variant: Variant, robot: str) -> Placed | None:
+    """Return the graph that the variant is near; None if this robot's path is broken there where it
+    is not here."""
+    near = variant.near
+    if near is None or any(name == robot for name, _ in near.breaks - variant.breaks):
+        return None
+    return near
 
 
 def _shift(

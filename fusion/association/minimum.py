@@ -19,12 +19,13 @@ from .graph import Graph, Layout, Place, Placed, Variant
 from .initial_values import initial_values
 from .linear import HELD
 from .path import RobotPath
+from .shown_steps import shown_steps
 
 _MOST_STEPS = 8
 # The iteration ends where each graph's step is smaller than this in every unknown (m, rad), or
 # promises a smaller gain in its score.
 _SMALL_STEP = 1e-5
-_SMALL_GAIN = 1e-2
+_SMALL_GAIN = 1e-3
 # The bound of scale errors: no odometry is so far off, and a step beyond it comes from where the
 # linearisation is not valid.
 _FAR_OFF = 0.9
@@ -128,7 +129,7 @@ class _Minimum:
         self.graph, self.layout, self.variants = graph, layout, variants
         self.numbers = [number for number, _ in shape]
         self.keys: list[Place] = [(graph.visits[n].visit.camera, place) for n, place in shape]
-        self.shown = {robot: _shown(graph, robot, variants) for robot in graph.paths}
+        self.shown = {robot: shown_steps(graph, robot, variants) for robot in graph.paths}
         self.modes = np.array([[v.ties[n].mode for n in self.numbers] for v in variants], dtype=int)
         starts = [initial_values(graph, variant) for variant in variants]
         self.nodes = {
@@ -361,61 +362,6 @@ class _Minimum:
             there = Pose(self.places.rotation[:, place], self.places.translation[:, place])
             found.append(_prior(there.difference(pose), information))
         return found
-
-
-# -- what constrains the steps ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """What constrains a robot's steps (m) in b variants.
-
-    `information` (b, m, d, d): of the steps; `log_covariance` (b,): the sum of their
-    ln |covariance|, and for each lift that of where the robot may be put down; `is_anywhere`
-    (b, m): the steps that are not constrained otherwise. Of the motions (k) that visits show:
-    `rows`, `steps` (k,): their variants and steps, `motion` (k), and `by_scale` (k, 6, 2).
-    """
-
-    information: Array
-    log_covariance: Array
-    is_anywhere: np.ndarray
-    rows: np.ndarray
-    steps: np.ndarray
-    motion: Pose
-    by_scale: Array
-
-
-def _shown(graph: Graph, robot: str, variants: list[Variant]) -> _Shown:
-    path = graph.paths[robot]
-    room = graph.room(path)
-    ways = []
-    information = np.zeros((len(variants), *path.information.shape))
-    log_covariance = np.zeros(len(variants))
-    is_anywhere = np.zeros(information.shape[:2], dtype=bool)
-    for row, variant in enumerate(variants):
-        way = graph.way(robot, variant.nothing)
-        for step in sorted(step for name, step in variant.breaks if name == robot):
-            across = graph.across((robot, step), variant.nothing)
-            way = way.broken(step, across)
-            log_covariance[row] += np.sum(np.log(room))
-            if across is None:  # only the prior of the room keeps it determined
-                is_anywhere[row, step] = True
-        ways.append(way)
-        information[row] = way.information
-        log_covariance[row] += way.log_covariance.sum()
-    information[is_anywhere] = np.diag(1 / room)
-    return _Shown(
-        information,
-        log_covariance,
-        is_anywhere,
-        np.repeat(np.arange(len(ways)), [len(way.steps) for way in ways]),
-        np.concatenate([way.steps for way in ways]),
-        Pose(
-            np.concatenate([way.motion.rotation for way in ways]),
-            np.concatenate([way.motion.translation for way in ways]),
-        ),
-        np.concatenate([way.by_scale for way in ways]),
-    )
 
 
 def _stacked(poses: list[Pose]) -> Pose:

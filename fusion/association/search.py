@@ -7,7 +7,7 @@ where no pair agrees well, also that the robot was lifted in one of the gaps bef
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise, product
 
 import numpy as np
@@ -16,6 +16,7 @@ from .agreement import agreement
 from .budget import Budget
 from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
+from .hypothesis import Hypothesis
 from .minimum import placed
 
 # A partial explanation may win back what its score has lost so far, and no window bounds how much.
@@ -27,32 +28,6 @@ _MOST_HYPOTHESES = 64
 _MOST_FAR = 4
 _MOST_BREAKS = 3
 _MOST_PAIRS = 24
-
-
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """One explanation of the visits so far.
-
-    `ties`: by number, the visits that tie a robot to a place in the graph; `open`: by number, the
-    other visits that are right, each the only one to its place, and that place; `nothing`: the
-    visits all of whose sightings are wrong; `breaks`: the lifts; `placed`: the graph at its
-    minimum; `score`: of the whole explanation; `is_stale`: `placed` still uses the motion of a
-    robot as shown by a visit that has since been taken to be wrong.
-    """
-
-    ties: dict[int, Tie] = field(default_factory=dict)
-    open: dict[int, int] = field(default_factory=dict)
-    nothing: frozenset[int] = frozenset()
-    breaks: frozenset[Break] = frozenset()
-    placed: Placed | None = None
-    score: float = 0.0
-    is_stale: bool = False
-
-    def place_of(self, number: int) -> int | None:
-        """Return the number of a visit's place; None if its sightings are wrong."""
-        if number in self.ties:
-            return self.ties[number].place
-        return self.open.get(number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +145,7 @@ class Search:
     def happened(self, hypothesis: Hypothesis) -> int:
         """Return the number of lifts and moves in a hypothesis."""
         last: dict[str, int] = {}
-        for number, place in [
-            *((n, tie.place) for n, tie in hypothesis.ties.items()),
-            *hypothesis.open.items(),
-        ]:
+        for number, place in hypothesis.places.items():
             camera = self.visits[number].visit.camera
             last[camera] = max(last.get(camera, 0), place)
         return len(hypothesis.breaks) + sum(last.values())
@@ -182,7 +154,7 @@ class Search:
         """Return the alternatives to a hypothesis in which one of its lifts is in another gap of
         the robot's path, for each lift and each such gap."""
         wanted = [
-            (hypothesis, _variant(hypothesis, hypothesis.breaks - {(robot, gap)} | {other}))
+            (hypothesis, hypothesis.variant(hypothesis.breaks - {(robot, gap)} | {other}))
             for robot, gap in hypothesis.breaks
             for step in range(len(self.graph.paths[robot].stamps_ns) - 1)
             if (other := (robot, step)) not in hypothesis.breaks
@@ -216,7 +188,7 @@ class Search:
         far: dict[object, Hypothesis] = {}
         for hypothesis in grown[len(near) :]:
             if hypothesis.score < best + _FAR_WINDOW:
-                far.setdefault(_happening(hypothesis), hypothesis)
+                far.setdefault(hypothesis.happening, hypothesis)
         dropped = near[_MOST_HYPOTHESES:]
         self.is_cut |= bool(dropped) and dropped[0].score < best + window()
         return near[:_MOST_HYPOTHESES] + list(far.values())[:_MOST_FAR]
@@ -303,7 +275,7 @@ class Search:
     def _fresh(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return a hypothesis with its graph solved anew, or as it was if that is not
         determined."""
-        found = self.placed([(hypothesis, _variant(hypothesis, hypothesis.breaks))])
+        found = self.placed([(hypothesis, hypothesis.variant(hypothesis.breaks))])
         return found[0] if found else self.scored(replace(hypothesis, is_stale=False))
 
     def _of_camera(self, hypothesis: Hypothesis, camera: str) -> list[int]:
@@ -361,7 +333,7 @@ class Search:
         some = [(join, mine) for join, mine in zip(joins, gaps, strict=True) if mine]
         broken = [join.before.breaks | {(self._robot(join), mine[-1])} for join, mine in some]
         loose = self._minima(
-            [_variant(join.before, each) for (join, _), each in zip(some, broken, strict=True)]
+            [join.before.variant(each) for (join, _), each in zip(some, broken, strict=True)]
         )
         relaxed, left = [], []
         for (join, mine), breaks, there in zip(some, broken, loose, strict=True):
@@ -378,7 +350,7 @@ class Search:
                     found.append(hypothesis)
                     for gap in mine[:-1]:
                         breaks = join.before.breaks | {(self._robot(join), gap)}
-                        elsewhere.append((hypothesis, _variant(hypothesis, breaks)))
+                        elsewhere.append((hypothesis, hypothesis.variant(breaks)))
         return found + self.placed(elsewhere)
 
     def _robot(self, join: _Join) -> str:
@@ -410,20 +382,6 @@ class Search:
             for row, column in zip(rows, columns, strict=True)
             if cost[row, column] < best + _WINDOW
         ]
-
-
-def _happening(hypothesis: Hypothesis) -> object:
-    """Return what happened according to a hypothesis: the visits' places, which visits are wrong,
-    and which robots were lifted. Modes and gaps do not count, since other gaps are tried in the
-    end."""
-    places = {n: tie.place for n, tie in hypothesis.ties.items()} | hypothesis.open
-    lifted = sorted(robot for robot, _ in hypothesis.breaks)
-    return tuple(sorted(places.items())), hypothesis.nothing, tuple(lifted)
-
-
-def _variant(hypothesis: Hypothesis, breaks: frozenset[Break]) -> Variant:
-    """Return the variant of a hypothesis with these breaks, yet to be solved."""
-    return Variant(hypothesis.ties, hypothesis.nothing, breaks, hypothesis.placed)
 
 
 def _log_sum(scores: list[float]) -> float:

@@ -16,9 +16,10 @@ from .bridges import tied_twice
 from .events import Events, window
 from .evidence import Place
 from .graph import Graph, Variant
+from .hypothesis import Hypothesis
 from .learning import SessionNoise
 from .modes import Memory, ModeFinder
-from .search import Hypothesis, Search
+from .search import Search
 from .session_noise import with_noise
 from .visits import Visit, visits_of
 

@@ -6,7 +6,8 @@ from small_sessions import Shape, graph_of
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.graph import Tie, Variant
-from trigpoint.fusion.association.search import Hypothesis, Search
+from trigpoint.fusion.association.hypothesis import Hypothesis
+from trigpoint.fusion.association.search import Search
 
 
 @pytest.fixture(scope="module")
