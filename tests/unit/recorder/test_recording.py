@@ -173,6 +173,12 @@ def test_a_session_without_a_site_file_asks_for_it(tmp_path: Path) -> None:
         _ = open_recording(write(tmp_path / "s.mcap", [[1]])).site_text
 
 
+def test_it_names_the_site_file_that_lies_beside_the_session(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").touch()
+    with pytest.raises(RecordingError, match=rf"--site {tmp_path}/site\.toml"):
+        _ = open_recording(write(tmp_path / "s.mcap", [[1]])).site_text
+
+
 def test_keys_that_the_contract_does_not_have_are_left_out(tmp_path: Path) -> None:
     recording = open_recording(write(tmp_path / "s.mcap", [[1, 2]], key="lab/robot/r1/mood"))
     assert recording.unknown_keys == ["lab/robot/r1/mood"]
