@@ -18,10 +18,13 @@ from .problem import Batch, Problem, State
 from .projection import before_camera, by_disturbance
 
 
-def batch_residual(problem: Problem, batch: Batch, state: State) -> Array:
-    """`batch_jacobian`'s residual alone, (n, K, 2)."""
+def batch_residual(
+    problem: Problem, batch: Batch, state: State, disturbance: Array | None = None
+) -> Array:
+    """`batch_jacobian`'s residual alone, (n, K, 2); with a disturbance (n, 6) of the robot's pose
+    when it was seen, in the map's axes."""
     camera = state.cameras[batch.camera]
-    scene = _scene(problem, batch, state)
+    scene = _scene(problem, batch, state, disturbance)
     return (camera.lens.project(scene.optical) - batch.pixels) * batch.weights[..., None]
 
 
@@ -107,7 +110,9 @@ class _Scene:
     twist: Array | None
 
 
-def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
+def _scene(
+    problem: Problem, batch: Batch, state: State, disturbance: Array | None = None
+) -> _Scene:
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     chain = problem.chains[batch.robot]
     base_from_face = robot.base_from_face[batch.faces]
@@ -120,6 +125,9 @@ def _scene(problem: Problem, batch: Batch, state: State) -> _Scene:
         after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
         moved, twist = chain.carried(batch.nodes, after_s)
         seen = node @ moved
+    if disturbance is not None:
+        turned = so3.exp(disturbance[:, 3:]) @ seen.rotation
+        seen = Pose(turned, seen.translation + disturbance[:, :3])
     in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
     arm = in_seen_axes
     if seen is not node:

@@ -4,6 +4,9 @@ A floor that tilts by a third of a degree or a mast that sways by a millimetre m
 a picture as one, so more corners do not average it away. With ε the disturbance of the robot in one
 picture, of variances Σ, and J the corners' derivative by it, their covariance is I + J Σ Jᵀ. Its
 inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury): ε is eliminated from each picture.
+
+The corners are not linear in ε: what a tilt ε leaves at a distance d, ε²d, has the same sign in all
+pictures, and does not average out. So the residual is that at the best-fitting ε (`about_fit`).
 """
 
 from dataclasses import dataclass
@@ -11,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from trigpoint.fusion.model.prediction import base_jacobian
+from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.geometry.rotation import Array
 
@@ -39,6 +42,14 @@ class PictureJitter:
         information = np.swapaxes(jacobian, 1, 2) @ jacobian
         information[:, range(6), range(6)] += 1 / variances
         return cls(jacobian, variances, information)
+
+    def about_fit(self, problem: Problem, batch: Batch, state: State, residual: Array) -> Array:
+        """A batch's residual (n, K, 2), linearised about the disturbances that fit it best instead
+        of about none: r(ε) - J ε, of which elimination leaves r(ε) to the second order."""
+        pull = np.swapaxes(self.jacobian, 1, 2) @ residual.reshape(len(residual), -1, 1)
+        fit = -np.linalg.solve(self.information, pull)
+        linear = (self.jacobian @ fit).reshape(residual.shape)
+        return batch_residual(problem, batch, state, fit[..., 0]) - linear
 
     def compensated(self, residual: Array) -> Array:
         """Residuals (n, 2K) less what the best-fitting disturbances explain of them."""
