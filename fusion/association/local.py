@@ -170,7 +170,7 @@ class LocalProblem:
         good = np.zeros(batch.weights.shape, dtype=bool)
         for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
             good[row, part] = ~flags & (not trial.wrong[index][order])
-        stood = _stood(assembled.problem, whole, state, jacobian, left, good)
+        stood = _stood(whole, state, jacobian, left, good)
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
         for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
             trial.wild[index][order] = flags
@@ -264,8 +264,8 @@ class LocalProblem:
         """The batch without the corners that each sighting by itself shows to be wild."""
         whole = replace(batch, weights=self._weights(batch))
         state = assembled.start
-        residual = batch_residual(assembled.problem, whole, state)
-        by_base = base_jacobian(assembled.problem, whole, state)
+        residual = batch_residual(whole, state)
+        by_base = base_jacobian(whole, state)
         weights = whole.weights.copy()
         wild = self._wild(by_base, residual)
         for (row, _, _, part), flags in zip(self._parts(), wild, strict=True):
@@ -362,11 +362,11 @@ class _Solved:
 
 
 def _stood(
-    problem: Problem, batch: Batch, state: State, jacobian: Array, residual: Array, good: np.ndarray
+    batch: Batch, state: State, jacobian: Array, residual: Array, good: np.ndarray
 ) -> Stood | None:
     """The robot's deviation from its node in each picture, by the `good` corners (n, K); None where
     the problem has no jitter. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
-    jitter = PictureJitter.of(problem, replace(batch, weights=batch.weights * good), state)
+    jitter = PictureJitter.of(replace(batch, weights=batch.weights * good), state)
     if jitter is None:
         return None
     by_state = (jacobian * good[..., None, None]).reshape(len(residual), -1, jacobian.shape[-1])

@@ -44,7 +44,7 @@ def camera_residuals(
     """The residuals at a solution; `problem` None: nothing was solved yet."""
     names = data.places_of(camera)
     batches = [b for b in problem.batches if b.camera in names] if problem is not None else []
-    parts = [_corners(data, problem, batch, state) for batch in batches if problem is not None]
+    parts = [_corners(data, batch, state) for batch in batches]
     entries = [entry for name in names for entry in data.of_camera(name)]
     sightings = sum(len(entry.observation.views) for entry in entries)
     used = sum(entry.observation.used_views for entry in entries)
@@ -64,9 +64,7 @@ def _places(entries: list[Entry]) -> Array:
     return np.array([pose.translation for pose in poses if pose is not None]).reshape(-1, 3)
 
 
-def _corners(
-    data: DataSet, problem: Problem, batch: Batch, state: State
-) -> tuple[Array, Array, Array, np.ndarray]:
+def _corners(data: DataSet, batch: Batch, state: State) -> tuple[Array, Array, Array, np.ndarray]:
     """Pixels, residuals, sigmas and use of all corners in a batch, in one row."""
     sigmas = np.ones(batch.weights.shape)
     real = np.zeros(batch.weights.shape, dtype=bool)
@@ -74,7 +72,7 @@ def _corners(
         mine = data.entries[source].observation.sigmas
         sigmas[row, : len(mine)], real[row, : len(mine)] = mine, True
     # With every weight at 1 outliers have a residual too, and all are in pixels.
-    residual = batch_residual(problem, replace(batch, weights=real.astype(float)), state)
+    residual = batch_residual(replace(batch, weights=real.astype(float)), state)
     return batch.pixels[real], residual[real], sigmas[real], (batch.weights > 0)[real]
 
 
@@ -87,7 +85,7 @@ def reprojection_rms_px(problem: Problem, state: State, camera: str) -> float | 
     total, count = 0.0, 0
     for batch in problem.batches:
         if batch.camera == camera:
-            residual = batch_residual(problem, batch, state)
+            residual = batch_residual(batch, state)
             used = batch.weights > 0
             total += float(np.sum((residual[used] / batch.weights[used][:, None]) ** 2))
             count += 2 * int(used.sum())

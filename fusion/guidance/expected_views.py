@@ -202,7 +202,6 @@ def _batch(
         weights=seen / world.views[camera].sigma_px,
         shares=np.ones(n),
         sources=np.zeros(n, dtype=int),
-        after_node_s=np.zeros(n),
         since_epoch_s=np.zeros(n),
     )
 

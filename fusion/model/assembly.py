@@ -15,7 +15,17 @@ from .dataset import DataSet, KnownCameras
 from .observations import Observation, moving
 from .odometry import OdometryTrack
 from .padding import padded_points
-from .problem import Batch, CameraState, Chain, Priors, Problem, State, layout_of
+from .problem import (
+    Batch,
+    CameraState,
+    Carried,
+    Chain,
+    Layout,
+    Priors,
+    Problem,
+    State,
+    layout_of,
+)
 from .trajectory import interpolated
 
 # While no camera sees the robot for long, nodes are inserted in between, so that its trajectory
@@ -58,7 +68,7 @@ def assemble(
     priors = _priors(data, cameras, list(chains), anchored=anchored)
     layout = layout_of(cameras, chains, priors, start)
     start = State(_of_one_lens(start.cameras, priors.owners), start.robots)
-    batches = _batches(data, state, chains, nodes, entries, node_of)
+    batches = _batches(data, state, chains, nodes, entries, node_of, layout)
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
@@ -127,7 +137,6 @@ def _chain(
         scales=scales,
         planar=track.planar,
         is_anchored=is_first or not anchored,
-        twists=track.twists_about(stamps),
     )
     return _BuiltChain(chain, _start_poses(track, scales, stamps, guesses), node_of)
 
@@ -164,13 +173,14 @@ def _batches(
     poses: dict[str, Pose],
     entries: list[int],
     node_of: dict[int, int],
+    layout: Layout,
 ) -> tuple[Batch, ...]:
     pairs: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index in entries:
         observation = data.entries[index].observation
         pairs[observation.camera, observation.robot].append(index)
     return tuple(
-        _batch(data, state, chains[robot], poses[robot], camera, indices, node_of)
+        _batch(data, state, chains[robot], poses[robot], camera, indices, node_of, layout)
         for (camera, robot), indices in pairs.items()
     )
 
@@ -183,6 +193,7 @@ def _batch(
     camera: str,
     indices: list[int],
     node_of: dict[int, int],
+    layout: Layout,
 ) -> Batch:
     target: Target = data.targets[chain.robot]
     observations = [data.entries[index].observation for index in indices]
@@ -194,6 +205,9 @@ def _batch(
     points = padded_points(observations, target)
     shares = np.array([data.entries[index].share for index in indices])
     nodes = np.array([node_of[index] for index in indices])
+    carried = None
+    if camera in layout.time_offset:
+        carried = Carried.of(chain, nodes, times_ns, offset_s)
     jitter = data.jitter.get(chain.robot)
     return Batch(
         camera=camera,
@@ -205,8 +219,8 @@ def _batch(
         weights=points.weights * np.sqrt(shares)[:, None],
         shares=shares,
         sources=np.array(indices),
-        after_node_s=(stamps_ns - chain.stamps_ns[nodes]) / NANOSECONDS,
         since_epoch_s=since_epoch_s,
+        carried=carried,
         jitter=None if jitter is None else jitter.among(poses.translation[nodes]),
     )
 

@@ -18,13 +18,11 @@ from .problem import Batch, Problem, State
 from .projection import before_camera, by_disturbance
 
 
-def batch_residual(
-    problem: Problem, batch: Batch, state: State, disturbance: Array | None = None
-) -> Array:
+def batch_residual(batch: Batch, state: State, disturbance: Array | None = None) -> Array:
     """`batch_jacobian`'s residual alone, (n, K, 2); with a disturbance (n, 6) of the robot's pose
     when it was seen, in the map's axes."""
     camera = state.cameras[batch.camera]
-    scene = _scene(problem, batch, state, disturbance)
+    scene = _scene(batch, state, disturbance)
     return (camera.lens.project(scene.optical) - batch.pixels) * batch.weights[..., None]
 
 
@@ -34,14 +32,14 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     Residual = (projection - pixel)/sigma. The first d columns are the node's; the dense ones begin
     with the camera's pose.
     """
-    return _jacobian(problem, batch, state, _scene(problem, batch, state))[:3]
+    return _jacobian(problem, batch, state, _scene(batch, state))[:3]
 
 
 def batch_jacobians(
     problem: Problem, batch: Batch, state: State
 ) -> tuple[Array, Array, np.ndarray, Array]:
     """`batch_jacobian` and `base_jacobian` of one batch."""
-    scene = _scene(problem, batch, state)
+    scene = _scene(batch, state)
     jacobian, residual, columns, by_map = _jacobian(problem, batch, state, scene)
     return jacobian, residual, columns, by_disturbance(by_map, scene.in_seen_axes)
 
@@ -85,11 +83,11 @@ def _jacobian(
     return jacobian, residual, np.concatenate(columns), by_map
 
 
-def base_jacobian(problem: Problem, batch: Batch, state: State) -> Array:
+def base_jacobian(batch: Batch, state: State) -> Array:
     """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot's pose
     when it was seen, in the map's axes."""
     camera = state.cameras[batch.camera]
-    scene = _scene(problem, batch, state)
+    scene = _scene(batch, state)
     by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
     by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
     return by_disturbance(by_map, scene.in_seen_axes)
@@ -110,21 +108,16 @@ class _Scene:
     twist: Array | None
 
 
-def _scene(
-    problem: Problem, batch: Batch, state: State, disturbance: Array | None = None
-) -> _Scene:
+def _scene(batch: Batch, state: State, disturbance: Array | None = None) -> _Scene:
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
-    chain = problem.chains[batch.robot]
     base_from_face = robot.base_from_face[batch.faces]
     in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
     in_base = in_face_axes + base_from_face.translation
     node = robot.map_from_base[batch.nodes]
     seen, twist = node, None
-    if batch.camera in problem.layout.time_offset:
-        # True time = stamp - offset: the robot is seen that long after its node.
-        after_s = batch.after_node_s - camera.offset_s(batch.since_epoch_s)
-        moved, twist = chain.carried(batch.nodes, after_s)
-        seen = node @ moved
+    if batch.carried is not None:
+        seen = node @ batch.carried.at(camera.offset_s(batch.since_epoch_s))
+        twist = batch.carried.twists
     if disturbance is not None:
         turned = so3.exp(disturbance[:, 3:]) @ seen.rotation
         seen = Pose(turned, seen.translation + disturbance[:, :3])

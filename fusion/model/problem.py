@@ -18,11 +18,12 @@ from typing import Self
 
 import numpy as np
 
+from trigpoint.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 
 from .motion import Motion, both, moved
-from .odometry import ABOUT_S, PLANAR, SPATIAL, OdometryTrack
+from .odometry import PLANAR, SPATIAL, OdometryTrack
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ class Chain:
     """One robot's nodes and the motion between them.
 
     `is_anchored`: node 0 is known exactly (the map's origin). `scales`: those at which `motion` was
-    computed; `track`: the odometry behind it; `twists` (n, 6): the robot's twist about each node.
+    computed; `track`: the odometry behind it.
     """
 
     robot: str
@@ -72,7 +73,6 @@ class Chain:
     scales: Array
     planar: bool
     is_anchored: bool
-    twists: Array | None = None
 
     @classmethod
     def unlinked(
@@ -90,15 +90,33 @@ class Chain:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def carried(self, nodes: np.ndarray, seconds: Array) -> tuple[Pose, Array]:
-        """The robot's motion from nodes (n,) during seconds (n,): `OdometryTrack.carried`, or, for
-        short times, by its twist about each node. That is differentiable also where the twist
-        changes at a message, just when a camera triggered with the odometry sees the robot.
-        """
-        if self.twists is None or np.abs(seconds).max(initial=0.0) >= ABOUT_S:
-            return self.track.carried(self.stamps_ns[nodes], seconds, self.scales)
-        twists = self.twists[nodes] * both(1 + self.scales)
-        return moved(twists * seconds[:, None]), twists
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """How a robot moves from its nodes to the moments at which a camera sees it, as a function of
+    the camera's time offset.
+
+    `way` (n): the motion from each node to where the sighting is with the assumed offset,
+    `offset_s` (n,); `twists` (n, 6): about then, in the base frame. So it is differentiable also
+    where the odometry's twist changes at a message, just when a camera that is triggered with the
+    odometry sees the robot; a problem is reassembled where its offsets have changed.
+    """
+
+    way: Pose
+    twists: Array
+    offset_s: Array
+
+    @classmethod
+    def of(cls, chain: Chain, nodes: np.ndarray, times_ns: np.ndarray, offset_s: Array) -> Self:
+        """From a chain's nodes (n,) to the true times (n,) of sightings with assumed offsets."""
+        start_ns = chain.stamps_ns[nodes]
+        way, _ = chain.track.carried(start_ns, (times_ns - start_ns) / NANOSECONDS, chain.scales)
+        return cls(way, chain.track.twists_about(times_ns) * both(1 + chain.scales), offset_s)
+
+    def at(self, offset_s: Array) -> Pose:
+        """The motions (n) from nodes to sightings, with time offsets (n,)."""
+        # True time = stamp - offset.
+        return self.way @ moved(self.twists * (self.offset_s - offset_s)[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +125,11 @@ class Batch:
 
     `nodes` (n,), `face_points` (n, K, 3), `faces` (n, K), `pixels` (n, K, 2), `weights` (n, K):
     1/sigma times the root of the share, 0 for padding and outliers; `shares` (n,): the weight of
-    each observation; `sources` (n,): index into the data set; `after_node_s` (n,): how long after
-    its node the sighting's stamp is; `since_epoch_s` (n,): the stamps, since the data set's epoch;
-    `jitter` (n, 6): variances of the deviation of the target's pose in each picture from its node
-    (a floor that tilts, a mast that sways), a disturbance in the map's axes that all its corners
-    share; None: no deviation.
+    each observation; `sources` (n,): index into the data set; `since_epoch_s` (n,): the stamps,
+    since the data set's epoch; `carried`: from the nodes to the sightings, where the camera's time
+    offset is estimated; `jitter` (n, 6): variances of the deviation of the target's pose in each
+    picture from its node (a floor that tilts, a mast that sways), a disturbance in the map's axes
+    that all its corners share; None: no deviation.
     """
 
     camera: str
@@ -123,8 +141,8 @@ class Batch:
     weights: Array
     shares: Array
     sources: np.ndarray
-    after_node_s: Array
     since_epoch_s: Array
+    carried: Carried | None = None
     jitter: Array | None = None
 
 

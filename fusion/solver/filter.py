@@ -19,6 +19,8 @@ from trigpoint.fusion.model.observations import Observation, points_of
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import (
     Batch,
+    CameraState,
+    Carried,
     Chain,
     Layout,
     Priors,
@@ -232,13 +234,15 @@ class Filter:
         robot = observation.robot
         moment = np.array([self.stamps_ns[robot]])
         chain = Chain.unlinked(robot, moment, data.tracks[robot], self.scales(robot))
-        batch = _batch(data, chain, observation, share)
+        name = observation.camera
+        clock = self.state.cameras[name] if name in self.layout.time_offset else None
+        batch = _batch(data, chain, observation, share, clock)
         problem = Problem({observation.robot: chain}, (batch,), Priors.none(), self.layout)
         jacobian, residual, columns = batch_jacobian(problem, batch, self.state)
         where = np.concatenate([self.layout.last[observation.robot], columns])
         jacobian = jacobian.reshape(1, -1, jacobian.shape[-1])
         residual = residual.reshape(1, -1)
-        jitter = PictureJitter.of(problem, batch, self.state)
+        jitter = PictureJitter.of(batch, self.state)
         if jitter is not None:
             jacobian, residual = jitter.rows(jacobian, residual)
         flat, residual = jacobian[0], residual[0]
@@ -269,20 +273,29 @@ def carried_on(
     return RobotEstimate(stamp_ns, step.end, covariance)
 
 
-def _batch(data: DataSet, chain: Chain, observation: Observation, share: float) -> Batch:
+def _batch(
+    data: DataSet, chain: Chain, observation: Observation, share: float, camera: CameraState | None
+) -> Batch:
+    """The batch of one observation; `camera`: its clock's estimate, where that is to be updated."""
     points = points_of(observation, data.targets[observation.robot])
     jitter = data.jitter.get(observation.robot)
+    stamps_ns, nodes = np.array([observation.stamp_ns]), np.zeros(1, dtype=int)
+    since_epoch_s, carried = data.since_epoch_s(stamps_ns), None
+    if camera is not None:
+        offset_s = camera.offset_s(since_epoch_s)
+        times_ns = stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
+        carried = Carried.of(chain, nodes, times_ns, offset_s)
     return Batch(
         camera=observation.camera,
         robot=observation.robot,
-        nodes=np.zeros(1, dtype=int),
+        nodes=nodes,
         face_points=points.face_points[None],
         faces=points.faces[None],
         pixels=points.pixels[None],
         weights=points.weights[None] * np.sqrt(share),
         shares=np.array([share]),
         sources=np.zeros(1, dtype=int),
-        after_node_s=(np.array([observation.stamp_ns]) - chain.stamps_ns) / NANOSECONDS,
-        since_epoch_s=data.since_epoch_s(np.array([observation.stamp_ns])),
+        since_epoch_s=since_epoch_s,
+        carried=carried,
         jitter=jitter.variances[None] if jitter is not None else None,
     )

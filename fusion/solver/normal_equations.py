@@ -141,7 +141,7 @@ def _add_batch(
     else:
         jacobian, residual, columns, by_base = batch_jacobians(problem, batch, state)
         jitter = PictureJitter.by(by_base.reshape(len(by_base), -1, 6), batch.jitter)
-        residual = jitter.about_fit(problem, batch, state, residual)
+        residual = jitter.about_fit(batch, state, residual)
     left = residual
     if jitter is not None:
         left = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)

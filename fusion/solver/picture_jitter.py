@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
-from trigpoint.fusion.model.problem import Batch, Problem, State
+from trigpoint.fusion.model.problem import Batch, State
 from trigpoint.geometry.rotation import Array
 
 
@@ -29,11 +29,11 @@ class PictureJitter:
     information: Array
 
     @classmethod
-    def of(cls, problem: Problem, batch: Batch, state: State) -> "PictureJitter | None":
+    def of(cls, batch: Batch, state: State) -> "PictureJitter | None":
         """The jitter of a batch; None where it has none."""
         if batch.jitter is None:
             return None
-        by_base = base_jacobian(problem, batch, state)
+        by_base = base_jacobian(batch, state)
         return cls.by(by_base.reshape(len(by_base), -1, 6), batch.jitter)
 
     @classmethod
@@ -43,13 +43,13 @@ class PictureJitter:
         information[:, range(6), range(6)] += 1 / variances
         return cls(jacobian, variances, information)
 
-    def about_fit(self, problem: Problem, batch: Batch, state: State, residual: Array) -> Array:
+    def about_fit(self, batch: Batch, state: State, residual: Array) -> Array:
         """A batch's residual (n, K, 2), linearised about the disturbances that fit it best instead
         of about none: r(ε) - J ε, of which elimination leaves r(ε) to the second order."""
         pull = np.swapaxes(self.jacobian, 1, 2) @ residual.reshape(len(residual), -1, 1)
         fit = -np.linalg.solve(self.information, pull)
         linear = (self.jacobian @ fit).reshape(residual.shape)
-        return batch_residual(problem, batch, state, fit[..., 0]) - linear
+        return batch_residual(batch, state, fit[..., 0]) - linear
 
     def compensated(self, residual: Array) -> Array:
         """Residuals (n, 2K) less what the best-fitting disturbances explain of them."""

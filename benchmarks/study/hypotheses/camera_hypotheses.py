@@ -151,6 +151,6 @@ def _median_rms(problem: Problem, state: State) -> float:
     lengths, which for normal coordinates is √(2 ln 2)."""
     lengths = []
     for batch in problem.batches:
-        residual = batch_residual(problem, batch, state)
+        residual = batch_residual(batch, state)
         lengths.append(np.linalg.norm(residual, axis=-1)[batch.weights > 0])
     return float(np.median(np.concatenate(lengths)) / np.sqrt(2 * np.log(2)))

@@ -32,7 +32,7 @@ def leave_out_contradicting(
     worst: dict[str, float] = {}
     found: list[tuple[str, _Excess]] = []
     for batch in assembled.problem.batches:
-        for excess in _excesses(data, assembled, batch, state, events):
+        for excess in _excesses(data, batch, state, events):
             worst[batch.robot] = max(worst.get(batch.robot, 0.0), excess[0])
             found.append((batch.robot, excess))
     left_out = [each for robot, each in found if each[0] > worst[robot] / 2]
@@ -44,14 +44,12 @@ def leave_out_contradicting(
     return bool(left_out)
 
 
-def _excesses(
-    data: DataSet, assembled: Assembled, batch: Batch, state: State, events: Events
-) -> list[_Excess]:
+def _excesses(data: DataSet, batch: Batch, state: State, events: Events) -> list[_Excess]:
     """By how much the score of each contradicting sighting of a batch exceeds a wrong one's, with
     its source and order."""
-    by_base = base_jacobian(assembled.problem, batch, state)
-    residual = batch_residual(assembled.problem, batch, state)
-    jitter, found = PictureJitter.of(assembled.problem, batch, state), []
+    by_base = base_jacobian(batch, state)
+    residual = batch_residual(batch, state)
+    jitter, found = PictureJitter.of(batch, state), []
     if jitter is not None:
         residual = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
     shown = [

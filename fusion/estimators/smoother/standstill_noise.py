@@ -30,7 +30,7 @@ def share_out(data: DataSet, assembled: Assembled, state: State) -> bool:
     """Set the share of every used observation in the data set; whether one changed by a tenth."""
     changed = False
     for batch in assembled.problem.batches:
-        residual = batch_residual(assembled.problem, batch, state)
+        residual = batch_residual(batch, state)
         residual = residual / np.sqrt(batch.shares)[:, None, None]
         common = _common_share(assembled.problem, batch, state)
         for rows in _standstills(batch):
