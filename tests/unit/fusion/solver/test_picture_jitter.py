@@ -1,9 +1,13 @@
 """What a picture's corners err in together, against the covariance written out."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import block_diag
+from small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
+from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 
 VARIANCES = np.random.default_rng(0).uniform(0.01, 0.2, (5, 6))
@@ -72,3 +76,22 @@ def test_variance_of_a_mean_over_a_slope_is_that_by_its_correlation() -> None:
 def test_a_tilt_in_each_picture_anew_is_shared_by_none() -> None:
     jitter = Jitter(sway=0.1, tilt=0.4)
     np.testing.assert_allclose(jitter.among(np.zeros((3, 3))), np.tile(jitter.variances, (3, 1)))
+
+
+def test_a_tilt_of_three_degrees_leaves_nothing_of_its_square() -> None:
+    """Linearised about none it leaves a part of a sigma, of one sign in all pictures."""
+    assembled = small_problem(noise_px=0.0)
+    batch, state = assembled.problem.batches[0], assembled.start
+    n = len(batch.nodes)
+    tilt = np.tile(np.radians([0, 0, 0, 2.4, -1.8, 0.0]), (n, 1))
+    seen = batch_residual(batch, state, tilt) / np.maximum(batch.weights, 1e-9)[..., None]
+    batch = replace(batch, pixels=batch.pixels + seen)
+    jacobian = base_jacobian(batch, state).reshape(n, -1, 6)
+    jitter = PictureJitter.by(jacobian, np.tile(Jitter(1e-6, 0.1, 1.0).variances, (n, 1)))
+    residual = batch_residual(batch, state)
+    about = jitter.about_fit(batch, state, residual)
+    left, square = (
+        np.abs(jitter.compensated(each.reshape(n, -1))).max() for each in (about, residual)
+    )
+    assert square > 0.3
+    assert left < square / 20
