@@ -35,6 +35,7 @@ def write_report(
             note=pipeline.last_problem,
             suggestions=_next_poses(pipeline),
             error=error,
+            noise=results.noise,
             building=alignment.building,
             building_problem=alignment.problem,
             session=str(session),

@@ -25,15 +25,18 @@ from trigpoint.network import (
 )
 
 from .interface import CameraEstimate, Estimator
+from .noise_lines import noise_lines
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """The network, its joint covariance (6n, 6n), and robot -> (stamps_ns, map_from_base)."""
+    """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), and what
+    `noise` was learnt, in words."""
 
     network: Network
     covariance: Array
     trajectories: dict[str, tuple[np.ndarray, Pose]]
+    noise: tuple[str, ...] = ()
 
     def save(self, directory: Path) -> None:
         """Write network.json, covariance.npz and the trajectories."""
@@ -74,7 +77,7 @@ def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Resu
         robots=robots,
         statistics=Statistics(estimator.chi2_per_dof, estimator.iterations),
     )
-    return Results(network, estimator.joint_covariance(), trajectories)
+    return Results(network, estimator.joint_covariance(), trajectories, noise_lines(data))
 
 
 def _camera(

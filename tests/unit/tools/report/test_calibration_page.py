@@ -193,6 +193,14 @@ def test_what_was_left_out_stands_in_words() -> None:
     assert "c1 10 2 1 57 3" in text  # used, rejected, not read, corners, wild ones
 
 
+def test_noise_that_was_learnt_stands_in_words() -> None:
+    line = "the corners of c2 have 1.8 times their stated sigma"
+    assert f"Learnt from this session: {line}" in words(
+        calibration_page(make_results(noise=(line,)))
+    )
+    assert "Learnt from" not in words(calibration_page(make_results()))
+
+
 def test_names_from_files_cannot_break_the_page() -> None:
     results = make_results(note="<script>", left_out={"<b>": 1}, session="a&b <i>.mcap")
     reader = read_page(calibration_page(results))
