@@ -213,7 +213,7 @@ def _print(results: Results, error: NetworkError | None) -> None:
     if results.network.statistics.chi2_per_dof is not None:
         typer.echo(noise_text(results.network.statistics.chi2_per_dof))
     for line in results.noise:
-        typer.echo(f"  learnt from this session: {line}")
+        typer.echo(f"  noise of {line}")
     if error and error.distance is not None:
         typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
         typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")

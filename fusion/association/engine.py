@@ -7,17 +7,22 @@ verifies the best one (`world`), and derives from all of them what is known of e
 
 from dataclasses import replace
 
+import numpy as np
+
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
 from .budget import ALIKE_SHARE, Budget
-from .events import Events
+from .events import Events, window
 from .explanation import Explanation
 from .learning import learnt_noise
 from .modes import Memory
 from .outcome import Outcome
 from .scales import with_learnt_scales
 from .world import World
+
+# A world's score may still fall while it is verified, but hardly by as much as this.
+_FAR = 2 * window()
 
 
 def explain(
@@ -47,8 +52,19 @@ def explain(
         # Scores are comparable only over the same pictures: all worlds have the first one's visits.
         parts = [each.visit for each in worlds[0].visits] if worlds else None
         worlds.append(World(data, seen, events, noise, memory, parts))
+    _verify(worlds)
     memory.forget_unused()
     return Outcome(worlds, seen, corner_scale, is_draft=is_draft).explanation()
+
+
+def _verify(worlds: list[World]) -> None:
+    """Verify the worlds, the likeliest first; one that is far behind has no share in any decision,
+    and is left as it was found."""
+    least = np.inf
+    for world in sorted(worlds, key=lambda world: world.score):
+        if world.score < least + _FAR:
+            world.verify()
+            least = min(least, world.score)
 
 
 def _share(data: DataSet) -> float:

@@ -57,7 +57,7 @@ class Outcome:
     ) -> None:
         self.is_draft = is_draft
         self.worlds, self.observations, self.corner_scale = worlds, observations, corner_scale
-        self.best = min(worlds, key=lambda world: world.hypotheses[0].score + world.noise.score)
+        self.best = min(worlds, key=lambda world: world.score)
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
         self.loose = self._loose()
@@ -66,8 +66,7 @@ class Outcome:
 
     def _loose(self) -> set[str]:
         """Cameras tied to the map only across a gap in which the robot may have been carried."""
-        least = self.chosen.score + self.best.noise.score
-        limit = least + window() - self.best.events.event_score
+        limit = self.best.score + window() - self.best.events.event_score
         found = [each for world in self.worlds for each in world.loose() if each[0] < limit]
         return {camera for _, cameras in found for camera in cameras}
 

@@ -1,7 +1,7 @@
 """One world: all hypotheses that may explain a session, given its noise.
 
-It searches the joint hypotheses and then verifies the finished best one: for each camera, where
-else could it be, given all the others?
+It searches the joint hypotheses. `verify` then holds the finished best one against its
+alternatives: for each camera, where else could it be, given all the others?
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ class World:
 
     `parts`: the visits as another world cut them; None: they are cut here. `undecided`: the cameras
     for which the budget did not suffice to search all alternatives; `crowded`: those that may have
-    more places than the search kept.
+    more places than `verify` kept.
     """
 
     def __init__(
@@ -53,12 +53,27 @@ class World:
         self.budget = memory.budget
         self.search = Search(self.graph, events, self.budget)
         self.hypotheses = self._searched()
+        self.undecided = self._cameras() if self.budget.is_spent else set()
+        self.crowded = set[str]()
+
+    @property
+    def score(self) -> float:
+        """The score of the best hypothesis with that of the noise."""
+        return self.hypotheses[0].score + self.noise.score
+
+    def verify(self) -> None:
+        """Add the alternatives to the best hypothesis that the search alone may have pruned."""
         is_crowded = self.search.is_cut
         is_crowded |= self._doubt_events()
-        cameras = {v.visit.camera for v in self.visits}
-        self.undecided = cameras if self.budget.is_spent else set()
-        self.crowded = set(cameras) if is_crowded else set()
-        self._verify()
+        if is_crowded:
+            self.crowded = self._cameras()
+        if self.budget.is_spent:
+            self.undecided = self._cameras()
+        else:
+            self._hold_cameras()
+
+    def _cameras(self) -> set[str]:
+        return {v.visit.camera for v in self.visits}
 
     def _searched(self, *, wrong: int | None = None) -> list[Hypothesis]:
         """Search the explanations of all visits, one of which may be taken to be `wrong`."""
@@ -91,7 +106,7 @@ class World:
         self.hypotheses += [each for each in found if _signature(each) not in known]
         self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
 
-    def _verify(self) -> None:
+    def _hold_cameras(self) -> None:
         """For each camera of the best explanation, search everything else that its visits may be.
         If the budget does not suffice, all cameras not verified yet are undecided, those with only
         one visit included."""

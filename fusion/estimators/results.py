@@ -30,8 +30,8 @@ from .noise_lines import noise_lines
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), and what
-    `noise` was learnt, in words."""
+    """The network, its joint covariance (6n, 6n), robot -> (stamps_ns, map_from_base), and which
+    `noise` is not as stated, in words."""
 
     network: Network
     covariance: Array

@@ -23,8 +23,8 @@ class CalibrationResults:
     """A calibration: the network with its joint `covariance` (6n, 6n), `trajectories` (robot ->
     (stamps_ns, map_from_base)), each camera's residuals where the estimator gives them, what was
     `left_out` of the session by reason and the last of it in words (`note`), the next poses to
-    visit, the `error` against the truth where that is known, and what `noise` the session showed
-    that is not stated, in words. `building`: where the map lies in
+    visit, the `error` against the truth where that is known, and which `noise` is not
+    as stated, in words. `building`: where the map lies in
     it, None where that is not asked for, or cannot be told for the `building_problem`.
 
     `session`, `folder`: the recording and where the results are, as the reader may type them.

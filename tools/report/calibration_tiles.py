@@ -58,11 +58,11 @@ def _truth(results: CalibrationResults) -> str:
     return tile(centimetres(results.error.distance), words)
 
 
-def noise_words(chi2: float, learnt: tuple[str, ...] = ()) -> str:
-    """What χ² says, what noise was `learnt`, and what follows where χ² is far from 1."""
+def noise_words(chi2: float, noise: tuple[str, ...] = ()) -> str:
+    """What χ² says, what `noise` is not as stated, and what follows where χ² is far from 1."""
     words = "χ² per degree of freedom; 1 where noise is as assumed"
-    if learnt:
-        words += f". Learnt from this session: {'; '.join(learnt)}"
+    if noise:
+        words += f", which is of {'; '.join(noise)}"
     if chi2 > 2.0:
         return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
     if chi2 < 0.5:

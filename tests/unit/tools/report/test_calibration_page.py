@@ -193,12 +193,12 @@ def test_what_was_left_out_stands_in_words() -> None:
     assert "c1 10 2 1 57 3" in text  # used, rejected, not read, corners, wild ones
 
 
-def test_noise_that_was_learnt_stands_in_words() -> None:
-    line = "the corners of c2 have 1.8 times their stated sigma"
-    assert f"Learnt from this session: {line}" in words(
+def test_noise_that_is_not_as_stated_stands_in_words() -> None:
+    line = "c2: corners have 1.8 times their stated sigma"
+    assert f"where noise is as assumed, which is of {line}" in words(
         calibration_page(make_results(noise=(line,)))
     )
-    assert "Learnt from" not in words(calibration_page(make_results()))
+    assert "which is of" not in words(calibration_page(make_results()))
 
 
 def test_names_from_files_cannot_break_the_page() -> None:
