@@ -218,7 +218,7 @@ class Pipeline:
         """
         if not is_new:
             self._use_rest()
-            self._estimator.finish()
+            self._explain_all()
         self._is_live = True
         if is_new:
             return
@@ -266,6 +266,7 @@ class Pipeline:
         if now_ns is not None and self._schedule.is_due(
             now_ns, is_quiet=is_quiet, is_idle=follower.is_idle
         ):
+            follower.leave_open(self._intake.undecided)
             follower.finish()
 
     def _attend(self, follower: Follower) -> None:
@@ -340,14 +341,18 @@ class Pipeline:
         """
         self.advance()
         self._use_rest()
-        self._estimator.finish()
+        self._explain_all()
         while self._intake.tell_by_place(self._estimator, is_end=True):
             self._use_rest()
-            self._estimator.finish()
+            self._explain_all()
         self._note_events()
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()
         return self.advance()
+
+    def _explain_all(self) -> None:
+        self._estimator.leave_open(self._intake.undecided)
+        self._estimator.finish()
 
     def _use_rest(self) -> None:
         self._intake.tell_apart(is_end=True)

@@ -31,14 +31,16 @@ def explain(
     memory: Memory | None = None,
     budget: Budget | None = None,
     *,
+    undecided: frozenset[str] = frozenset(),
     is_draft: bool = False,
 ) -> Explanation:
     """Find what explains all observations of the site's cameras, given in order of their stamps.
 
     `data`: site, targets, lenses, odometry and what is known beforehand; nothing in it is changed.
     `memory`: of the last search, over fewer observations of the same session; `budget`: of work,
-    from the session's length if not given; `is_draft`: report each camera at its likeliest place
-    alone, whatever the alternatives.
+    from the session's length if not given; `undecided`: cameras that are not to be located, since
+    it is not known what other pictures of theirs show; `is_draft`: report each camera at its
+    likeliest place alone, whatever the alternatives.
     """
     events, memory = Events(data.site.fusion.priors), memory or Memory()
     memory.budget = budget or Budget.of(data.tracks.values(), share=_share(data))
@@ -54,7 +56,7 @@ def explain(
         worlds.append(World(data, seen, events, noise, memory, parts))
     _verify(worlds)
     memory.forget_unused()
-    return Outcome(worlds, seen, corner_scale, is_draft=is_draft).explanation()
+    return Outcome(worlds, seen, corner_scale, undecided, is_draft=is_draft).explanation()
 
 
 def _verify(worlds: list[World]) -> None:

@@ -45,13 +45,17 @@ _LATE = (
 
 class Outcome:
     """Combines all worlds into one explanation; how pictures are read is taken from the best one.
-    `is_draft`: so is where each camera is, whatever alternatives there are."""
+
+    `undecided`: cameras that are not to be located; `is_draft`: each camera is where the best world
+    has it, whatever alternatives there are.
+    """
 
     def __init__(
         self,
         worlds: list[World],
         observations: list[Observation],
         corner_scale: dict[str, float],
+        undecided: frozenset[str] = frozenset(),
         *,
         is_draft: bool = False,
     ) -> None:
@@ -61,7 +65,7 @@ class Outcome:
         self.chosen = self.best.hypotheses[0]
         self.data = self.best.data
         self.loose = self._loose()
-        self.undecided = {camera for world in worlds for camera in world.undecided}
+        self.undecided = undecided.union(*(world.undecided for world in worlds))
         self.crowded = {camera for world in worlds for camera in world.crowded}
 
     def _loose(self) -> set[str]:

@@ -37,6 +37,7 @@ class Explainer:
         self._data = data
         self._memory = Memory()
         self._observations: list[Observation] = []
+        self._undecided: frozenset[str] = frozenset()
         self.explanation: Explanation | None = None
         # How many observations the last explanation covers, and what it left unexplained; what has
         # come since, and what of that is unexplained.
@@ -52,9 +53,14 @@ class Explainer:
         self._came[pair] += 1
         self._open[pair] += not is_used
 
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        """See `Live.leave_open`."""
+        if cameras != self._undecided and self._observations:
+            self._undecided, self._explained = cameras, -1
+
     @property
     def has_new(self) -> bool:
-        """Whether anything came since the last explanation."""
+        """Whether anything that matters came since the last explanation."""
         return len(self._observations) > self._explained
 
     @property
@@ -82,7 +88,11 @@ class Explainer:
         self._came, self._open = Counter(), Counter()
         draft = with_solved_scales(self._data.draft(), self._data, scales or {})
         self.explanation = explain(
-            draft, list(self._observations), memory=self._memory, is_draft=is_draft
+            draft,
+            list(self._observations),
+            memory=self._memory,
+            undecided=self._undecided,
+            is_draft=is_draft,
         )
         return self.explanation
 

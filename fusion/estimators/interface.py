@@ -75,6 +75,11 @@ class Live(Protocol):
         """Take an observation for `finish` alone, where live results are not needed."""
         ...
 
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        """Locate none of these cameras: pictures of theirs were left out undecided, which may show
+        that they were moved."""
+        ...
+
     def finish(self) -> None:
         """Explain all that came in, and solve to convergence."""
         ...

@@ -181,6 +181,11 @@ class Intake:
         self._count_untold(self._shared)
         return bool(found)
 
+    @property
+    def undecided(self) -> frozenset[str]:
+        """See `RobotIdentification.undecided`."""
+        return self._shared.undecided if self._shared is not None else frozenset()
+
     def _count_untold(self, shared: RobotIdentification) -> None:
         more = shared.untold - self.left_out.counts["untold_robot"]
         self.left_out.add("untold_robot", shared.problem if more > 0 else "", count=more)

@@ -35,6 +35,8 @@ _MOST_PICTURES = 256
 _LEAST_PICTURES = 2
 # With one sighting in ten wrong, so many in a row are wrong one time in a thousand.
 _LEAST_LASTING = 3
+# ... and not expected more often than this among wrong sightings that come singly.
+_CHANCE = 0.1
 # A run is looked at once, and again after each of two events in it.
 _MOST_LOOKS = 3
 # χ²: five sigmas from its estimated pose.
@@ -68,6 +70,10 @@ class RobotIdentification:
         self._left: deque[tuple[str, Picture]] = deque(maxlen=_MOST_LEFT)
         self._looked = (0, 0, 0)
         self.untold = 0
+        # By camera, the last moment at which it shows a robot that was told, and the last at which
+        # that was not decided in time.
+        self._told_ns: dict[str, int] = {}
+        self._late_ns: dict[str, int] = {}
         self.problem = ""
 
     def add(self, camera: str, stamp_ns: int, faces: tuple[dict[str, View], ...]) -> None:
@@ -86,14 +92,33 @@ class RobotIdentification:
             is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns
             if is_end or is_over or len(visit) >= _MOST_PICTURES:
                 self._closed.append((camera, self._open.pop(camera)))
-        found: list[Observation] = []
         closed, self._closed = self._closed, []
+        wanted: list[tuple[str, list[Picture]]] = []
         for camera, visit in closed:
             if not is_end and max(p.stamp_ns for p in visit) > until_ns:
                 self._closed.append((camera, visit))
-            else:
-                found += self._told(camera, visit)
+                continue
+            visit = sorted(visit, key=lambda picture: picture.stamp_ns)
+            wanted += [(camera, run) for run in runs(self._data, camera, visit)]
+        # All are looked at once before any is looked at again.
+        found: list[Observation] = []
+        for look in range(_MOST_LOOKS):
+            again: list[tuple[str, list[Picture]]] = []
+            for camera, run in wanted:
+                told, left = self._told(camera, run, is_last=look + 1 == _MOST_LOOKS)
+                found += told
+                if left:
+                    again.append((camera, left))
+            wanted = again
         return found
+
+    @property
+    def undecided(self) -> frozenset[str]:
+        """The cameras that may have been moved at last: for their last pictures it was not decided
+        in time which robot they show."""
+        return frozenset(
+            camera for camera, late in self._late_ns.items() if late > self._told_ns.get(camera, 0)
+        )
 
     def by_place(self, estimator: Live, *, is_end: bool = False) -> list[Observation]:
         """The pictures left out so far that the poses of robots and cameras identify now; tried
@@ -225,29 +250,25 @@ class RobotIdentification:
         state = replace(fit.mode.camera, map_from_camera=shift @ fit.mode.map_from_camera)
         return added_chi2(self._data, places.camera_states(), camera, state, entries)
 
-    def _told(self, camera: str, visit: list[Picture]) -> list[Observation]:
-        """The observations of a visit by their robots; a face that may be another's is left out."""
-        visit = sorted(visit, key=lambda picture: picture.stamp_ns)
-        found: list[Observation] = []
+    def _told(
+        self, camera: str, run: list[Picture], *, is_last: bool
+    ) -> tuple[list[Observation], list[Picture]]:
+        """The observations of a run by their robots, without a face that may be another's; and
+        what is worth another look, unless this is the last one."""
         self._memory.alone.clear()
-        for run in runs(self._data, camera, visit):
-            left = run
-            for look in range(_MOST_LOOKS):
-                told, unclear, rest = self._told_of(camera, left)
-                found += told
-                is_last = not told or look + 1 == _MOST_LOOKS
-                left = [] if is_last else _lasting(left, {seen.stamp_ns for seen in told})
-                again = {picture.stamp_ns for picture in left}
-                unclear, rest = (
-                    [picture for picture in part if picture.stamp_ns not in again]
-                    for part in (unclear, rest)
-                )
-                # Beside a robot that was told, what no robot's motion explains is a wrong sighting
-                # or one of a robot that passed by: not worth explaining the whole session anew.
-                self._leave_out(camera, unclear, rest, is_worth=not told)
-                if not left:
-                    break
-        return found
+        told, unclear, rest = self._told_of(camera, run)
+        last = max((seen.stamp_ns for seen in told), default=0)
+        self._told_ns[camera] = max(self._told_ns.get(camera, 0), last)
+        left = [] if is_last or not told else _lasting(run, unclear + rest)
+        again = {picture.stamp_ns for picture in left}
+        unclear, rest = (
+            [picture for picture in part if picture.stamp_ns not in again]
+            for part in (unclear, rest)
+        )
+        # Beside a robot that was told, what no robot's motion explains is a wrong sighting or one
+        # of a robot that passed by: not worth explaining the whole session anew.
+        self._leave_out(camera, unclear, rest, is_worth=not told)
+        return told, left
 
     def _told_of(
         self, camera: str, run: list[Picture]
@@ -298,7 +319,10 @@ class RobotIdentification:
         return shown != of and _leads(robot, self._fits(camera, shown))
 
     def _fits(self, camera: str, pictures: list[Picture]) -> dict[str, RobotFit]:
-        return fits(self._data, camera, pictures, self._events, self._memory)
+        """By robot, how it explains pictures; empty where the budget does not suffice for all of
+        the robots: one that nothing was held against would lead."""
+        found = fits(self._data, camera, pictures, self._events, self._memory)
+        return {} if self._budget.is_spent else found
 
     def _leave_out(
         self, camera: str, unclear: list[Picture], rest: list[Picture], *, is_worth: bool
@@ -308,6 +332,9 @@ class RobotIdentification:
             return
         self._left.extend((camera, picture) for picture in unclear + (rest if is_worth else []))
         self.untold += len(unclear) + len(rest)
+        if is_worth and self._budget.is_spent:
+            last = max(picture.stamp_ns for picture in unclear + rest)
+            self._late_ns[camera] = max(self._late_ns.get(camera, 0), last)
         why = "which it was is not decided in time" if self._budget.is_spent else _NOT_TOLD
         self.problem = f"camera {camera} saw a target that several robots carry, and {why}; {_DO}"
 
@@ -318,17 +345,25 @@ def _leads(robot: str, every: dict[str, RobotFit]) -> bool:
     return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
 
 
-def _lasting(run: list[Picture], told_ns: set[int]) -> list[Picture]:
-    """The longest stretch of a run in which no robot is seen as in the rest of it: wrong sightings
-    come singly, but a camera that was moved or a robot that was lifted stays so."""
+def _lasting(run: list[Picture], left: list[Picture]) -> list[Picture]:
+    """What was left of the longest stretch of a run in which something was left of each picture:
+    wrong sightings come singly, but a camera that was moved or a robot that was lifted stays so,
+    whatever other robots are beside it."""
+    over: dict[int, Picture] = {}
+    for picture in left:
+        mine = over.get(picture.stamp_ns, Picture(picture.stamp_ns, ()))
+        over[picture.stamp_ns] = Picture(picture.stamp_ns, mine.faces + picture.faces)
     stretches: list[list[Picture]] = [[]]
     for picture in run:
-        if picture.stamp_ns in told_ns:
-            stretches.append([])
+        if picture.stamp_ns in over:
+            stretches[-1].append(over[picture.stamp_ns])
         else:
-            stretches[-1].append(picture)
+            stretches.append([])
     longest = max(stretches, key=len)
-    return longest if len(longest) >= _LEAST_LASTING else []
+    count = len(longest)
+    share = (len(over) - count + 1) / (len(run) - count + 2)  # of the other pictures (Laplace)
+    is_chance = count < _LEAST_LASTING or len(run) * share**count > _CHANCE
+    return [] if is_chance else longest
 
 
 def _split(

@@ -28,6 +28,7 @@ from trigpoint.geometry import Pose
 
 from .solver_messages import (
     Finish,
+    LeaveOpen,
     News,
     Order,
     Report,
@@ -184,6 +185,9 @@ class Follower:
     def is_idle(self) -> bool:
         """Whether the solver has answered everything."""
         return not self._asked or self.is_answered
+
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        self._solver.tell([LeaveOpen(cameras)])
 
     def finish(self) -> None:
         """Have everything solved to the end; the report comes with the solver's news."""

@@ -39,6 +39,13 @@ class TakeObservation:
 
 
 @dataclass(frozen=True, slots=True)
+class LeaveOpen:
+    """Locate none of these cameras (`Live.leave_open`)."""
+
+    cameras: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
 class Finish:
     """Solve to the end, and report."""
 
@@ -48,7 +55,7 @@ class Report:
     """Report what is known now."""
 
 
-Order = TakeLens | TakeOdometry | TakeObservation | Finish | Report
+Order = TakeLens | TakeOdometry | TakeObservation | LeaveOpen | Finish | Report
 
 # -- from the one that solves ---------------------------------------------------------------------
 

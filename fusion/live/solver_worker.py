@@ -14,6 +14,7 @@ from trigpoint.fusion.solver.snapshot import GuidanceWorld
 
 from .solver_messages import (
     Finish,
+    LeaveOpen,
     News,
     Order,
     Reported,
@@ -40,6 +41,8 @@ class SolverWorker:
             self._smoother.add_odometry(order.robot, order.stamp_ns, order.odom_from_base)
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
+        elif isinstance(order, LeaveOpen):
+            self._smoother.leave_open(order.cameras)
         else:
             self._orders += 1
             if isinstance(order, Finish):

@@ -98,6 +98,9 @@ class SequentialEstimator:
 
     # -- all of it anew ---------------------------------------------------------------------------
 
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        self._explainer.leave_open(cameras)
+
     def finish(self) -> None:
         """Explain everything that came, unless that is done already, and process what the
         explanation uses from the beginning, in order of time."""

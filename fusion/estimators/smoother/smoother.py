@@ -89,6 +89,9 @@ class Smoother:
         """Whether so much is new, or unexplained, that everything is to be explained anew."""
         return self._explainer.is_due
 
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        self._explainer.leave_open(cameras)
+
     def finish(self) -> None:
         """Explain and solve everything that came, unless that is done already."""
         if not self._explainer.has_new:
