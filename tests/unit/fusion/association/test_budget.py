@@ -1,13 +1,17 @@
 """What a session is given up for is left open, and nothing else changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_sessions import Shape, data_of
 
-from trigpoint.fusion.association import search
+from trigpoint.fusion.association import engine, search
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import Explanation
+from trigpoint.fusion.association.learning import SessionNoise, learnt_noise
+from trigpoint.fusion.association.world import World
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
@@ -51,6 +55,45 @@ def test_whatever_the_budget_what_is_located_is_where_it_is(came: Came, share: f
     located = {camera for camera, finding in found.findings.items() if finding.is_located}
     assert (located == {"c1", "c2"}) == (share > 1)
     assert {camera for camera, _ in found.places} <= located
+
+
+def test_camera_with_undecided_pictures_is_left_open_and_no_other(came: Came) -> None:
+    whole, _ = within(came, np.inf)
+    found = explain(*came, undecided=frozenset({"c2"}))
+    (mine,), (expected,) = (e.findings["c1"].alternatives for e in (found, whole))
+    np.testing.assert_allclose(mine.covariance, expected.covariance, rtol=1e-6, atol=1e-12)
+    assert not found.findings["c2"].is_located
+    assert "not decided in time" in found.findings["c2"].reason
+    assert {camera for camera, _ in found.places} == {"c1"}
+
+
+def test_only_worlds_that_may_count_are_verified_the_likeliest_first(
+    came: Came, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores: list[float] = []
+    verified: list[float] = []
+
+    class Watched(World):
+        def __init__(self, *args, **more) -> None:
+            super().__init__(*args, **more)
+            # The second is far behind, and the third as good as the first.
+            self.noise = replace(self.noise, score=200.0 * (len(scores) == 1))
+            scores.append(self.score)
+
+        def verify(self) -> None:
+            verified.append(self.score)
+            super().verify()
+
+    def three(*args) -> tuple[dict[str, float], list[SessionNoise]]:
+        scales, noises = learnt_noise(*args)
+        return scales, [noises[0]] * 3
+
+    monkeypatch.setattr(engine, "World", Watched)
+    monkeypatch.setattr(engine, "learnt_noise", three)
+    found = explain(*came)
+    assert len(scores) == 3
+    assert verified == [scores[0], scores[2]]
+    assert all(finding.is_located for finding in found.findings.values())
 
 
 def test_usual_session_takes_little_of_what_its_length_allows(came: Came) -> None:

@@ -10,6 +10,7 @@ from msgspec import structs
 from trigpoint.clock import to_ns
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
+from trigpoint.fusion.intake import robot_identity
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose
@@ -95,3 +96,53 @@ def test_once_the_budget_is_spent_no_robot_is_told_and_it_is_said() -> None:
     assert not identification.ready(is_end=True)
     assert identification.untold == len(pictures) > 0
     assert "not decided in time" in identification.problem
+
+
+def identified(
+    data: DataSet, pictures: list[Picture], monkeypatch: pytest.MonkeyPatch, share: float
+) -> tuple[RobotIdentification, list[str]]:
+    """The robots that are told with this share of a session's budget."""
+    monkeypatch.setattr(robot_identity, "ALIKE_SHARE", share)
+    identification = RobotIdentification(data)
+    for picture in pictures:
+        identification.add("c1", picture.stamp_ns, picture.faces)
+    return identification, [seen.robot for seen in identification.ready(is_end=True)]
+
+
+def test_however_little_may_be_looked_at_no_robot_is_taken_for_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A robot that nothing is held against, since the budget ends before the other, is not told."""
+    data = beside(standing())
+    pictures = seen_of(data, "r1")
+    told_by = {}
+    for share in [0.0, *np.geomspace(1e-3, 0.1, 12).tolist()]:
+        identification, robots = identified(data, pictures, monkeypatch, share)
+        assert set(robots) <= {"r1"}
+        assert identification.undecided == (frozenset() if robots else {"c1"})
+        told_by[share] = len(robots)
+    assert told_by[0.0] == 0
+    assert told_by[max(told_by)] == len(pictures)
+
+
+def some(numbers: list[int], face: str) -> list[Picture]:
+    """Pictures of these numbers with one face each, which only its name tells apart."""
+    return [Picture(number, ({face: None},)) for number in numbers]  # pyright: ignore
+
+
+def test_a_stretch_left_beside_a_robot_that_was_told_is_looked_at_again() -> None:
+    run = some(list(range(60)), "told")
+    singles, stretch = some([3, 4, 17, 51], "single"), some(list(range(30, 40)), "lasting")
+    assert robot_identity._lasting(run, singles + stretch) == stretch  # pyright: ignore
+
+
+def test_what_is_left_of_single_pictures_is_not_a_stretch() -> None:
+    run, left = some(list(range(200)), "told"), some([*range(0, 200, 7), 15, 16], "single")
+    assert robot_identity._lasting(run, left) == []  # pyright: ignore
+
+
+def test_faces_left_of_one_picture_are_looked_at_together() -> None:
+    run = some(list(range(20)), "told")
+    one, other = some(list(range(5, 12)), "one"), some(list(range(5, 12)), "other")
+    found = robot_identity._lasting(run, one + other)  # pyright: ignore
+    assert [len(picture.faces) for picture in found] == [2] * 7
