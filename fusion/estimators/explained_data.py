@@ -1,9 +1,11 @@
-"""Applies an explanation to a data set, for the solution to take as given."""
+"""Applies an explanation to a data set, for the solution to take as given; and what it leaves open,
+which the solution adds."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.association.session_noise import with_noise
 from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras, Move
@@ -14,6 +16,10 @@ from trigpoint.fusion.model.observations import (
     observation_of,
 )
 from trigpoint.fusion.model.problem import State
+from trigpoint.geometry.rotation import Array
+
+# The relative increase of a variance that changes no sigma by more than a two-hundredth.
+_LITTLE_SPREAD = 0.01
 
 
 def explained(data: DataSet, explanation: Explanation) -> tuple[DataSet, State]:
@@ -37,6 +43,23 @@ def explained(data: DataSet, explanation: Explanation) -> tuple[DataSet, State]:
             fresh = as_read(fresh, read.readings, read.wild)
         draft.entries.append(Entry(fresh, read.map_from_base))
     return draft, State(state.cameras | cameras, state.robots)
+
+
+def left_open(state: State, explanation: Explanation, events: Events) -> dict[str, Array]:
+    """By camera, the covariance (6, 6) of what explanations leave open of its pose: for example
+    which of two contradicting faces is wrong; or all of it, where several poses are possible."""
+    found = {}
+    for camera in state.cameras:
+        finding = explanation.findings.get(camera)
+        if finding is None:
+            continue
+        if not finding.is_located:  # known from before, and perhaps not there any more
+            found[camera] = np.diag(events.room_variances)
+            continue
+        place = finding.alternatives[0]
+        if np.trace(np.linalg.solve(place.covariance, place.spread)) > _LITTLE_SPREAD:
+            found[camera] = place.spread
+    return found
 
 
 def _take_lifts(data: DataSet, explanation: Explanation) -> None:

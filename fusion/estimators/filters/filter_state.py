@@ -91,6 +91,10 @@ class FilterState(Protocol):
 
     def without_robot(self, robot: str) -> Self: ...
 
+    def spread(self, covariances: dict[str, Array]) -> Self:
+        """The state with these covariances (6, 6) added to those of cameras' poses."""
+        ...
+
     def joint_covariance(self, cameras: list[str]) -> Array:
         """(6n, 6n) over the poses of these cameras."""
         ...

@@ -145,6 +145,14 @@ class KalmanState:
         kept = [part for part in self.columns if part != ("last", robot)]
         return replace(self, stamps_ns=stamps).only(kept)
 
+    def spread(self, covariances: dict[str, Array]) -> Self:
+        whole = self.covariance.copy()
+        for camera, covariance in covariances.items():
+            part = self.columns["pose", camera]
+            by_disturbance = twist_by_disturbance(self.states[camera].map_from_camera)
+            whole[part, part] += by_disturbance @ covariance @ by_disturbance.T
+        return replace(self, covariance=whole)
+
     # -- the error goes into the nominal values ---------------------------------------------------
 
     def moved(self, error: Array) -> Self:

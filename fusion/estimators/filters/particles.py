@@ -123,6 +123,10 @@ class Particles:
         scales = self.scale_errors | {robot: drawn}
         return replace(filter_state, draws=self.draws + 1, scale_errors=scales)
 
+    def spread(self, covariances: dict[str, Array]) -> Self:
+        more = {name: self.covariances[name] + each for name, each in covariances.items()}
+        return replace(self, covariances=self.covariances | more)
+
     def with_drawn(self, robots: Iterable[str]) -> Self:
         """With the poses of some robots drawn from their remaining covariance."""
         filter_state = self

@@ -30,13 +30,16 @@ _HISTORY = 64
 
 class Replay:
     """A filter and its steps so far. `filter_state`: after all of the `steps`; `located`: the
-    approximate states of cameras, by all of their sightings."""
+    approximate states of cameras, by all of their sightings; `left_open`: by camera, the covariance
+    (6, 6) of what explanations leave open of its pose, which the state has in it."""
 
     def __init__(self, data: DataSet, origin: Callable[[DataSet], FilterState]) -> None:
         self._data, self._origin = data, origin
         self.filter_state = origin(data)
         self.steps: list[Step] = []
         self.located: Mapping[str, CameraState] = {}
+        self.left_open: Mapping[str, Array] = {}
+        self._spread_after = 0
         # By entry, where several pictures share a tilt: see `Jitter.among`.
         self._variances: dict[int, Array] = {}
 
@@ -62,11 +65,15 @@ class Replay:
         correction = self._take(index)
         for step in later:
             self._take(step.entry)
+        if place < self._spread_after:  # the states before it are without
+            self._spread()
         return correction
 
-    def restart(self, located: Mapping[str, CameraState]) -> None:
-        """Process all accepted observations from the beginning; `located`: as in the class."""
-        self.filter_state, self.steps, self.located = self._origin(self._data), [], located
+    def restart(self, located: Mapping[str, CameraState], left_open: Mapping[str, Array]) -> None:
+        """Process all accepted observations from the beginning; `located`, `left_open`: as in the
+        class."""
+        self.filter_state, self.steps = self._origin(self._data), []
+        self.located, self.left_open = located, left_open
         accepted = [
             index
             for index, entry in enumerate(self._data.entries)
@@ -75,6 +82,12 @@ class Replay:
         self._variances = _shared_variances(self._data, accepted)
         for _, index in sorted((self._time_ns(index), index) for index in accepted):
             self._take(index)
+        self._spread()
+
+    def _spread(self) -> None:
+        """Add to the state, after the steps so far, what is left open of its cameras' poses."""
+        here = {n: each for n, each in self.left_open.items() if n in self.filter_state.cameras}
+        self.filter_state, self._spread_after = self.filter_state.spread(here), len(self.steps)
 
     def _time_ns(self, index: int) -> int:
         """The true time at which the robot was seen: stamp minus the camera's time offset."""

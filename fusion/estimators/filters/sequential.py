@@ -9,9 +9,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.estimators.change_reports import report_changes
-from trigpoint.fusion.estimators.explained_data import explained
+from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.residuals import CameraResiduals
@@ -108,10 +109,12 @@ class SequentialEstimator:
         if replay is None or not self._explainer.has_new:
             return
         before = list(self.data.changes)
-        draft, state = explained(self.data, self._explainer.explain())
+        explanation = self._explainer.explain()
+        draft, state = explained(self.data, explanation)
         self.data.take_over(draft)
         self._explainer.note(self.data.entries)
-        replay.restart(state.cameras)
+        events = Events(self.data.site.fusion.priors)
+        replay.restart(state.cameras, left_open(state, explanation, events))
         self.iterations += 1
         if self.data.changes != before:
             report_changes(self.data, state)

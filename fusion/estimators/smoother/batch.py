@@ -12,7 +12,7 @@ import numpy as np
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
-from trigpoint.fusion.estimators.explained_data import explained
+from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.estimators.smoother import odometry_noise, standstill_noise
 from trigpoint.fusion.model.dataset import DataSet
@@ -30,8 +30,6 @@ _MOST_ROUNDS = 6
 _MOST_LOOKS = 2
 # The predicted decrease of χ² at which a solution has converged: a hundredth of a sigma.
 _TOLERANCE = 1e-4
-# The relative increase of a variance that changes no sigma by more than a two-hundredth.
-_LITTLE_SPREAD = 0.01
 
 
 class BatchSolution:
@@ -58,7 +56,7 @@ class BatchSolution:
         else:
             problem, solution = solved.assembled.problem, solved.solution
             after = Filter.after(state, problem, solution.reduced)
-        after = after.spread(_left_open(state, explanation, Events(draft.site.fusion.priors)))
+        after = after.spread(left_open(state, explanation, Events(draft.site.fusion.priors)))
         _say_earlier(draft, after)
         self.data.take_over(draft)
         self.state, self.problem, self.solution = state, problem, solution
@@ -102,23 +100,6 @@ def _scales(state: State, after: Filter) -> dict[str, tuple[Array, Array]]:
         )
         for robot in columns
     }
-
-
-def _left_open(state: State, explanation: Explanation, events: Events) -> dict[str, Array]:
-    """By camera, the covariance (6, 6) of what explanations leave open of its pose: for example
-    which of two contradicting faces is wrong; or all of it, where several poses are possible."""
-    found = {}
-    for camera in state.cameras:
-        finding = explanation.findings.get(camera)
-        if finding is None:
-            continue
-        if not finding.is_located:  # known from before, and perhaps not there any more
-            found[camera] = np.diag(events.room_variances)
-            continue
-        place = finding.alternatives[0]
-        if np.trace(np.linalg.solve(place.covariance, place.spread)) > _LITTLE_SPREAD:
-            found[camera] = place.spread
-    return found
 
 
 def _say_earlier(data: DataSet, known: Filter) -> None:
