@@ -70,7 +70,7 @@ class World:
         if self.budget.is_spent:
             self.undecided = self._cameras()
         else:
-            self._hold_cameras()
+            self._verify_cameras()
 
     def _cameras(self) -> set[str]:
         return {v.visit.camera for v in self.visits}
@@ -106,7 +106,7 @@ class World:
         self.hypotheses += [each for each in found if _signature(each) not in known]
         self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
 
-    def _hold_cameras(self) -> None:
+    def _verify_cameras(self) -> None:
         """For each camera of the best explanation, search everything else that its visits may be.
         If the budget does not suffice, all cameras not verified yet are undecided, those with only
         one visit included."""

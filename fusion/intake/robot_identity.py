@@ -8,12 +8,10 @@ cameras saw each of them drive meanwhile.
 """
 
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.clock import to_ns
 from trigpoint.fusion.association.budget import ALIKE_SHARE, Budget
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.modes import Memory
@@ -28,15 +26,11 @@ from trigpoint.geometry.rotation import Array
 
 from .joint_motion import added_chi2
 from .past_poses import PastPoses
+from .picture_runs import AWAY_NS, lasting, split, visits
 
-_AWAY_NS = to_ns(2.0)
 _MOST_PICTURES = 256
 # One picture fits any robot: its camera may be anywhere.
 _LEAST_PICTURES = 2
-# With one sighting in ten wrong, so many in a row are wrong one time in a thousand.
-_LEAST_LASTING = 3
-# ... and not expected more often than this among wrong sightings that come singly.
-_CHANCE = 0.1
 # A run is looked at once, and again after each of two events in it.
 _MOST_LOOKS = 3
 # χ²: five sigmas from its estimated pose.
@@ -89,7 +83,7 @@ class RobotIdentification:
         self._budget.allowed = Budget.of(tracks, share=ALIKE_SHARE).allowed
         until_ns = min((track.last_ns for track in tracks), default=0)
         for camera, visit in list(self._open.items()):
-            is_over = max(p.stamp_ns for p in visit) + _AWAY_NS < until_ns
+            is_over = max(p.stamp_ns for p in visit) + AWAY_NS < until_ns
             if is_end or is_over or len(visit) >= _MOST_PICTURES:
                 self._closed.append((camera, self._open.pop(camera)))
         closed, self._closed = self._closed, []
@@ -206,7 +200,7 @@ class RobotIdentification:
         cameras saw it drive at the time."""
         found: list[Observation] = []
         left, self._left = self._left, deque(maxlen=_MOST_LEFT)
-        for camera, visit in _visits(left):
+        for camera, visit in visits(left):
             alone = None if places.camera(camera) else self._alone(places, camera, visit)
             if alone is None:
                 self._left.extend((camera, picture) for picture in visit)
@@ -233,7 +227,7 @@ class RobotIdentification:
             return None
         if any(other - added[robot] < DECISIVE for n, other in added.items() if n != robot):
             return None
-        return _split(camera, robot, every[robot].right(visit), visit)
+        return split(camera, robot, every[robot].right(visit), visit)
 
     def _added(
         self, places: PastPoses, camera: str, robot: str, fit: RobotFit, visit: list[Picture]
@@ -259,7 +253,7 @@ class RobotIdentification:
         told, unclear, rest = self._told_of(camera, run)
         last = max((seen.stamp_ns for seen in told), default=0)
         self._told_ns[camera] = max(self._told_ns.get(camera, 0), last)
-        left = [] if is_last or not told else _lasting(run, unclear + rest)
+        left = [] if is_last or not told else lasting(run, unclear + rest)
         again = {picture.stamp_ns for picture in left}
         unclear, rest = (
             [picture for picture in part if picture.stamp_ns not in again]
@@ -284,7 +278,7 @@ class RobotIdentification:
             robot, every = best
             known.add(robot)
             right = every[robot].right(rest)
-            own, left = _split(camera, robot, right, rest)
+            own, left = split(camera, robot, right, rest)
             shown = [rest[order].showing(faces) for order, faces in right.items() if faces]
             if self._is_clear(camera, robot, every, shown, of=rest):
                 found += own
@@ -343,57 +337,6 @@ def _leads(robot: str, every: dict[str, RobotFit]) -> bool:
     """Whether a robot's fit is better than any other's by more than `window()`."""
     gains = {name: fit.gain for name, fit in every.items()}
     return gains.pop(robot, 0.0) > max(gains.values(), default=0.0) + window()
-
-
-def _lasting(run: list[Picture], left: list[Picture]) -> list[Picture]:
-    """What was left of the longest stretch of a run in which something was left of each picture:
-    wrong sightings come singly, but a camera that was moved or a robot that was lifted stays so,
-    whatever other robots are beside it."""
-    over: dict[int, Picture] = {}
-    for picture in left:
-        mine = over.get(picture.stamp_ns, Picture(picture.stamp_ns, ()))
-        over[picture.stamp_ns] = Picture(picture.stamp_ns, mine.faces + picture.faces)
-    stretches: list[list[Picture]] = [[]]
-    for picture in run:
-        if picture.stamp_ns in over:
-            stretches[-1].append(over[picture.stamp_ns])
-        else:
-            stretches.append([])
-    longest = max(stretches, key=len)
-    count = len(longest)
-    share = (len(over) - count + 1) / (len(run) - count + 2)  # of the other pictures (Laplace)
-    is_chance = count < _LEAST_LASTING or len(run) * share**count > _CHANCE
-    return [] if is_chance else longest
-
-
-def _split(
-    camera: str, robot: str, right: dict[int, tuple[int, ...]], visit: list[Picture]
-) -> tuple[list[Observation], list[Picture]]:
-    """The observations of a robot, given which faces are its own, and the pictures with the
-    faces left."""
-    found, rest = [], []
-    for order, picture in enumerate(visit):
-        own = right.get(order, ())
-        if own:
-            views = tuple(picture.faces[face][robot] for face in own)
-            found.append(observation_of(camera, robot, picture.stamp_ns, views))
-        others = [face for face in range(len(picture.faces)) if face not in own]
-        if others:
-            rest.append(picture.showing(others))
-    return found, rest
-
-
-def _visits(left: Iterable[tuple[str, Picture]]) -> list[tuple[str, list[Picture]]]:
-    """Pictures by camera and visit, each in order of time."""
-    visits: list[tuple[str, list[Picture]]] = []
-    last: dict[str, list[Picture]] = {}
-    for camera, picture in sorted(left, key=lambda item: item[1].stamp_ns):
-        visit = last.get(camera)
-        if visit is None or picture.stamp_ns - visit[-1].stamp_ns > _AWAY_NS:
-            visit = last[camera] = []
-            visits.append((camera, visit))
-        visit.append(picture)
-    return visits
 
 
 def _of_camera(covariance: Array, distance_m2: float) -> Array:

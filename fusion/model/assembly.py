@@ -25,6 +25,7 @@ from .problem import (
     Problem,
     State,
     layout_of,
+    true_times_ns,
 )
 from .trajectory import interpolated
 
@@ -200,14 +201,14 @@ def _batch(
     stamps_ns = np.array([observation.stamp_ns for observation in observations])
     since_epoch_s = data.since_epoch_s(stamps_ns)
     offset_s = state.cameras[camera].offset_s(since_epoch_s)
-    times_ns = stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
+    times_ns = true_times_ns(stamps_ns, offset_s)
     observations = moving(observations, chain.track, times_ns, chain.scales)
     points = padded_points(observations, target)
     shares = np.array([data.entries[index].share for index in indices])
     nodes = np.array([node_of[index] for index in indices])
     carried = None
     if camera in layout.time_offset:
-        carried = Carried.of(chain, nodes, times_ns, offset_s)
+        carried = Carried.of(chain, nodes, stamps_ns, offset_s)
     jitter = data.jitter.get(chain.robot)
     return Batch(
         camera=camera,

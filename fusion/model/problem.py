@@ -91,6 +91,11 @@ class Chain:
         return len(self.stamps_ns)
 
 
+def true_times_ns(stamps_ns: np.ndarray, offset_s: Array) -> np.ndarray:
+    """The true times (n,) of stamps (n,): true time = stamp - time offset."""
+    return stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class Carried:
     """How a robot moves from its nodes to the moments at which a camera sees it, as a function of
@@ -107,15 +112,14 @@ class Carried:
     offset_s: Array
 
     @classmethod
-    def of(cls, chain: Chain, nodes: np.ndarray, times_ns: np.ndarray, offset_s: Array) -> Self:
-        """From a chain's nodes (n,) to the true times (n,) of sightings with assumed offsets."""
-        start_ns = chain.stamps_ns[nodes]
+    def of(cls, chain: Chain, nodes: np.ndarray, stamps_ns: np.ndarray, offset_s: Array) -> Self:
+        """From a chain's nodes (n,) to sightings with stamps (n,) and assumed offsets (n,)."""
+        start_ns, times_ns = chain.stamps_ns[nodes], true_times_ns(stamps_ns, offset_s)
         way, _ = chain.track.carried(start_ns, (times_ns - start_ns) / NANOSECONDS, chain.scales)
         return cls(way, chain.track.twists_about(times_ns) * both(1 + chain.scales), offset_s)
 
     def at(self, offset_s: Array) -> Pose:
         """The motions (n) from nodes to sightings, with time offsets (n,)."""
-        # True time = stamp - offset.
         return self.way @ moved(self.twists * (self.offset_s - offset_s)[:, None])
 
 

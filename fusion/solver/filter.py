@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.observations import Observation, points_of
@@ -282,9 +281,7 @@ def _batch(
     stamps_ns, nodes = np.array([observation.stamp_ns]), np.zeros(1, dtype=int)
     since_epoch_s, carried = data.since_epoch_s(stamps_ns), None
     if camera is not None:
-        offset_s = camera.offset_s(since_epoch_s)
-        times_ns = stamps_ns - np.round(offset_s * NANOSECONDS).astype(np.int64)
-        carried = Carried.of(chain, nodes, times_ns, offset_s)
+        carried = Carried.of(chain, nodes, stamps_ns, camera.offset_s(since_epoch_s))
     return Batch(
         camera=observation.camera,
         robot=observation.robot,

@@ -123,26 +123,3 @@ def test_however_little_may_be_looked_at_no_robot_is_taken_for_another(
         told_by[share] = len(robots)
     assert told_by[0.0] == 0
     assert told_by[max(told_by)] == len(pictures)
-
-
-def some(numbers: list[int], face: str) -> list[Picture]:
-    """Pictures of these numbers with one face each, which only its name tells apart."""
-    return [Picture(number, ({face: None},)) for number in numbers]  # pyright: ignore
-
-
-def test_a_stretch_left_beside_a_robot_that_was_told_is_looked_at_again() -> None:
-    run = some(list(range(60)), "told")
-    singles, stretch = some([3, 4, 17, 51], "single"), some(list(range(30, 40)), "lasting")
-    assert robot_identity._lasting(run, singles + stretch) == stretch  # pyright: ignore
-
-
-def test_what_is_left_of_single_pictures_is_not_a_stretch() -> None:
-    run, left = some(list(range(200)), "told"), some([*range(0, 200, 7), 15, 16], "single")
-    assert robot_identity._lasting(run, left) == []  # pyright: ignore
-
-
-def test_faces_left_of_one_picture_are_looked_at_together() -> None:
-    run = some(list(range(20)), "told")
-    one, other = some(list(range(5, 12)), "one"), some(list(range(5, 12)), "other")
-    found = robot_identity._lasting(run, one + other)  # pyright: ignore
-    assert [len(picture.faces) for picture in found] == [2] * 7

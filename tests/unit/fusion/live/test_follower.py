@@ -11,6 +11,7 @@ from trigpoint import topics
 from trigpoint.clock import to_ns
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
+from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.live.follower import catching_up
 from trigpoint.fusion.pipeline import Output, Pipeline
 from trigpoint.fusion.solver import gaussian
@@ -64,6 +65,19 @@ def test_live_with_a_solver_ends_where_batch_ends(
     sent = driven(pipeline, charuco.messages)
     assert len(corrected(sent)) > 10
     assert_same_places(finished(pipeline), charuco_results.network)
+
+
+@pytest.mark.parametrize("is_live", [False, True], ids=["offline", "with a solver"])
+def test_camera_whose_last_pictures_are_undecided_is_not_located(
+    charuco: Session, charuco_results: Results, monkeypatch: pytest.MonkeyPatch, is_live: bool
+) -> None:
+    monkeypatch.setattr(Intake, "undecided", frozenset({"c2"}))
+    solver = SlowSolver(charuco.inputs, calls=0) if is_live else None
+    pipeline = Pipeline(charuco.inputs, solver=solver)
+    driven(pipeline, charuco.messages)
+    network = finished(pipeline)
+    assert network.located == [name for name in charuco_results.network.located if name != "c2"]
+    assert "not decided in time" in network.cameras["c2"].undetermined[0]
 
 
 def test_corrections_and_robot_poses_with_a_slow_solver_are_honest(charuco: Session) -> None:

@@ -28,7 +28,8 @@ def seen(numbers: list[float]) -> tuple[Carried, np.ndarray]:
     """Sightings from the stay's node at these messages, and after which time."""
     times_ns = np.round(np.array(numbers) * PERIOD_NS).astype(np.int64)
     nodes = np.ones(len(numbers), dtype=int)
-    carried = Carried.of(chain(), nodes, times_ns, np.full(len(numbers), OFFSET_S))
+    stamps_ns = times_ns + to_ns(OFFSET_S)
+    carried = Carried.of(chain(), nodes, stamps_ns, np.full(len(numbers), OFFSET_S))
     return carried, (times_ns - STOPS * PERIOD_NS) / NANOSECONDS
 
 
