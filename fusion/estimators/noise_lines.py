@@ -2,7 +2,7 @@
 another."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from trigpoint.fusion.model.dataset import DataSet
 
@@ -13,40 +13,39 @@ _LEAST_CHANGE = 0.05
 
 
 def noise_lines(data: DataSet) -> tuple[str, ...]:
-    """One line for each kind of noise that is not as stated; none where all is."""
-    of_robots = ((robot, text) for robot in data.site.robots for text in _of_robot(data, robot))
-    of_corners = (
-        (camera, f"corners have {_factor(factor)} their stated sigma")
-        for camera, factor in sorted(data.corner_scale.items())
-        if _differs(factor)
-    )
-    robots, cameras = list(data.site.robots), list(data.site.cameras)
-    return (*_named(of_robots, robots, "robots"), *_named(of_corners, cameras, "cameras"))
+    """One line for all robots or cameras with the same noise that is not as stated; none where all
+    is."""
+    robots = {robot: ", ".join(_of_robot(data, robot)) for robot in data.site.robots}
+    cameras = {camera: _of_camera(data, camera) for camera in data.site.cameras}
+    return (*_named(robots, "robots"), *_named(cameras, "cameras"))
 
 
 def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
     jitter = data.jitter.get(robot)
     if jitter is not None and jitter.tilt > _LEAST_TILT:
-        how = "anew in each picture"
+        how = "in each picture anew"
         if jitter.length > 0:
-            how = f"with a floor whose slope changes over {jitter.length:.1f} m"
-        yield f"tilts by {math.degrees(jitter.tilt):.2f}° {how}"
+            how = f"by a floor whose slope changes over {jitter.length:.1f} m"
+        yield f"a tilt of {math.degrees(jitter.tilt):.2f}° {how}"
     if jitter is not None and jitter.sway > _LEAST_SWAY_M:
-        yield f"target sways by {1e3 * jitter.sway:.1f} mm"
+        yield f"a target that sways by {1e3 * jitter.sway:.1f} mm"
     odometry, slip = data.odometry_scale.get(robot, (1.0, 1.0))
     if _differs(odometry):
-        yield f"odometry has {_factor(odometry)} its stated noise"
+        yield f"{_factor(odometry)} the stated noise of odometry"
     if slip > 1 and _differs(slip):
-        yield f"slips {_factor(slip)} as much as assumed where it turns"
+        yield f"{_factor(slip)} the assumed slip in turns"
 
 
-def _named(lines: Iterable[tuple[str, str]], every: list[str], kind: str) -> Iterator[str]:
-    """The lines, each once, after the names that it holds for; all of `every` are their `kind`."""
-    names: dict[str, list[str]] = {}
-    for name, text in lines:
-        names.setdefault(text, []).append(name)
-    for text, mine in names.items():
-        whose = f"all {kind}" if len(mine) == len(every) > 1 else ", ".join(mine)
+def _of_camera(data: DataSet, camera: str) -> str:
+    factor = data.corner_scale.get(camera, 1.0)
+    return f"{_factor(factor)} the stated sigma of corners" if _differs(factor) else ""
+
+
+def _named(texts: dict[str, str], kind: str) -> Iterator[str]:
+    """Each text once, after the names that it holds for; all of them are their `kind`."""
+    for text in dict.fromkeys(filter(None, texts.values())):
+        names = [name for name, own in texts.items() if own == text]
+        whose = f"all {kind}" if len(names) == len(texts) > 1 else ", ".join(names)
         yield f"{whose}: {text}"
 
 

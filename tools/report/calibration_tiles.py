@@ -62,7 +62,7 @@ def noise_words(chi2: float, noise: tuple[str, ...] = ()) -> str:
     """What χ² says, what `noise` is not as stated, and what follows where χ² is far from 1."""
     words = "χ² per degree of freedom; 1 where noise is as assumed"
     if noise:
-        words += f", which is of {'; '.join(noise)}"
+        words += f", that is, of {'; of '.join(noise)}"
     if chi2 > 2.0:
         return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
     if chi2 < 0.5:

@@ -15,7 +15,7 @@ def test_nothing_is_said_where_all_is_as_stated() -> None:
     assert noise_lines(data) == ()
 
 
-def test_each_kind_of_noise_has_its_line() -> None:
+def test_each_kind_of_noise_is_named() -> None:
     data = small_data()
     data.jitter = {
         "r1": Jitter(sway=1e-6, tilt=math.radians(0.3), length=2.0),
@@ -24,13 +24,11 @@ def test_each_kind_of_noise_has_its_line() -> None:
     data.odometry_scale = {"r1": (0.5, 0.1), "r2": (2.0, 3.0)}
     data.corner_scale = {"c1": 1.0, "c2": 1.8}
     assert noise_lines(data) == (
-        "r1: tilts by 0.30° with a floor whose slope changes over 2.0 m",
-        "r1: odometry has 0.5 times its stated noise",
-        "r2: tilts by 0.10° anew in each picture",
-        "r2: target sways by 1.2 mm",
-        "r2: odometry has 2 times its stated noise",
-        "r2: slips 3 times as much as assumed where it turns",
-        "c2: corners have 1.8 times their stated sigma",
+        "r1: a tilt of 0.30° by a floor whose slope changes over 2.0 m, "
+        "0.5 times the stated noise of odometry",
+        "r2: a tilt of 0.10° in each picture anew, a target that sways by 1.2 mm, "
+        "2 times the stated noise of odometry, 3 times the assumed slip in turns",
+        "c2: 1.8 times the stated sigma of corners",
     )
 
 
@@ -39,6 +37,6 @@ def test_what_holds_for_several_is_one_line() -> None:
     data.odometry_scale = {"r1": (2.0, 1.0), "r2": (2.0, 1.0)}
     data.corner_scale = {"c1": 0.41, "c2": 0.41}
     assert noise_lines(data) == (
-        "all robots: odometry has 2 times its stated noise",
-        "all cameras: corners have 0.41 times their stated sigma",
+        "all robots: 2 times the stated noise of odometry",
+        "all cameras: 0.41 times the stated sigma of corners",
     )

@@ -194,11 +194,11 @@ def test_what_was_left_out_stands_in_words() -> None:
 
 
 def test_noise_that_is_not_as_stated_stands_in_words() -> None:
-    line = "c2: corners have 1.8 times their stated sigma"
-    assert f"where noise is as assumed, which is of {line}" in words(
+    line = "c2: 1.8 times the stated sigma of corners"
+    assert f"where noise is as assumed, that is, of {line}" in words(
         calibration_page(make_results(noise=(line,)))
     )
-    assert "which is of" not in words(calibration_page(make_results()))
+    assert "that is, of" not in words(calibration_page(make_results()))
 
 
 def test_names_from_files_cannot_break_the_page() -> None:
