@@ -63,7 +63,10 @@ def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
 
 
 def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> Alone:
-    """Fit one view by itself; where no board fits at all, the view is wrong and tells nothing."""
+    """Fit one view by itself; where no board fits at all, the view is wrong and tells nothing.
+
+    A flat board has two poses that look much alike, and a wild corner may make the wrong one of
+    them the better start: both are fitted, and the better fit counts."""
     reading = view.readings[0]  # every other reading is of the same board
     face = target.faces[reading.face]
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
@@ -71,9 +74,8 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     if not fits:
         return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
     points = swept(flat, view, face)
-    left, normal, wild = _fit(fits[0].pose, points, view, lens, events)
-    evidence = float(np.sum(left[~wild])) + int(wild.sum()) * events.wild_score
-    evidence += float(np.linalg.slogdet(normal)[1])
+    tried = [_fit(fit.pose, points, view, lens, events) for fit in fits]
+    evidence, left, wild = min(tried, key=lambda fit: fit[0])
     wrong = evidence + events.pose_score + events.wrong_score
     scatter = np.nan
     if len(points) >= _LEAST_CORNERS:
@@ -87,9 +89,9 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
 
 def _fit(
     pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
-) -> tuple[Array, Array, np.ndarray]:
-    """Fit the pose, and return each corner's χ² about it (n,), its information (6, 6), and which
-    corners are wild (n,)."""
+) -> tuple[float, Array, np.ndarray]:
+    """Fit the pose, and return the score of the fit with the pose integrated out, each corner's χ²
+    about it (n,), and which corners are wild (n,)."""
     wild = np.zeros(len(points), dtype=bool)
     jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
@@ -97,7 +99,9 @@ def _fit(
         pose = pose.disturbed(step)
         jacobian, left = _linearised(pose, points, view, lens)
     flat = jacobian[~wild].reshape(-1, 6)
-    return np.sum(left**2, axis=1), flat.T @ flat, wild
+    chi2 = np.sum(left**2, axis=1)
+    evidence = float(np.sum(chi2[~wild])) + int(wild.sum()) * events.wild_score
+    return evidence + float(np.linalg.slogdet(flat.T @ flat)[1]), chi2, wild
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
