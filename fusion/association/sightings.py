@@ -5,10 +5,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
-from trigpoint.fusion.model.projection import projected
+from trigpoint.fusion.model.projection import before_camera, projected
 from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
@@ -67,31 +68,92 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
 
     A flat board has two poses that look much alike, and a wild corner may make the wrong one of
     them the better start: both are fitted, and the better fit counts."""
-    reading = view.readings[0]  # every other reading is of the same board
-    face = target.faces[reading.face]
-    flat = face_points(face, view.corners, is_turned=reading.is_turned)
-    fits = planar_poses(lens, flat, view.pixels, view.sigma)
-    if not fits:
+    fit = _best_fit(view, lens, target, events)
+    if fit is None:
         return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
-    points = swept(flat, view, face)
-    tried = [_fit(fit.pose, points, view, lens, events) for fit in fits]
-    evidence, left, wild = min(tried, key=lambda fit: fit[0])
-    wrong = evidence + events.pose_score + events.wrong_score
+    left = fit.chi2
     scatter = np.nan
-    if len(points) >= _LEAST_CORNERS:
+    if len(left) >= _LEAST_CORNERS:
         # Half of all distances from the mean are beyond √(2 ln 2) σ; the fit takes three corners.
-        share = 1 - 3 / len(points)
+        share = 1 - 3 / len(left)
         middle = float(np.median(left)) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
-    return Alone(wrong, evidence, scatter, wild)
+    return Alone(fit.score + events.wrong_limit, fit.score, scatter, fit.wild)
 
 
-def _fit(
-    pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
-) -> tuple[float, Array, np.ndarray]:
-    """Fit the pose, and return the score of the fit with the pose integrated out, each corner's χ²
-    about it (n,), and which corners are wild (n,)."""
+def wrong_by_lens(
+    view: View, lens: CameraModel, information: Array, target: Target, events: Events
+) -> float:
+    """Return the score of a wrong view of a camera whose lens is estimated: `Alone.wrong_score`,
+    with the lens integrated out too. `information` (l, l): what others show of its parameters."""
+    fit = _best_fit(view, lens, target, events)
+    if fit is None:
+        return events.wrong_limit
+    _, _, by_lens = lens.project_jacobians(
+        before_camera(fit.points @ fit.pose.rotation.T + fit.pose.translation)
+    )
+    by_both = np.concatenate([fit.by_pose, by_lens / view.sigma], axis=-1)[~fit.wild]
+    by_both = by_both.reshape(-1, by_both.shape[-1])
+    residual = fit.residual[~fit.wild].reshape(-1)
+    normal = by_both.T @ by_both
+    normal[6:, 6:] += information
+    gradient = by_both.T @ residual
+    gain = float(gradient @ np.linalg.solve(normal, gradient))
+    occam = float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(information)[1])
+    wild = int(fit.wild.sum()) * events.wild_score
+    return float(residual @ residual) - gain + occam + wild + events.wrong_limit
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A board's `points` (n, 3) fitted alone. `by_pose` (n, 2, 6) and `residual` (n, 2): about its
+    `pose`, in sigmas; `wild`: flags of the wild corners (n,); `score`: with the pose integrated
+    out."""
+
+    pose: Pose
+    points: Array
+    by_pose: Array
+    residual: Array
+    wild: np.ndarray
+    score: float
+
+    @property
+    def chi2(self) -> Array:
+        """Of each corner (n,)."""
+        return np.sum(self.residual**2, axis=1)
+
+
+def _best_fit(view: View, lens: CameraModel, target: Target, events: Events) -> _Fit | None:
+    reading = view.readings[0]  # every other reading is of the same board
+    face = target.faces[reading.face]
+    flat = face_points(face, view.corners, is_turned=reading.is_turned)
+    points = swept(flat, view, face)
+    starts = planar_poses(lens, flat, view.pixels, view.sigma)
+    tried = [_fit(start.pose, points, view, lens, events) for start in starts]
+    best = min(tried, key=lambda fit: fit.score, default=None)
+    if best is not None and np.all(best.chi2 < events.wild_score):
+        return best
+    # Wild corners may have spoilt the start.
+    in_plane = _on_one_plane(flat, view.pixels, lens, math.sqrt(events.wild_score) * view.sigma)
+    if np.all(in_plane):
+        return best
+    starts = planar_poses(lens, flat[in_plane], view.pixels[in_plane], view.sigma)
+    tried += [_fit(start.pose, points, view, lens, events) for start in starts]
+    return min(tried, key=lambda fit: fit.score, default=None)
+
+
+def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -> np.ndarray:
+    """Which corners (n,) the homography of least median of squares maps to within `limit` (pixels)
+    of where they are; all where there is none."""
+    directions = lens.directions(pixels)
+    if len(flat) <= _LEAST_GOOD or not np.all(np.isfinite(directions)):
+        return np.ones(len(flat), dtype=bool)
+    _, mask = cv2.findHomography(flat[:, :2], directions, cv2.LMEDS, limit / lens.fx)
+    return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
+
+
+def _fit(pose: Pose, points: Array, view: View, lens: CameraModel, events: Events) -> _Fit:
     wild = np.zeros(len(points), dtype=bool)
     jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
@@ -99,9 +161,9 @@ def _fit(
         pose = pose.disturbed(step)
         jacobian, left = _linearised(pose, points, view, lens)
     flat = jacobian[~wild].reshape(-1, 6)
-    chi2 = np.sum(left**2, axis=1)
-    evidence = float(np.sum(chi2[~wild])) + int(wild.sum()) * events.wild_score
-    return evidence + float(np.linalg.slogdet(flat.T @ flat)[1]), chi2, wild
+    score = float(np.sum(left[~wild] ** 2)) + int(wild.sum()) * events.wild_score
+    score += float(np.linalg.slogdet(flat.T @ flat)[1])
+    return _Fit(pose, points, jacobian, left, wild, score)
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
