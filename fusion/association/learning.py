@@ -111,53 +111,8 @@ def _learnt(
     memory: Memory,
 ) -> dict[str, tuple[Noise | None, ...]]:
     """Return, by robot, the noise and its alternatives that visits with the modes `found` show.
-    `wide`: the data set with pessimistic noise, under which modes are solved.
-
-    Wrong sightings must not pass for noise: under wide noise those that are off by little are
-    right, and then show a tilt. Where the visits are likelier with the stated noise and more
-    sightings wrong than with the noise learnt, that which their other sightings show comes first.
-    """
-    events, budget = finder.events, memory.budget
-    by_robot = _residuals(data, wide, seen, found, finder)
-    learnt = {
-        robot: learn(residuals, events, budget, planar=data.tracks[robot].planar)
-        for robot, residuals in by_robot.items()
-    }
-    jittery = {robot: n[0] for robot, n in learnt.items() if n[0] and (n[0].tilt or n[0].sway)}
-    if not jittery:
-        return learnt
-    steady = ModeFinder(data, seen, events, memory)
-    mine = [each.visit for each in found if each.visit.robot in jittery]
-    as_stated = [steady.modes_of(visit) for visit in mine]
-    noisy = ModeFinder(with_noise(data, jittery), seen, events, memory)
-    as_learnt = [noisy.modes_of(visit) for visit in mine]
-    likelier = {robot for robot in jittery if _gain(robot, as_stated, as_learnt) > 0}
-    again = _residuals(data, data, seen, as_stated, steady)
-    for robot in likelier & again.keys():
-        first = learn(again[robot], events, budget, planar=data.tracks[robot].planar)
-        learnt[robot] = tuple(dict.fromkeys([*first, *learnt[robot]]))
-    return learnt
-
-
-def _gain(robot: str, these: list[VisitModes], others: list[VisitModes]) -> float:
-    """Return by how much `these` modes of a robot's visits are likelier than the `others`."""
-    return sum(
-        other.modes[0].evidence - one.modes[0].evidence
-        for one, other in zip(these, others, strict=True)
-        if one.visit.robot == robot and one.modes and other.modes
-    )
-
-
-def _residuals(
-    data: DataSet,
-    wide: DataSet,
-    seen: list[Observation],
-    found: list[VisitModes],
-    finder: ModeFinder,
-) -> dict[str, list[Linear]]:
-    """Return, by robot, the residuals of visits about the modes `found` under the noise of `wide`,
-    with what these have as wrong left out."""
-    events, budget = finder.events, finder.memory.budget
+    `wide`: the data set with pessimistic noise, under which modes are solved."""
+    events = finder.events
     by_robot: dict[str, list[Linear]] = {}
     for modes in found:
         if not modes.modes:
@@ -166,7 +121,7 @@ def _residuals(
         pictures = {index: seen[index] for index in visit.chosen}
         odometry, mode = finder.odometry(visit), modes.modes[0]
         unscored = {index: (0.0,) * len(picture.views) for index, picture in pictures.items()}
-        more = LocalProblem(wide, pictures, odometry, unscored, events, budget).mode_near(
+        more = LocalProblem(wide, pictures, odometry, unscored, events, memory.budget).mode_near(
             mode.camera, wrong_by(mode)
         )
         if more is None:
@@ -174,7 +129,10 @@ def _residuals(
         residuals = LocalProblem(data, pictures, odometry, {}, events).residuals(more)
         if residuals is not None:
             by_robot.setdefault(visit.robot, []).append(residuals)
-    return by_robot
+    return {
+        robot: learn(residuals, events, memory.budget, planar=data.tracks[robot].planar)
+        for robot, residuals in by_robot.items()
+    }
 
 
 def _with_neighbours(visit: Visit) -> Visit:

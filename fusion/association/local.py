@@ -30,7 +30,7 @@ from .innovation import Corners, Stood, innovation_excess
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
-from .sightings import wild_corners, wrong_by_lens
+from .sightings import wild_corners
 from .system import System
 from .trial import Trial
 
@@ -288,9 +288,7 @@ class LocalProblem:
         information = np.linalg.inv(covariance)
         score = system.cost + system.log_determinant - float(np.linalg.slogdet(information)[1])
         own, others = log_priors(problem, self.camera, self.robot)
-        wrong_scores = self._wrong_scores(trial, solved)
-        score += self._odometry_score(assembled) + self._left_out_score(trial, wrong_scores)
-        score -= others
+        score += self._odometry_score(assembled) + self._left_out_score(trial) - others
         return Mode(
             state.cameras[self.camera],
             symmetric(information),
@@ -338,31 +336,12 @@ class LocalProblem:
         free = np.ix_(range(len(chain) - 1), chain.tangent, chain.tangent)
         return float(np.sum(np.linalg.slogdet(chain.motion.covariance[free])[1]))
 
-    def _wrong_scores(self, trial: Trial, solved: "_Solved") -> dict[int, tuple[float, ...]]:
-        """The score of each wrong view: of a camera whose lens is estimated, by the lens that the
-        others show, with what that leaves open."""
-        layout = solved.assembled.problem.layout
-        if self.camera not in layout.lens:
-            return self.wrong_scores
-        rows = solved.system.dense_row + layout.lens[self.camera]
-        shown = np.linalg.inv(solved.system.covariance[np.ix_(rows, rows)])
-        lens = solved.state.cameras[self.camera].lens
-        return {
-            index: tuple(
-                wrong_by_lens(view, lens, shown, self.target, self.events) if is_wrong else score
-                for view, is_wrong, score in zip(
-                    observation.views, trial.wrong[index], self.wrong_scores[index], strict=True
-                )
-            )
-            for index, observation in self.observations.items()
-        }
-
-    def _left_out_score(self, trial: Trial, wrong_scores: dict[int, tuple[float, ...]]) -> float:
+    def _left_out_score(self, trial: Trial) -> float:
         score = 0.0
         for index, observation in self.observations.items():
             for order in range(len(observation.views)):
                 if trial.wrong[index][order]:
-                    score += wrong_scores[index][order]
+                    score += self.wrong_scores[index][order]
                 else:
                     score += self.events.wild_score * int(trial.wild[index][order].sum())
         return score

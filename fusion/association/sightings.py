@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
-from trigpoint.fusion.model.projection import before_camera, projected
+from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
@@ -67,11 +67,13 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
     """Fit one view by itself; where no board fits at all, the view is wrong and tells nothing.
 
     A flat board has two poses that look much alike, and a wild corner may make the wrong one of
-    them the better start: both are fitted, and the better fit counts."""
+    them the better start: both are fitted, and the better fit counts. Where it has wild corners,
+    so are those of the corners that one homography maps.
+    """
     fit = _best_fit(view, lens, target, events)
     if fit is None:
         return Alone(events.wrong_limit, np.inf, np.nan, np.zeros(len(view.corners), dtype=bool))
-    left = fit.chi2
+    score, left, wild = fit
     scatter = np.nan
     if len(left) >= _LEAST_CORNERS:
         # Half of all distances from the mean are beyond √(2 ln 2) σ; the fit takes three corners.
@@ -79,60 +81,21 @@ def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> 
         middle = float(np.median(left)) / (2 * math.log(2) * share)
         kept = left[left < events.wild_score * middle]
         scatter = float(np.mean(kept)) / (2 * share)
-    return Alone(fit.score + events.wrong_limit, fit.score, scatter, fit.wild)
+    return Alone(score + events.wrong_limit, score, scatter, wild)
 
 
-def wrong_by_lens(
-    view: View, lens: CameraModel, information: Array, target: Target, events: Events
-) -> float:
-    """Return the score of a wrong view of a camera whose lens is estimated: `Alone.wrong_score`,
-    with the lens integrated out too. `information` (l, l): what others show of its parameters."""
-    fit = _best_fit(view, lens, target, events)
-    if fit is None:
-        return events.wrong_limit
-    _, _, by_lens = lens.project_jacobians(
-        before_camera(fit.points @ fit.pose.rotation.T + fit.pose.translation)
-    )
-    by_both = np.concatenate([fit.by_pose, by_lens / view.sigma], axis=-1)[~fit.wild]
-    by_both = by_both.reshape(-1, by_both.shape[-1])
-    residual = fit.residual[~fit.wild].reshape(-1)
-    normal = by_both.T @ by_both
-    normal[6:, 6:] += information
-    gradient = by_both.T @ residual
-    gain = float(gradient @ np.linalg.solve(normal, gradient))
-    occam = float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(information)[1])
-    wild = int(fit.wild.sum()) * events.wild_score
-    return float(residual @ residual) - gain + occam + wild + events.wrong_limit
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """A board's `points` (n, 3) fitted alone. `by_pose` (n, 2, 6) and `residual` (n, 2): about its
-    `pose`, in sigmas; `wild`: flags of the wild corners (n,); `score`: with the pose integrated
-    out."""
-
-    pose: Pose
-    points: Array
-    by_pose: Array
-    residual: Array
-    wild: np.ndarray
-    score: float
-
-    @property
-    def chi2(self) -> Array:
-        """Of each corner (n,)."""
-        return np.sum(self.residual**2, axis=1)
-
-
-def _best_fit(view: View, lens: CameraModel, target: Target, events: Events) -> _Fit | None:
+def _best_fit(
+    view: View, lens: CameraModel, target: Target, events: Events
+) -> tuple[float, Array, np.ndarray] | None:
+    """Return the best of `_fit` from every start; None where there is none."""
     reading = view.readings[0]  # every other reading is of the same board
     face = target.faces[reading.face]
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     points = swept(flat, view, face)
     starts = planar_poses(lens, flat, view.pixels, view.sigma)
     tried = [_fit(start.pose, points, view, lens, events) for start in starts]
-    best = min(tried, key=lambda fit: fit.score, default=None)
-    if best is not None and np.all(best.chi2 < events.wild_score):
+    best = min(tried, key=_score, default=None)
+    if best is not None and np.all(best[1] < events.wild_score):
         return best
     # Wild corners may have spoilt the start.
     in_plane = _on_one_plane(flat, view.pixels, lens, math.sqrt(events.wild_score) * view.sigma)
@@ -140,7 +103,12 @@ def _best_fit(view: View, lens: CameraModel, target: Target, events: Events) -> 
         return best
     starts = planar_poses(lens, flat[in_plane], view.pixels[in_plane], view.sigma)
     tried += [_fit(start.pose, points, view, lens, events) for start in starts]
-    return min(tried, key=lambda fit: fit.score, default=None)
+    return min(tried, key=_score, default=None)
+
+
+def _score(fit: tuple[float, Array, np.ndarray]) -> float:
+    """The score of a fit; infinite where it diverged."""
+    return fit[0] if np.isfinite(fit[0]) else np.inf
 
 
 def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -> np.ndarray:
@@ -153,7 +121,11 @@ def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -
     return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
 
 
-def _fit(pose: Pose, points: Array, view: View, lens: CameraModel, events: Events) -> _Fit:
+def _fit(
+    pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
+) -> tuple[float, Array, np.ndarray]:
+    """Fit the pose, and return the score of the fit with the pose integrated out, each corner's χ²
+    about it (n,), and which corners are wild (n,)."""
     wild = np.zeros(len(points), dtype=bool)
     jacobian, left = _linearised(pose, points, view, lens)
     for _ in range(_MOST_REFITS):
@@ -161,9 +133,9 @@ def _fit(pose: Pose, points: Array, view: View, lens: CameraModel, events: Event
         pose = pose.disturbed(step)
         jacobian, left = _linearised(pose, points, view, lens)
     flat = jacobian[~wild].reshape(-1, 6)
-    score = float(np.sum(left[~wild] ** 2)) + int(wild.sum()) * events.wild_score
-    score += float(np.linalg.slogdet(flat.T @ flat)[1])
-    return _Fit(pose, points, jacobian, left, wild, score)
+    chi2 = np.sum(left**2, axis=1)
+    score = float(np.sum(chi2[~wild])) + int(wild.sum()) * events.wild_score
+    return score + float(np.linalg.slogdet(flat.T @ flat)[1]), chi2, wild
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
