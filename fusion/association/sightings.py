@@ -66,9 +66,9 @@ def tamed(observation: Observation, views: tuple[Alone, ...]) -> Observation:
 def by_itself(view: View, lens: CameraModel, target: Target, events: Events) -> Alone:
     """Fit one view by itself; where no board fits at all, the view is wrong and tells nothing.
 
-    A flat board has two poses that look much alike, and a wild corner may make the wrong one of
-    them the better start: both are fitted, and the better fit counts. Where it has wild corners,
-    so are those of the corners that one homography maps.
+    A flat board has two poses that look much alike, and wild corners may make the wrong one of them
+    the better start, or spoil both. So where any corner is wild, every start is fitted, those from
+    the corners that one homography maps too, and the best fit counts.
     """
     fit = _best_fit(view, lens, target, events)
     if fit is None:
@@ -93,16 +93,13 @@ def _best_fit(
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     points = swept(flat, view, face)
     starts = planar_poses(lens, flat, view.pixels, view.sigma)
-    tried = [_fit(start.pose, points, view, lens, events) for start in starts]
-    best = min(tried, key=_score, default=None)
-    if best is not None and np.all(best[1] < events.wild_score):
-        return best
-    # Wild corners may have spoilt the start.
+    tried = [_fit(start.pose, points, view, lens, events) for start in starts[:1]]
+    if tried and np.all(tried[0][1] < events.wild_score):
+        return tried[0]
     in_plane = _on_one_plane(flat, view.pixels, lens, math.sqrt(events.wild_score) * view.sigma)
-    if np.all(in_plane):
-        return best
-    starts = planar_poses(lens, flat[in_plane], view.pixels[in_plane], view.sigma)
-    tried += [_fit(start.pose, points, view, lens, events) for start in starts]
+    if not np.all(in_plane):
+        starts += planar_poses(lens, flat[in_plane], view.pixels[in_plane], view.sigma)
+    tried += [_fit(start.pose, points, view, lens, events) for start in starts[len(tried) :]]
     return min(tried, key=_score, default=None)
 
 
