@@ -23,6 +23,9 @@ from .search import Search
 from .session_noise import with_noise
 from .visits import Visit, visits_of
 
+# Explanations that are worse than the best by more have no share in where a camera is.
+_COUNTS = 2 * window()
+
 
 class World:
     """All hypotheses that may explain the session under one model of its noise.
@@ -101,10 +104,12 @@ class World:
         return is_crowded
 
     def _add(self, found: list[Hypothesis]) -> None:
-        """Add those of these hypotheses that are new, keeping all sorted by score."""
+        """Add those of these hypotheses that are new, keeping all that count sorted by score: each
+        holds a solved graph, and those of all cameras together would fill the memory."""
         known = {_signature(hypothesis) for hypothesis in self.hypotheses}
-        self.hypotheses += [each for each in found if _signature(each) not in known]
-        self.hypotheses.sort(key=lambda hypothesis: hypothesis.score)
+        every = self.hypotheses + [each for each in found if _signature(each) not in known]
+        every.sort(key=lambda hypothesis: hypothesis.score)
+        self.hypotheses = [each for each in every if each.score <= every[0].score + _COUNTS]
 
     def _verify_cameras(self) -> None:
         """For each camera of the best explanation, search everything else that its visits may be.
@@ -166,8 +171,8 @@ class World:
         """Where each explanation puts a camera. `number`: which of its places; None: the last."""
         found = []
         for hypothesis in self.hypotheses:
-            if hypothesis.score > self.hypotheses[0].score + 2 * window():
-                continue
+            if hypothesis.score > self.hypotheses[0].score + _COUNTS:
+                break
             found += self._places_by(hypothesis, camera, number)
         return found
 
