@@ -109,12 +109,12 @@ def _score(fit: tuple[float, Array, np.ndarray]) -> float:
 
 
 def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -> np.ndarray:
-    """Which corners (n,) the homography of least median of squares maps to within `limit` (pixels)
+    """Which corners (n,) the homography that fits most of them maps to within `limit` (pixels)
     of where they are; all where there is none."""
     directions = lens.directions(pixels)
     if len(flat) <= _LEAST_GOOD or not np.all(np.isfinite(directions)):
         return np.ones(len(flat), dtype=bool)
-    _, mask = cv2.findHomography(flat[:, :2], directions, cv2.LMEDS, limit / lens.fx)
+    _, mask = cv2.findHomography(flat[:, :2], directions, cv2.RANSAC, limit / lens.fx)
     return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
 
 
