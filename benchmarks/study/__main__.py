@@ -71,8 +71,9 @@ def report(
 
     store = Store(folder)
     measures = {n: store.measures(n, of_any_sources=of_any_sources) for n in SITUATIONS}
-    if not any(measures.values()):
-        typer.echo(f"{folder}: nothing was measured yet with these sources; say run", err=True)
+    if not any(m.estimator == "smoother" for found in measures.values() for m in found):
+        why = "the smoother measured nothing yet with these sources; say run"
+        typer.echo(f"{folder}: {why}", err=True)
         raise typer.Exit(2)
     typer.echo(f"written: {write_report(measures, kept_equal_times(folder), docs)}")
 

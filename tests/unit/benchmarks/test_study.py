@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from benchmarks.study.dance import Point
 from benchmarks.study.measure import Measure, measure_of
@@ -137,3 +138,14 @@ def _with(measure: Measure, **changes: object) -> Measure:
     from msgspec import structs
 
     return structs.replace(measure, **changes)
+
+
+def test_a_report_without_the_smoother_writes_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from benchmarks.study.__main__ import app
+
+    Store(tmp_path).add(_with(MEASURE, estimator="ekf"))
+    docs = tmp_path / "docs"
+    result = CliRunner().invoke(app, ["report", "--folder", str(tmp_path), "--docs", str(docs)])
+    assert result.exit_code == 2
+    assert not docs.exists()
