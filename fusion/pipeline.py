@@ -4,7 +4,7 @@
 node feeds it from the bus, `calibrate` from a recording.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from uuid import UUID
 
@@ -38,6 +38,7 @@ from .solver.snapshot import GuidanceWorld
 
 # The most sightings kept of cameras whose intrinsics have not come yet.
 _MOST_EARLY = 4096
+_MOST_EVENTS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,7 @@ class Pipeline:
             standstills=Standstills(data.tracks),
         )
         self._left_out = LeftOut()
+        self._events = deque[Event](maxlen=_MOST_EVENTS)
         self._outputs: list[Output] = []
         self._used_ns = 0
         self._schedule = SettlingSchedule()
@@ -107,6 +109,12 @@ class Pipeline:
     def problems(self) -> dict[str, str]:
         """Reason of `left_out` -> the last such problem, as text, where it is known."""
         return self._intake.left_out.problems | self._left_out.problems
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of the session, as text: each event (at most the last
+        `_MOST_EVENTS`), and the last problem with messages for each reason."""
+        return [*(event.text for event in self._events), *self.problems.values()]
 
     @property
     def stale_ns(self) -> dict[str, int]:
@@ -141,9 +149,15 @@ class Pipeline:
 
     @property
     def left_out(self) -> dict[str, int]:
-        """What was not used, or not in full, by reason."""
+        """What was not used, or not in full, by reason; events too, each by its kind."""
         early = Counter(without_intrinsics=len(self._early))
         return dict(self._intake.left_out.counts + self._left_out.counts + early)
+
+    @property
+    def messages_left_out(self) -> dict[str, int]:
+        """The same without events."""
+        kinds = {event.kind for event in self._events}
+        return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
 
@@ -321,6 +335,7 @@ class Pipeline:
 
     def _note(self, event: Event) -> None:
         self._left_out.add(event.kind)
+        self._events.append(event)
         self._left_out.last_problem = event.text
 
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:

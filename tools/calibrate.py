@@ -129,10 +129,10 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
             progress.step()
     with waiting("calibrate: working out what happened"):
         pipeline.finish()
-    for reason, count in sorted(pipeline.left_out.items()):
+    for reason, count in sorted(pipeline.messages_left_out.items()):
         typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
-    if pipeline.last_problem:
-        typer.echo(f"note: {pipeline.last_problem}", err=True)
+    for text in pipeline.notes:
+        typer.echo(f"note: {text}", err=True)
     return pipeline
 
 

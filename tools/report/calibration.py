@@ -22,10 +22,10 @@ _ANGLE_STEP = 1e-6
 class CalibrationResults:
     """A calibration: the network with its joint `covariance` (6n, 6n), `trajectories` (robot ->
     (stamps_ns, map_from_base)), each camera's residuals where the estimator gives them, what was
-    `left_out` of the session by reason and the last of it in words (`note`), the next poses to
-    visit, the `error` against the truth where that is known, and which `noise` is not
-    as stated, in words. `building`: where the map lies in
-    it, None where that is not asked for, or cannot be told for the `building_problem`.
+    `left_out` of the session by reason, `notes` on it in words, the next poses to visit, the
+    `error` against the truth where that is known, and which `noise` is not as stated, in words.
+    `building`: where the map lies in it, None where that is not asked for, or cannot be told for
+    the `building_problem`.
 
     `session`, `folder`: the recording and where the results are, as the reader may type them.
     """
@@ -35,7 +35,7 @@ class CalibrationResults:
     trajectories: dict[str, tuple[np.ndarray, Pose]]
     residuals: dict[str, CameraResiduals]
     left_out: dict[str, int]
-    note: str
+    notes: list[str]
     suggestions: tuple[Suggestion, ...]
     error: NetworkError | None
     session: str

@@ -258,8 +258,7 @@ def _rejected(results: CalibrationResults) -> str:
         ]
     if results.left_out:
         parts.append(element("div", left_out_table(results), class_="scroll"))
-    if results.note:
-        parts.append(element("p", escape(results.note), class_="note"))
+    parts += [element("p", escape(note), class_="note") for note in results.notes]
     return element("section", *parts) if len(parts) > 1 else ""
 
 

@@ -33,7 +33,7 @@ _REASONS = {
     "without_intrinsics": "pictures of cameras whose intrinsics never came",
     "in_odometry_gap": "sightings while the odometry was away",
     "late": "sightings that came late",
-    "unusable": "sightings that no arithmetic survives",
+    "unusable": "sightings that are numerically unusable",
 }
 
 

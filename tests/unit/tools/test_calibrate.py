@@ -9,7 +9,7 @@ import pytest
 from drives import Session, lab_plan, make_session, offline, write_session
 
 from trigpoint.cli import run
-from trigpoint.messages import Odometry, Sightings
+from trigpoint.messages import Message, Odometry, Sightings
 from trigpoint.network import decode_network, decode_tum, encode_network, load_network
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.calibrate import calibrated
@@ -258,16 +258,24 @@ def test_estimator_that_is_not_there_is_refused(
     assert not (tmp_path / "network.json").exists()
 
 
+def _strange(node: str, message: Message) -> Message:
+    """The pictures of c3 of another size, the sightings of c2 of a target that nobody carries."""
+    if node == "c3" and isinstance(message, Sightings):
+        return replace(message, width=1280)
+    if node == "c2" and isinstance(message, Sightings):
+        faces = tuple(replace(face, target="other") for face in message.faces)
+        return replace(message, faces=faces)
+    return message
+
+
 def test_what_was_left_out_is_said(
     session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    strange = tuple(
-        (n, replace(m, width=1280) if n == "c3" and isinstance(m, Sightings) else m)
-        for n, m in session.messages
-    )
+    strange = tuple((n, _strange(n, m)) for n, m in session.messages)
     folder = write_session(replace(session, messages=strange), tmp_path)
     assert run(["calibrate", str(folder)]) == 0
     captured = capsys.readouterr()
     assert "wrong size" in captured.err
     assert "note: camera c3 sends pictures of 1280 × 480" in captured.err
+    assert "«other» that no robot" in captured.err
     assert "c3      unseen" in captured.out

@@ -78,7 +78,7 @@ def make_results(**more) -> CalibrationResults:
         "trajectories": {"r1": (np.arange(20) * 10**9, way)},
         "residuals": {name: residuals() for name in cameras},
         "left_out": {},
-        "note": "",
+        "notes": [],
         "suggestions": (Suggestion("r1", goal, "c2", 0.05, 0.03, ("c1", "c2")),),
         "error": None,
         "session": "drive/session.mcap",
@@ -187,9 +187,11 @@ def test_next_pose_stands_with_what_it_improves() -> None:
 
 
 def test_what_was_left_out_stands_in_words() -> None:
-    text = words(calibration_page(make_results(left_out={"wrong_size": 7}, note="camera c3 sends")))
+    notes = ["camera c3 sends", "robot r1 was put down"]
+    text = words(calibration_page(make_results(left_out={"wrong_size": 7}, notes=notes)))
     assert "pictures of another size than the camera's intrinsics are for 7" in text
     assert "camera c3 sends" in text
+    assert "robot r1 was put down" in text
     assert "c1 10 2 1 57 3" in text  # used, rejected, not read, corners, wild ones
 
 
@@ -202,7 +204,7 @@ def test_noise_that_is_not_as_stated_stands_in_words() -> None:
 
 
 def test_names_from_files_cannot_break_the_page() -> None:
-    results = make_results(note="<script>", left_out={"<b>": 1}, session="a&b <i>.mcap")
+    results = make_results(notes=["<script>"], left_out={"<b>": 1}, session="a&b <i>.mcap")
     reader = read_page(calibration_page(results))
     assert "script" not in reader.tags
     assert "trigpoint review a&b <i>.mcap" in " ".join(reader.words)
