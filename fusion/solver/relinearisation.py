@@ -31,15 +31,18 @@ class Solved:
 
 
 def solve_consistently(data: DataSet, state: State, used: list[int], *, tolerance: float) -> Solved:
-    """Solve over these entries of the data set, and store the robots' poses in them."""
+    """Solve over these entries of the data set, and store the robots' poses in them. Ends too where
+    two solves in a row did not converge: more would take long, and hardly do."""
     solved = _solve_once(data, state, used, tolerance)
     iterations = solved.iterations
     for _ in range(_MOST_REBUILDS):
         if _is_consistent(state, solved.state):
             break
-        state = solved.state
+        had_converged, state = solved.solution.has_converged, solved.state
         solved = _solve_once(data, state, used, tolerance)
         iterations += solved.iterations
+        if not (had_converged or solved.solution.has_converged):
+            break
     return Solved(solved.state, solved.assembled, solved.solution, iterations)
 
 

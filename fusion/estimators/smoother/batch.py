@@ -70,12 +70,16 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
     (None where nothing is located), and the iterations that all took; raise ValueError where that
     does not converge."""
     events, solved, iterations = Events(data.site.fusion.priors), None, 0
+    has_converged = True
     for round_ in range(_MOST_ROUNDS):
         used = data.usable(state.cameras)
         if not used:
             return state, None, iterations
         solved = solve_consistently(data, state, used, tolerance=_TOLERANCE)
         state, iterations = solved.state, iterations + solved.iterations
+        had_converged, has_converged = has_converged, solved.solution.has_converged
+        if not (had_converged or has_converged):
+            break
         changed = leave_out_contradicting(data, solved.assembled, state, events)
         if round_ < _MOST_LOOKS:
             changed |= take_back(data, solved.assembled, state, events)
@@ -84,7 +88,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
         if not changed:
             break
     assert solved is not None
-    if not solved.solution.has_converged:
+    if not has_converged:
         raise ValueError(f"the solution did not converge in {solved.iterations} iterations")
     in_use = solved.assembled.problem.layout.pose
     cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
