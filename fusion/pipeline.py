@@ -38,6 +38,7 @@ from .solver.snapshot import GuidanceWorld
 
 # The most sightings kept of cameras whose intrinsics have not come yet.
 _MOST_EARLY = 4096
+# The most events whose texts are kept.
 _MOST_EVENTS = 100
 
 
@@ -155,7 +156,7 @@ class Pipeline:
 
     @property
     def messages_left_out(self) -> dict[str, int]:
-        """The same without events."""
+        """What of `left_out` are messages: all but the events."""
         kinds = {event.kind for event in self._events}
         return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 

@@ -68,7 +68,7 @@ class BatchSolution:
 def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
     """Solve over what an explanation uses, until its noise is stable: the state, the last solution
     (None where nothing is located), and the iterations that all took; raise ValueError where that
-    does not converge."""
+    does not converge, at the latest after two rounds in a row that did not."""
     events, solved, iterations = Events(data.site.fusion.priors), None, 0
     has_converged = True
     for round_ in range(_MOST_ROUNDS):
@@ -89,7 +89,7 @@ def _solved(data: DataSet, state: State) -> tuple[State, Solved | None, int]:
             break
     assert solved is not None
     if not has_converged:
-        raise ValueError(f"the solution did not converge in {solved.iterations} iterations")
+        raise ValueError(f"the solution did not converge in {iterations} iterations")
     in_use = solved.assembled.problem.layout.pose
     cameras = {name: camera for name, camera in state.cameras.items() if name in in_use}
     return State(cameras, state.robots), solved, iterations
