@@ -3,6 +3,9 @@
 import logging
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from trigpoint.bus import Bus
 from trigpoint.cdr import encode, warm_up
@@ -15,6 +18,7 @@ from trigpoint.node import Node
 from trigpoint.target import Target, load_target
 from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 
+from .image.picture import depth_words, eight_bits
 from .lens.calibration_service import CalibrationService
 from .lens.intrinsics import calibrated_lens, check_size, known_lens
 from .picture_sender import PictureSender
@@ -68,6 +72,7 @@ class EdgeNode:
         self._watch = TargetWatch(camera, self._clock)
         self._pause_s = _FIRST_PAUSE_S
         self._detection_ms = self._delay_ms = 0.0
+        self._is_deep = False
 
     def start(self) -> None:
         """Declare the camera's publishers and commands, and start its thread."""
@@ -143,6 +148,9 @@ class EdgeNode:
             skipped = 0
             for frame in source.frames(stopping):
                 self._pulse.beat(_PATIENCE_S + _PATIENT_PERIODS / config.rate)
+                if frame is None:
+                    self._say("waiting")
+                    continue
                 self._handle(frame, source)
                 self._node.health.lose("pictures", source.skipped - skipped)
                 skipped = source.skipped
@@ -166,6 +174,7 @@ class EdgeNode:
             health.lose("out_of_order")
             return
         self._last_ns = frame.captured_ns
+        frame = replace(frame, picture=self._scaled(frame.picture))
         self._pictures.keep(frame)
         self._announce(frame, source)
         self._publish(frame)
@@ -173,6 +182,15 @@ class EdgeNode:
             health.count(f"sent {self._key(IMAGE)}")
             if self._lens is not None:  # with every picture, as ROS viewers expect
                 self._say_lens(frame, self._lens)
+
+    def _scaled(self, picture: np.ndarray) -> np.ndarray:
+        """The picture in 8 bits; that it was deeper is shown, and logged once."""
+        if words := depth_words(picture):
+            if not self._is_deep:
+                _log.info("camera %s: its pictures have %s; scaled by that", self._camera, words)
+            self._is_deep = True
+            self._node.health.describe("depth", words)
+        return eight_bits(picture)
 
     def _follow_clock(self) -> None:
         """Accept earlier stamps again once they follow a clock that was set back."""

@@ -45,12 +45,14 @@ def bag_pictures(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str
 
 
 def grey_of(path: Path, one: BagMessage) -> np.ndarray:
-    """A message's picture, (height, width) uint8; raise InputError if it cannot be read."""
+    """A message's picture, (height, width) grey of any depth; raise InputError if it cannot be
+    read."""
     message = one.message
     picture = None
     if isinstance(message, Picture):
         data = np.frombuffer(message.data, dtype=np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+        picture = cv2.imdecode(data, grey) if data.size else None
     elif isinstance(message, RawImage):
         picture = _grey_of_raw(message)
     if picture is None:
@@ -65,7 +67,7 @@ def _grey_of_raw(image: RawImage) -> np.ndarray | None:
     if image.encoding in _GREY_16:
         order = ">u2" if image.is_bigendian else "<u2"
         wide = np.ascontiguousarray(image.data[:, : 2 * image.width]).view(order)
-        return (wide >> 8).astype(np.uint8)
+        return wide.astype(np.uint16)
     if image.encoding not in _CONVERSIONS:
         return None
     channels, code = _CONVERSIONS[image.encoding]

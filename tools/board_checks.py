@@ -9,6 +9,7 @@ from trigpoint.errors import TrigpointError
 from trigpoint.target import load_target
 
 from .detect import stills
+from .picture_account import PictureAccount
 
 # This many pictures suffice to see how a board is printed, and take a second.
 _PICTURES = 10
@@ -23,11 +24,15 @@ def check_boards(site: Site, camera: str) -> list[Check]:
     try:
         targets = [load_target(site.path(site.target_name(robot))) for robot in site.robots]
         detector = detector_for(targets)
-        for still in islice(stills([path]), _PICTURES):
+        account = PictureAccount()
+        for still in islice(stills([path], account=account), _PICTURES):
             detector.detect(still.picture)
+        said = account.lines()
     except TrigpointError as reason:
         return [Check(f"pictures of {camera}", "warning", str(reason), "mend the source")]
-    return [Check(f"boards of {camera}", "error", *_parted(line)) for line in detector.misdescribed]
+    pictures = [Check(f"pictures of {camera}", "warning", line) for line in said]
+    boards = [Check(f"boards of {camera}", "error", *_parted(s)) for s in detector.misdescribed]
+    return pictures + boards
 
 
 def _parted(line: str) -> tuple[str, str]:

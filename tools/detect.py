@@ -12,9 +12,15 @@ import numpy as np
 import typer
 
 from trigpoint.edge.detector import detector_for
+from trigpoint.edge.image.picture import as_grey
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.opencv_log import quieten_opencv
-from trigpoint.edge.sources.picture_files import is_picture, pictures_in, read_picture
+from trigpoint.edge.sources.picture_files import (
+    check_orientations,
+    is_picture,
+    pictures_in,
+    read_picture,
+)
 from trigpoint.errors import InputError
 from trigpoint.messages import FaceSighting
 from trigpoint.target import load_target
@@ -22,6 +28,7 @@ from trigpoint.words import counted
 
 from .detect_drawing import draw_faces
 from .detect_hints import LEAST_PICTURES, Hints
+from .picture_account import PictureAccount
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +68,8 @@ def main(
         _make_folder(draw)
     first: Still | None = None
     said = 0
-    total = _Sum(Hints(wanted))
-    for still in stills(pictures, topic):
+    total, account = _Sum(Hints(wanted)), PictureAccount()
+    for still in stills(pictures, topic, account):
         first = first or still
         if sequence and still.picture.shape != first.picture.shape:
             raise InputError(f"{still.name}: not of the size of {first.name}; leave --sequence out")
@@ -77,7 +84,7 @@ def main(
         if draw is not None:
             file = draw / f"{still.stem}.png"
             cv2.imwrite(str(file), draw_faces(still.picture, faces))
-    for line in total.lines():
+    for line in (*account.lines(), *total.lines()):
         typer.echo(line, err=True)
 
 
@@ -105,31 +112,50 @@ class _Sum:
             yield self._hints.text()
 
 
-def stills(paths: Sequence[Path], topics: Sequence[str] = ()) -> Iterator[Still]:
+def stills(
+    paths: Sequence[Path], topics: Sequence[str] = (), account: PictureAccount | None = None
+) -> Iterator[Still]:
     """Every picture of files, folders, videos and bags, in order; raises InputError.
 
-    `topics`: of bags, those with the pictures; none: the only one that has some.
+    `topics`: of bags, those with the pictures; none: the only one that has some. `account`: takes
+    what is left out.
     """
     names: dict[str, int] = {}
+    account = account or PictureAccount()
     for path in paths:
-        for name, stem, picture in _opened(path, topics):
+        for name, stem, picture in _opened(path, topics, account):
+            account.add(name, picture)
             names[stem] = names.get(stem, 0) + 1
             unique = stem if names[stem] == 1 else f"{stem}_{names[stem]}"
-            yield Still(name, unique, picture)
+            yield Still(name, unique, as_grey(picture))
 
 
-def _opened(path: Path, topics: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
+def _opened(
+    path: Path, topics: Sequence[str], account: PictureAccount
+) -> Iterator[tuple[str, str, np.ndarray]]:
     if _is_bag(path):
         from .bag_pictures import bag_pictures  # the readers of bags take half a second to import
 
         yield from bag_pictures(path, topics)
-    elif path.is_dir():
-        for file in pictures_in(path):
-            yield str(file), file.stem, read_picture(file)
-    elif is_picture(path):
-        yield str(path), path.stem, read_picture(path)
+    elif files := _picture_files(path):
+        for file in files:
+            try:
+                picture = read_picture(file)
+            except InputError as reason:
+                account.leave_out(reason)
+                continue
+            yield str(file), file.stem, picture
     else:
-        yield from _frames(path)
+        yield from _frames(path, account)
+
+
+def _picture_files(path: Path) -> list[Path]:
+    """Those of a folder, or the one that the path is; none of a bag or video."""
+    if _is_bag(path):
+        return []
+    if path.is_dir():
+        return pictures_in(path)
+    return [path] if is_picture(path) else []
 
 
 def _is_bag(path: Path) -> bool:
@@ -137,27 +163,33 @@ def _is_bag(path: Path) -> bool:
     return bool(suffixes & {".mcap", ".db3", ".bag"})
 
 
-def _frames(path: Path) -> Iterator[tuple[str, str, np.ndarray]]:
-    """The pictures of a video, named by number from 0."""
-    video = Video(path)
+def _frames(path: Path, account: PictureAccount) -> Iterator[tuple[str, str, np.ndarray]]:
+    """The pictures of a video, named by number from 0; none of a file that is no video."""
+    try:
+        video = Video(path)
+    except InputError as reason:
+        account.leave_out(reason)
+        return
     try:
         number = 0
         while video.advance() is not None:
             picture = video.picture()
             if picture is None:
-                raise InputError(f"{path}: picture {number} is damaged; repair the video")
-            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            yield f"{path}#{number}", f"{path.stem}_{number:05d}", grey
+                account.leave_out(InputError(f"{path}: picture {number} is damaged"))
+            else:
+                yield f"{path}#{number}", f"{path.stem}_{number:05d}", picture
             number += 1
     finally:
         video.close()
 
 
 def check_all(paths: Sequence[Path]) -> None:
-    """Raise InputError for a missing path before any work is done."""
+    """Raise InputError for a missing path, or pictures turned differently, before any work is
+    done."""
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: there is no such picture, folder or video; check the path")
+    check_orientations(file for path in paths for file in _picture_files(path))
 
 
 def _make_folder(folder: Path) -> None:

@@ -48,7 +48,7 @@ def main(
         raise InputError(f"{out}: intrinsics are written as YAML; end the name in .yaml")
     check_all(pictures)
     searched = search(pictures, targets, topics=topic, jobs=jobs)
-    for line in searched.misdescribed:
+    for line in (*searched.account, *searched.misdescribed):
         typer.echo(line, err=True)
     found = calibrate(searched.views, searched.size)
     if json_text:

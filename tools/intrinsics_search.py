@@ -21,6 +21,7 @@ from trigpoint.errors import InputError, OperationError
 from trigpoint.target import Target
 
 from .detect import Still, stills
+from .picture_account import PictureAccount
 
 # A process takes as long to start as twenty pictures to search.
 _PICTURES_A_JOB = 20
@@ -33,12 +34,14 @@ _MOST_NAMED = 5
 @dataclass(frozen=True, slots=True)
 class Searched:
     """`count` pictures of `size` (width, height), and the views in them, in order; `misdescribed`:
-    what they show that the target file describes wrongly, with what to write."""
+    what they show that the target file describes wrongly, with what to write; `account`: what was
+    left out, or scaled."""
 
     count: int
     size: tuple[int, int]
     views: list[View]
     misdescribed: tuple[str, ...]
+    account: tuple[str, ...]
 
 
 _Found = tuple[list[View], tuple[str, ...]]
@@ -57,7 +60,7 @@ def search(
 
     Raises InputError for pictures of several sizes, OperationError where none shows the target.
     """
-    count, size, views = 0, (0, 0), list[View]()
+    count, size, views, account = 0, (0, 0), list[View](), PictureAccount()
     misdescribed: dict[str, None] = {}
     sizes: dict[tuple[int, int], list[str]] = {}
     expected = _expected(pictures)
@@ -71,18 +74,20 @@ def search(
                 hidden=not sys.stderr.isatty(),
             )
         )
-        for still, (found, wrong) in _found(stills(pictures, topics), targets, wanted, stack):
+        given = stills(pictures, topics, account)
+        for still, (found, wrong) in _found(given, targets, wanted, stack):
             height, width = still.picture.shape
             count, size = count + 1, (width, height)
             sizes.setdefault(size, []).append(still.name)
             views += found
             misdescribed |= dict.fromkeys(wrong)
             bar.update(1)
+    said = account.lines()
     if len(sizes) > 1:
         raise InputError(_several(sizes))
     if not views:
-        raise OperationError("; ".join(misdescribed) or _nothing_found(count, targets))
-    return Searched(count, size, views, tuple(misdescribed))
+        raise OperationError("; ".join([*(misdescribed or [_nothing_found(count, targets)]), *said]))
+    return Searched(count, size, views, tuple(misdescribed), tuple(said))
 
 
 def _several(sizes: dict[tuple[int, int], list[str]]) -> str:

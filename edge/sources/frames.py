@@ -4,12 +4,14 @@ Further schemes are plug-ins: entry points of the group `trigpoint.frames` whose
 """
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Protocol
+from urllib.parse import parse_qsl
 
 import numpy as np
 
@@ -40,8 +42,9 @@ class Stamp(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture. `picture`: (height, width) or (height, width, 3) uint8, BGR as OpenCV's;
-    `captured_ns`: middle of exposure, Unix time on this machine's clock.
+    """One picture. `picture`: grey or BGR as OpenCV's, (height, width) or (height, width, 3) of any
+    depth, which the agent scales to 8 bits; `captured_ns`: middle of exposure, Unix time on this
+    machine's clock.
 
     `passed_over`: how many pictures before it were left out, since they came faster than the
     camera's rate in the site file, or were the same again; `unreadable`: how many could not be
@@ -69,10 +72,10 @@ class FrameSource(Protocol):
         """The lens, where the source itself knows it."""
         ...
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame | None]:
         """Pictures in order of time; a slow consumer skips to the newest.
 
-        Ends at the end of a file or soon after `stopping` is set; raises FrameError when the source
+        None, now and then, where it is right that none comes for long. Ends at the end of a file or soon after `stopping` is set; raises FrameError when the source
         is lost.
         """
         ...
@@ -110,3 +113,18 @@ def source_class(scheme: str) -> Callable[..., FrameSource]:
 def local_path(url: str) -> Path:
     """The part behind the scheme, as a path."""
     return Path(url.partition("://")[2])
+
+
+def place_and_options(url: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+    """What stands before a URL's question mark, without the scheme, and the options behind it.
+
+    Raises InputError for an option that is not `known`.
+    """
+    place, _, query = url.partition("://")[2].partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    for key in options:
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            hint = f"did you mean «{near[0]}»?" if near else f"it takes {', '.join(known)}"
+            raise InputError(f"{place}: this source has no option «{key}»; {hint}")
+    return place, options

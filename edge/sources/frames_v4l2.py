@@ -8,9 +8,7 @@ given is fixed, and half of it is taken off the stamps; without one the camera c
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from urllib.parse import parse_qsl
 
 import cv2
 
@@ -18,7 +16,7 @@ from trigpoint.clock import Clock, to_ns
 from trigpoint.config import CameraConfig
 from trigpoint.errors import FrameError, InputError
 
-from .frames import Stamp
+from .frames import Stamp, place_and_options
 from .frames_live import STALLED_S, Capture, LiveFrames
 
 _OLDEST_NS = to_ns(2.0)
@@ -26,6 +24,9 @@ _LARGEST = 1e6
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURES_PER_MS = 10  # the control counts 100 µs
 _SELECT_TIMEOUT = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"  # seconds; 10 unless told
+
+
+_DEEP = tuple(int.from_bytes(name, "little") for name in (b"Y16 ", b"Y12 ", b"Y10 "))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +59,8 @@ class V4l2Frames(LiveFrames):
 
 def parse_url(url: str) -> tuple[Path, Options]:
     """The device and the options; a bare number n is /dev/videon. Raises InputError."""
-    place, _, query = url.partition("://")[2].partition("?")
+    place, words = place_and_options(url, Options.__dataclass_fields__)
     device = Path(f"/dev/video{place}" if place.isdigit() else place)
-    words = dict(parse_qsl(query, keep_blank_values=True))
-    known = Options.__dataclass_fields__
-    for key in words:
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
-            hint = f"did you mean «{near[0]}»?" if near else f"it takes {', '.join(known)}"
-            raise InputError(f"{device}: a camera has no option «{key}»; {hint}")
     return device, Options(
         exposure_ms=_number(device, words, "exposure_ms"),
         gain=_number(device, words, "gain"),
@@ -89,9 +83,9 @@ def _number(device: Path, words: dict[str, str], key: str) -> float | None:
 
 def _format(device: Path, words: dict[str, str]) -> str | None:
     value = words.get("format")
-    if value is not None and (len(value) != 4 or not value.isascii()):
+    if value is not None and not (2 < len(value) <= 4 and value.isascii()):
         raise InputError(f"{device}: format is «{value}»; give four letters, like format=MJPG")
-    return value
+    return value and value.ljust(4)  # Y16 ends in a blank
 
 
 def _open(device: str, camera: CameraConfig, options: Options) -> Capture:
@@ -106,6 +100,9 @@ def _open(device: str, camera: CameraConfig, options: Options) -> Capture:
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
         capture.set(cv2.CAP_PROP_FPS, camera.rate)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if int(capture.get(cv2.CAP_PROP_FOURCC)) in _DEEP:
+            # OpenCV would keep the upper 8 of 16 bits, of which a sensor of 10 uses two.
+            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         _fix_controls(capture, device, options)
     except BaseException:
         capture.release()

@@ -1,6 +1,7 @@
 """Pictures from folders and videos: order, time, and what is missing."""
 
 import threading
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -45,7 +46,7 @@ def frames_of(
     """All frames of a source for a taker that needs `busy_s` for each, and how many it missed."""
     source = open_source(url, CameraConfig(url, rate=rate), clock=clock, directory=directory)
     frames = []
-    for frame in source.frames(threading.Event()):
+    for frame in filter(None, source.frames(threading.Event())):
         frames.append(frame)
         clock.advance(busy_s)
     source.close()
@@ -122,6 +123,9 @@ def test_source_ends_when_told(tmp_path: Path, kind: str) -> None:
         ("file://shots", "shots: there is no such video"),
         ("dir://none", "none: there is no such folder"),
         ("dir://empty", "empty: no pictures"),
+        ("dir://shots?lop=1", "no option «lop»; did you mean «loop»"),
+        ("dir://shots?loop=yes", "loop is «yes»; write loop=1"),
+        ("dir://shots?loop=1&follow=1", "not both"),
         ("ftp://host/clip.mp4", r"«ftp://» are not known.*file://.*sim://"),
     ],
 )
@@ -150,6 +154,58 @@ def test_folder_without_a_picture_that_can_be_read_is_said(tmp_path: Path) -> No
     (tmp_path / "01.png").write_bytes(b"\x89PNG")
     with pytest.raises(InputError, match=r"01\.png: the picture is cut short"):
         frames_of(f"dir://{tmp_path}", clock=ManualClock())
+
+
+def test_folder_that_loops_begins_again(tmp_path: Path) -> None:
+    write_pictures(tmp_path)
+    url = f"dir://{tmp_path}?loop=1"
+    source = open_source(url, CameraConfig(url), clock=ManualClock(), directory=Path())
+    frames = [frame for frame in islice(source.frames(threading.Event()), 9) if frame]
+    assert numbers(frames) == [0, 1, 2, 3, 0, 1, 2, 3, 0]
+
+
+def test_folder_that_loops_ends_where_nothing_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "01.png").write_bytes(b"\x89PNG")
+    with pytest.raises(InputError, match=r"01\.png: the picture is cut short"):
+        frames_of(f"dir://{tmp_path}?loop=1", clock=ManualClock())
+
+
+def test_followed_folder_gives_each_picture_once_when_it_is_whole(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shots = write_pictures(tmp_path / "made")
+    (folder := tmp_path / "shots").mkdir()
+    url, clock = f"dir://{folder}?follow=1", ManualClock(START_NS)
+    source = open_source(url, CameraConfig(url), clock=clock, directory=Path())
+    found = source.frames(threading.Event())
+    data = [file.read_bytes() for file in sorted(shots.iterdir())]
+    assert next(found) is None
+    (folder / "0.png").write_bytes(data[0])
+    (folder / "1.png").write_bytes(data[1][:40])
+    assert numbers([frame for frame in islice(found, 4) if frame]) == [0]
+    (folder / "1.png").write_bytes(data[1])
+    (folder / "2.png").write_bytes(data[2][:40])  # and is never written on
+    assert numbers([frame for frame in islice(found, 4) if frame]) == [1]
+    assert "left out" not in caplog.text
+    assert not any(islice(found, 15))
+    assert "2.png: the picture is cut short" in caplog.text
+    (folder / "3.png").write_bytes(data[3])
+    last = [frame for frame in islice(found, 4) if frame]
+    assert (numbers(last), last[0].unreadable) == ([3], 1)
+
+
+@pytest.mark.parametrize("follow", ["", "?follow=1"])
+def test_folder_whose_pictures_exif_turns_differently_is_refused(
+    tmp_path: Path, follow: str
+) -> None:
+    write_pictures(tmp_path, 1)
+    picture = np.full((48, 64), 80, np.uint8)
+    exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
+    given = [np.frombuffer(exif, np.uint8)]
+    turned = cv2.imencodeWithMetadata(".png", picture, [cv2.IMAGE_METADATA_EXIF], given)[1]
+    (tmp_path / "01.png").write_bytes(turned.tobytes())
+    with pytest.raises(InputError, match="EXIF"):
+        frames_of(f"dir://{tmp_path}{follow}", clock=ManualClock())
 
 
 def test_every_scheme_of_the_table_and_every_plug_in_can_be_loaded() -> None:

@@ -157,3 +157,9 @@ def test_stamp_of_a_rolling_shutter_is_its_middle_rows(driver_s: float, later_ms
     capture.set(cv2.CAP_PROP_POS_MSEC, driver_s * 1e3)
     captured_ns, _ = kernel_stamp(20.0, readout_s=0.03)(capture, TwoClocks(NOW))
     assert abs(captured_ns - (NOW - to_ns(0.01) + to_ns(later_ms / 1e3))) < 1000
+
+
+@pytest.mark.parametrize(("letters", "is_whole"), [("Y16", True), ("MJPG", False), ("YUYV", False)])
+def test_camera_of_sixteen_bits_gives_all_of_them(letters: str, is_whole: bool) -> None:
+    values = opened(parse_url(f"v4l2://0?format={letters}")[1])
+    assert (values.get(cv2.CAP_PROP_CONVERT_RGB) == 0) is is_whole

@@ -91,27 +91,59 @@ def test_drawings_are_written_without_overwriting_each_other(folder: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "said"),
+    ("name", "data", "status", "said"),
     [
-        ("none.png", None, "none.png: there is no such picture, folder or video"),
-        ("empty.png", b"", "empty.png: this is no picture"),
-        ("cut.jpg", b"\xff\xd8\xff\xda" + b"\x00" * 90, "cut.jpg: the picture is cut short"),
-        ("notes.txt", b"hello", "notes.txt: this is no video"),
+        ("none.png", None, 2, "none.png: there is no such picture, folder or video"),
+        ("empty.png", b"", 1, "empty.png: this is no picture"),
+        ("cut.jpg", b"\xff\xd8\xff\xda" + b"\x00" * 90, 1, "cut.jpg: the picture is cut short"),
+        ("notes.txt", b"hello", 1, "notes.txt: this is no video"),
     ],
 )
-def test_bad_picture_is_one_line_and_status_2(
+def test_bad_picture_alone_is_one_line(
     folder: Path,
     capsys: pytest.CaptureFixture[str],
     name: str,
     data: bytes | None,
+    status: int,
     said: str,
 ) -> None:
     if data is not None:
         (folder / name).write_bytes(data)
-    assert detect(folder, str(folder / name)) == 2
+    assert detect(folder, str(folder / name)) == status
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_bad_pictures_among_good_ones_are_left_out_counted_and_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shots = folder / "shots"
+    (shots / "c.png").touch()
+    (shots / "d.jpg").write_text("hello")
+    (shots / "e.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
+    (shots / "f.png").write_bytes((shots / "a.png").read_bytes()[:-200])
+    (shots / "notes.txt").write_text("no picture, and not called one")
+    assert detect(folder, str(shots), "--json") == 0
+    said = capsys.readouterr()
+    assert [len(json.loads(line)["faces"]) for line in said.out.splitlines()] == [1, 0]
+    left_out = said.err.splitlines()[0]
+    assert left_out.startswith("4 pictures left out: ")
+    for words in ("c.png: this is no picture but an empty", "d.jpg: ", "heif-convert", "cut short"):
+        assert words in left_out
+    assert "notes" not in said.err
+
+
+def test_picture_of_twelve_bits_is_scaled_and_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deep = picture_of([VIEW]).astype(np.uint16) * 16
+    cv2.imwrite(str(folder / "deep.png"), deep)
+    assert detect(folder, str(folder / "deep.png")) == 0
+    said = capsys.readouterr()
+    assert "face 0: 12 corners" in said.out
+    assert "deep.png" in said.err
+    assert "12 of 16 bits" in said.err
 
 
 def test_pictures_of_two_sizes_are_no_sequence(
