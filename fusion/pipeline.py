@@ -206,6 +206,11 @@ class Pipeline:
                     "are not taken over; start a new map with fusion/reset",
                 )
             return False
+        try:
+            message.camera.check()
+        except ValueError as reason:
+            self._left_out.add("impossible_intrinsics", f"camera {camera}: {reason}")
+            return False
         self._data.lenses[camera] = message.camera
         early, self._early = self._early, []
         for node, sightings in early:

@@ -86,7 +86,9 @@ def search(
     if len(sizes) > 1:
         raise InputError(_several(sizes))
     if not views:
-        raise OperationError("; ".join([*(misdescribed or [_nothing_found(count, targets)]), *said]))
+        raise OperationError(
+            "; ".join([*(misdescribed or [_nothing_found(count, targets)]), *said])
+        )
     return Searched(count, size, views, tuple(misdescribed), tuple(said))
 
 

@@ -1,4 +1,4 @@
-"""What is to be said of a set of pictures: which were left out, and which are deeper than 8 bits."""
+"""What is to be said of a set of pictures: which were left out, and which are deep."""
 
 from collections.abc import Sequence
 

@@ -17,8 +17,8 @@ def as_grey(picture: np.ndarray) -> np.ndarray:
 
 
 def eight_bits(picture: np.ndarray) -> np.ndarray:
-    """Grey (height, width) or BGR (height, width, 3) uint8 of the same with alpha or without, of any
-    depth: scaled by the bits that it uses. Raises InputError where it is no picture.
+    """Grey (height, width) or BGR (height, width, 3) uint8, of the same with alpha or without and
+    of any depth: scaled by the bits that it uses. Raises InputError where it is no picture.
 
     Sensors of 10, 12 or 14 bits come in words of 16, with their values at either end.
     """

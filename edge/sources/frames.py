@@ -75,8 +75,8 @@ class FrameSource(Protocol):
     def frames(self, stopping: threading.Event) -> Iterator[Frame | None]:
         """Pictures in order of time; a slow consumer skips to the newest.
 
-        None, now and then, where it is right that none comes for long. Ends at the end of a file or soon after `stopping` is set; raises FrameError when the source
-        is lost.
+        None, now and then, where it is right that none comes for long. Ends at the end of a file
+        or soon after `stopping` is set; raises FrameError when the source is lost.
         """
         ...
 

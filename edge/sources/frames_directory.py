@@ -103,10 +103,10 @@ class DirectoryFrames:
         done: set[Path] = set()
         while not stopping.is_set():
             for file in listed_pictures(self._folder):
-                if file not in done and file.suffix.lower() in PICTURE_SUFFIXES:
-                    if self._is_written(file):
-                        done.add(file)
-                        yield file
+                is_new = file not in done and file.suffix.lower() in PICTURE_SUFFIXES
+                if is_new and self._is_written(file):
+                    done.add(file)
+                    yield file
             yield None
             self._clock.wait(stopping, _LOOK_S)
 

@@ -1,7 +1,7 @@
 """Reads picture files, whatever their names end in, and says why one cannot be read.
 
-Files are turned as their EXIF orientation says, like every viewer does. A lens belongs to the sensor,
-so pictures that are turned differently cannot be one camera's set.
+Files are turned as their EXIF orientation says, like every viewer does. A lens belongs to the
+sensor, so pictures that are turned differently cannot be one camera's set.
 """
 
 import mmap

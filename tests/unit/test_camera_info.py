@@ -1,9 +1,13 @@
 """camera_info YAML: what is written reads back, and what is wrong is named."""
 
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from trigpoint.camera_info import (
@@ -16,7 +20,7 @@ from trigpoint.errors import InputError
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
 
-FOCAL = st.floats(1.0, 1e5)
+FOCAL = st.floats(100.0, 1e5)
 COEFFICIENT = st.floats(-2.0, 2.0)
 CAMERA = CameraModel(640, 480, 500.0, 501.0, 319.5, 239.5, (-0.3, 1e-05, 1e-4, 0.0, 0.0))
 
@@ -29,6 +33,7 @@ CAMERA = CameraModel(640, 480, 500.0, 501.0, 319.5, 239.5, (-0.3, 1e-05, 1e-4, 0
 def test_written_camera_reads_back(model, focal, coefficients) -> None:
     distortion = tuple(coefficients[: model.coefficients])
     camera = CameraModel(1280, 720, focal[0], focal[1], 640.25, 359.5, distortion, model)
+    assume(camera.folded_share() < 0.5)
     assert parse_camera_info(format_camera_info(camera, "c1")) == camera
 
 
@@ -81,6 +86,200 @@ def test_wrong_file_is_named_with_its_fault(old: str, new: str, named: str) -> N
 def test_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such camera_info file"):
         read_camera_info(tmp_path / "none.yaml")
+
+
+def numbers(values: Iterable[float], between: str = ", ") -> str:
+    return between.join(f"{value:.17g}" for value in values)
+
+
+def of_opencv(c: CameraModel, key: Callable[[str], str]) -> str:
+    """FileStorage's YAML, as calibration samples write it."""
+
+    def matrix(name: str, rows: int, values: Sequence[float]) -> str:
+        head = f"{key(name)}: !!opencv-matrix\n   rows: {rows}\n   cols: {len(values) // rows}\n"
+        return f"{head}   dt: d\n   data: [ {numbers(values)} ]\n"
+
+    fisheye = f"fisheye_model: {int(c.model is LensModel.EQUIDISTANT)}\n"
+    size = f"{key('image_width')}: {c.width}\n{key('image_height')}: {c.height}\n{fisheye}"
+    matrices = matrix("camera_matrix", 3, c.matrix.ravel().tolist())
+    return f"%YAML:1.0\n---\n{size}{matrices}{matrix('distortion_coefficients', 1, c.distortion)}"
+
+
+def of_opencv_xml(c: CameraModel, key: Callable[[str], str]) -> str:
+    def matrix(name: str, values: Iterable[float]) -> str:
+        data = f"<rows>3</rows><cols>3</cols><dt>d</dt><data>\n{numbers(values, ' ')}</data>"
+        return f'<{key(name)} type_id="opencv-matrix">{data}</{key(name)}>'
+
+    size = f"<image_size>\n  {c.width} {c.height}</image_size>"
+    fisheye = f"<fisheye_model>{int(c.model is LensModel.EQUIDISTANT)}</fisheye_model>"
+    matrices = matrix("camera_matrix", c.matrix.ravel()) + matrix("dist_coeffs", c.distortion)
+    head = '<?xml version="1.0"?>\n<opencv_storage>'
+    return f"{head}\n{size}{fisheye}{matrices}</opencv_storage>"
+
+
+def of_opencv_json(c: CameraModel, key: Callable[[str], str]) -> str:
+    def matrix(values: Iterable[float]) -> dict[str, object]:
+        return {"type_id": "opencv-matrix", "rows": 1, "data": list(values)}
+
+    return json.dumps(
+        {
+            key("image_size"): [c.width, c.height],
+            key("camera_matrix"): matrix(c.matrix.ravel()),
+            key("dist_coeffs"): matrix(c.distortion),
+            "fisheye_model": c.model is LensModel.EQUIDISTANT,
+        },
+        indent="\t",
+    )
+
+
+def of_nested_lists(c: CameraModel, key: Callable[[str], str]) -> str:
+    """As people dump numpy's arrays."""
+    return json.dumps(
+        {
+            key("width"): c.width,
+            key("height"): c.height,
+            "K": c.matrix.tolist(),
+            "dist": [list(c.distortion)],
+            "model": {"plumb_bob": "OPENCV", "equidistant": "OPENCV_FISHEYE"}.get(c.model, c.model),
+        }
+    )
+
+
+def of_kalibr(c: CameraModel, _key: Callable[[str], str]) -> str:
+    name = {LensModel.PLUMB_BOB: "radtan"}.get(c.model, c.model.value)
+    return (
+        f"cam0:\n  camera_model: pinhole\n  intrinsics: [{numbers(c.parameters[:4])}]\n"
+        f"  distortion_model: {name}\n  distortion_coeffs: [{numbers(c.distortion)}]\n"
+        f"  resolution: [{c.width}, {c.height}]\n  rostopic: /front/image_raw\n"
+    )
+
+
+def of_ros_ini(c: CameraModel, _key: Callable[[str], str]) -> str:
+    rows = "\n".join(numbers(row, " ") for row in c.matrix)
+    size = f"[image]\n\nwidth\n{c.width}\n\nheight\n{c.height}\n\n"
+    unit = "rectification\n1 0 0\n0 1 0\n0 0 1\n"
+    lens = f"[c1]\n\ncamera matrix\n{rows}\n\ndistortion\n{numbers(c.distortion, ' ')}\n\n"
+    return f"# oST version 5.0 parameters\n\n\n{size}{lens}{unit}"
+
+
+def of_ros_echo(c: CameraModel, _key: Callable[[str], str]) -> str:
+    """The output of `rostopic echo -n1`."""
+    return (
+        f"header:\n  seq: 7\nheight: {c.height}\nwidth: {c.width}\n"
+        f'distortion_model: "{c.model.value}"\nD: [{numbers(c.distortion)}]\n'
+        f"K: [{numbers(c.matrix.ravel())}]\nroi:\n  height: 0\n  width: 0\n---\n"
+    )
+
+
+def of_orb_slam(c: CameraModel, _key: Callable[[str], str]) -> str:
+    kind = "KannalaBrandt8" if c.model is LensModel.EQUIDISTANT else "PinHole"
+    names = {
+        LensModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
+        LensModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
+        LensModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    }[c.model]
+    given = zip(("fx", "fy", "cx", "cy", *names), c.parameters, strict=True)
+    lines = "".join(f"Camera.{name}: {value:.17g}\n" for name, value in given)
+    size = f"Camera.width: {c.width}\nCamera.height: {c.height}\n"
+    return f'%YAML:1.0\n\nCamera.type: "{kind}"\n{lines}{size}'
+
+
+def of_matlab(c: CameraModel, _key: Callable[[str], str]) -> str:
+    """`jsonencode(toStruct(cameraParams))`, whose first pixel is (1, 1)."""
+    assume(c.model is LensModel.PLUMB_BOB)
+    k1, k2, p1, p2, k3 = c.distortion
+    matrix = c.matrix + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+    return json.dumps(
+        {
+            "RadialDistortion": [k1, k2, k3],
+            "TangentialDistortion": [p1, p2],
+            "ImageSize": [c.height, c.width],
+            "IntrinsicMatrix": matrix.T.tolist(),
+        }
+    )
+
+
+def camel(key: str) -> str:
+    first, *rest = key.split("_")
+    return first + "".join(word.title() for word in rest)
+
+
+@given(
+    write=st.sampled_from(
+        [
+            *(of_opencv, of_opencv_xml, of_opencv_json, of_nested_lists, of_kalibr, of_ros_ini),
+            *(of_ros_echo, of_orb_slam, of_matlab),
+        ]
+    ),
+    key=st.sampled_from([str, camel, str.title, str.upper]),
+    model=st.sampled_from(list(LensModel)),
+    focal=st.tuples(st.floats(200.0, 5e3), st.floats(200.0, 5e3)),
+    coefficients=st.lists(st.floats(-0.5, 0.5), min_size=8, max_size=8),
+)
+def test_lens_of_any_dialect_is_the_same_lens(write, key, model, focal, coefficients) -> None:
+    # Where nothing names a rational model, its last coefficient does.
+    values = [*coefficients[: model.coefficients - 1], 0.125]
+    camera = CameraModel(1280, 720, focal[0], focal[1], 640.25, 359.5, tuple(values), model)
+    assume(camera.folded_share() < 0.5)
+    if write is of_ros_ini:  # it names no model
+        assume(model is not LensModel.EQUIDISTANT)
+    assert parse_camera_info(write(camera, key)).parameters == pytest.approx(camera.parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            of_kalibr(CAMERA, str)
+            + of_kalibr(CAMERA, str).replace("cam0", "cam1").replace("500", "502"),
+            "several lenses in it (cam0, cam1)",
+        ),
+        (of_kalibr(CAMERA, str).replace("pinhole", "omni"), "omni"),
+        (of_kalibr(CAMERA, str).replace("radtan", "fov"), "fov"),
+        ("%YAML:1.0\nmtx: [500, 0, 319, 0, 500, 239, 0, 0, 1]\ndist: [0, 0, 0, 0]", "image_width"),
+        ("<a><b></a>", ":1: not valid XML"),
+        ("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 OPENCV 640 480 5", "COLMAP"),
+        ('{"K": [[500, 0, 0], [0, 500, 0], [319, 239, 1]], "w": 640, "h": 480}', "transposed"),
+        ('{"K": [[500, 9, 319], [0, 500, 239], [0, 0, 1]], "w": 640, "h": 480}', "skew"),
+        (
+            '{"K": [500, 0, 319, 0, 500, 239, 0, 0, 1], "w": 640, "h": 480, '
+            '"d": [0, 0, 0, 0, 0, 0, 0, 0, 1]}',
+            "thin prism",
+        ),
+    ],
+)
+def test_what_our_lenses_cannot_say_is_named(text: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_camera_info(text, file="c1.yaml")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[500.0, 0.0, 319.5", "[500.0, 0.0, 1600.0", "principal point (1600, 239.5) lies far"),
+        ("[500.0, 0.0, 319.5", "[500.0, 0.0, -900.0", "principal point"),
+        ("image_height: 480", "image_height: 90", "principal point"),
+        ("501.0", "0.0", "focal"),
+        ("501.0", "3.6", "mm"),
+        ("[-0.3, ", "[-9.0, ", "folds back"),
+    ],
+)
+def test_lens_that_cannot_be_is_refused(old: str, new: str, said: str) -> None:
+    text = format_camera_info(CAMERA, "c1")
+    assert old in text
+    with pytest.raises(InputError, match=r"c1\.yaml") as caught:
+        parse_camera_info(text.replace(old, new), file="c1.yaml")
+    assert said in str(caught.value)
+
+
+def test_lens_that_folds_back_near_the_edge_is_used_and_said(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lens = replace(CAMERA, distortion=(-0.5,))
+    assert parse_camera_info(format_camera_info(lens, "c1"), file="c1.yaml") == lens
+    assert "c1.yaml: the distortion folds back within the picture" in caplog.text
 
 
 @pytest.mark.parametrize("text", ["3", "[]", "", "a: ["])

@@ -13,6 +13,17 @@ from numpy.typing import ArrayLike
 
 from .rotation import Array
 
+_OTHER_NAMES = (
+    ("plumb_bob", "plumbbob radtan radialtangential brownconrady opencv none"),
+    ("rational_polynomial", "rationalpolynomial rational fullopencv"),
+    ("equidistant", "equi fisheye kannalabrandt kannalabrandt4 kannalabrandt8 opencvfisheye kb4"),
+)
+# A fisheye whose circle is all around, 360°, just in the picture has 1 / 2π of the side.
+_LEAST_FOCAL = 0.05
+_OUTSIDE = 0.25
+"""A principal point so far outside, of the picture's side: a shifted lens has none like it."""
+_GRID = 101
+
 
 class LensModel(StrEnum):
     """Distortion model, with the coefficients' order of ROS and OpenCV."""
@@ -20,6 +31,12 @@ class LensModel(StrEnum):
     PLUMB_BOB = "plumb_bob"  # k1 k2 p1 p2 k3
     RATIONAL_POLYNOMIAL = "rational_polynomial"  # k1 k2 p1 p2 k3 k4 k5 k6
     EQUIDISTANT = "equidistant"  # k1 k2 k3 k4
+
+    @classmethod
+    def _missing_(cls, value: object) -> "LensModel | None":
+        """The model by the names that other tools have for it."""
+        word = "".join(letter for letter in str(value).lower() if letter.isalnum())
+        return next((cls(model) for model, words in _OTHER_NAMES if word in words.split()), None)
 
     @property
     def coefficients(self) -> int:
@@ -59,6 +76,39 @@ class CameraModel:
         """A nominal camera without distortion, its principal point in the middle."""
         focal = width / (2 * np.tan(horizontal_rad / 2))
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+    def check(self) -> None:
+        """Raise ValueError where no camera has such a lens."""
+        size = f"a picture of {self.width} × {self.height}"
+        for side, focal, centre in (
+            (self.width, self.fx, self.cx),
+            (self.height, self.fy, self.cy),
+        ):
+            if focal < _LEAST_FOCAL * side:
+                raise ValueError(
+                    f"a focal length of {focal:g} pixels cannot be with {size}: is it in mm, or of "
+                    "another size?"
+                )
+            if not -_OUTSIDE * side <= centre <= (1 + _OUTSIDE) * side:
+                raise ValueError(
+                    f"the principal point ({self.cx:g}, {self.cy:g}) lies far outside of {size}: "
+                    "is it of another size?"
+                )
+        if self.folded_share() > 0.5:
+            raise ValueError(
+                f"the distortion folds back, so that most of {size} shows nothing: are its "
+                "coefficients of another model, or in another order?"
+            )
+
+    def folded_share(self) -> float:
+        """The share of the picture that lies farther out than where the lens model folds back."""
+        radius = _fold_radius(self)
+        if radius == np.inf:
+            return 0.0
+        reach = np.linalg.norm(self._distort(np.array([radius, 0.0]))[0])
+        x = (np.linspace(0, self.width - 1, _GRID) - self.cx) / self.fx
+        y = (np.linspace(0, self.height - 1, _GRID) - self.cy) / self.fy
+        return float(np.mean(np.hypot(x, y[:, None]) > reach))
 
     @property
     def matrix(self) -> Array:

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from boards import checkerboard, picture_of, placed, target_of
-
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -69,10 +68,8 @@ def test_picture_of_any_depth_and_channels_is_the_same_in_eight_bits(
 def test_picture_file_of_any_depth_and_suffix_shows_the_same(
     tmp_path_factory: pytest.TempPathFactory, suffix: str, kind: str, bits: int, channels: int
 ) -> None:
-    deep = np.rint(PICTURE / 255.0 * (2**bits - 1))
-    deep = (deep if kind in (".pfm", ".hdr") else deep).astype(
-        np.float32 if kind in (".pfm", ".hdr") else np.uint16
-    )
+    dtype = np.float32 if kind in (".pfm", ".hdr") else np.uint16
+    deep = np.rint(PICTURE / 255.0 * (2**bits - 1)).astype(dtype)
     picture = np.stack([deep] * channels, axis=-1) if channels else deep
     file = tmp_path_factory.getbasetemp() / f"drawn{suffix}"
     file.write_bytes(cv2.imencode(kind, picture)[1].tobytes())
