@@ -23,7 +23,7 @@ def main(
         float, typer.Option(help="Less than 1 is quicker and rougher.", min=0.01)
     ] = 1.0,
 ) -> None:
-    """Measure Trigpoint against the bare libraries, side by side, in two to three minutes."""
+    """Measure Trigpoint against the bare libraries, side by side, in about six minutes."""
     chosen = names or list(BENCHMARKS)
     unknown = [name for name in chosen if name not in BENCHMARKS]
     if unknown:

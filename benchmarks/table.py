@@ -17,6 +17,7 @@ BENCHMARKS: dict[str, str] = {
     "estimator": "estimator_speed:run",
     "live": "live:run",
     "gtsam": "gtsam_comparison:run",
+    "said_rightly": "said_rightly:run",
 }
 
 # What is installed for a benchmark alone, with the extra `bench`.

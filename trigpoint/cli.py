@@ -122,10 +122,16 @@ COMMANDS: dict[str, Command] = {
     "simulate": Command(
         "trigpoint.tools.simulate:main", "A session of a simulated lab, with its truth.", "all"
     ),
+    "simulate robot": Command(
+        "trigpoint.tools.simulate:robot",
+        "A live robot and a site of sim:// cameras.",
+        "all",
+        service=True,
+    ),
 }
 
 GROUPS = {
-    "target": "Draw, check and import targets.",
+    "target": "Draw, check, import targets; their keys: docs/target.md.",
     "secure": "Certificates of a site's nodes, and who may come in.",
 }
 
@@ -177,7 +183,9 @@ def run(arguments: Sequence[str]) -> int:
     _exit_on_termination(chosen)
     try:
         status = _app(chosen)(
-            args=list(arguments) or ["--help"], prog_name=PROGRAM, standalone_mode=False
+            args=_in_one_word(arguments, chosen) or ["--help"],
+            prog_name=PROGRAM,
+            standalone_mode=False,
         )
     except TrigpointError as error:
         return _fail(str(error), error.exit_status)
@@ -223,6 +231,16 @@ def log_level_in_front(arguments: Sequence[str]) -> list[str]:
     return [*front, *rest]
 
 
+def _in_one_word(arguments: Sequence[str], chosen: str) -> list[str]:
+    """The line, with `simulate robot` as one word: beside `simulate WORLD` it cannot be a group."""
+    first, _, second = chosen.partition(" ")
+    words = list(arguments)
+    if second and first not in GROUPS:
+        begin = words.index(first)
+        words[begin : begin + 2] = [chosen]
+    return words
+
+
 def _app(chosen: str) -> typer.Typer:
     """The program with the chosen command loaded; the others are only names with a help line."""
     settings = {
@@ -239,7 +257,8 @@ def _app(chosen: str) -> typer.Typer:
         group, _, last = name.rpartition(" ")
         function = command.load() if name == chosen else _placeholder
         summary = None if name == chosen else command.help
-        (groups[group] if group else app).command(last, help=summary)(function)
+        place, word = (groups[group], last) if group in groups else (app, name)
+        place.command(word, help=summary)(function)
     for name, group in groups.items():
         app.add_typer(group, name=name)
     return app

@@ -1,0 +1,146 @@
+"""Drives whose odometry, or its times, are not as they should be: what `calibrate` says of them."""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from trigpoint.clock import to_ns
+from trigpoint.recorder.recording import open_recording
+from trigpoint.tools.simulation.session import write_session
+from trigpoint.tools.simulation.site_files import write_site
+from trigpoint.tools.simulation.world import World, load_world
+
+from .bags import STORE, Message, write_mcap
+from .case import LOCATED, Case, Kind
+
+ODOM, SIGHTINGS = "nav_msgs/msg/Odometry", "trigpoint_msgs/msg/Sightings"
+_EVERY = 5
+"""Of the odometry: 10 Hz are enough, and quicker."""
+
+
+@cache
+def _world() -> World:
+    """Once around the lab, past one camera."""
+    world = load_world("loop", seed=1, target="charuco")
+    for name in list(world.cameras)[1:]:
+        del world.cameras[name]
+    return world
+
+
+@cache
+def drive() -> tuple[tuple[str, int, bytes], ...]:
+    """Type, time of recording and bytes of a sound drive's messages."""
+    with TemporaryDirectory() as folder:
+        write_session(_world(), Path(folder))
+        samples = list(open_recording(Path(folder)).samples())
+    odometry = [one for one in samples if one.topic.type_name == ODOM][::_EVERY]
+    others = [one for one in samples if one.topic.type_name == SIGHTINGS]
+    kept = sorted([*odometry, *others], key=lambda one: one.log_ns)
+    return tuple((one.topic.type_name, one.log_ns, bytes(one.payload)) for one in kept)
+
+
+def calibrated(
+    folder: Path, change: Callable[[int, Any], None] = lambda _number, _odometry: None
+) -> tuple[str | Path, ...]:
+    """The words to calibrate the drive as a foreign bag, each odometry message changed before."""
+    messages, number = [], 0
+    for kind, log_ns, data in drive():
+        payload = data
+        if kind == ODOM:
+            found = STORE.deserialize_cdr(data, ODOM)
+            change(number, found)
+            payload, number = bytes(STORE.serialize_cdr(found, ODOM)), number + 1
+        messages.append(Message("/odom" if kind == ODOM else "/seen", kind, log_ns, payload))
+    bag = write_mcap(folder / "bag.mcap", messages)
+    site, out = write_site(_world(), folder), folder / "out"
+    roles = ("--topic", "c1=/seen", "--topic", "r1=/odom")
+    return ("calibrate", bag, "--site", site, "--out", out, *roles)
+
+
+def stamped(odometry: Any, stamp_ns: int) -> None:
+    odometry.header.stamp.sec, odometry.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+
+
+def two_clocks(folder: Path, random: np.random.Generator) -> Case:
+    """Odometry by a simulator's clock, or by one that is years or hours off."""
+    begin_ns = int(random.choice([0, to_ns(1e3), to_ns(1.6e9), to_ns(1.7e9 - 9e3)]))
+
+    def change(number: int, odometry: Any) -> None:
+        stamped(odometry, begin_ns + to_ns(0.1 * (number + 1)))
+
+    return Case(calibrated(folder, change), (1,), (r"overlap|clock|sim(ulat\w+)? ?time",))
+
+
+def zero_stamps(folder: Path, random: np.random.Generator) -> Case:
+    """None, or none but a few, has a stamp: the times of recording are taken, which is said."""
+    stamped_ones = int(random.choice([0, 3]))
+
+    def change(number: int, odometry: Any) -> None:
+        if number >= stamped_ones:
+            stamped(odometry, 0)
+
+    return Case(calibrated(folder, change), (0,), (r"stamp", r"record", LOCATED))
+
+
+def needless_nan(folder: Path, random: np.random.Generator) -> Case:
+    """In a field that nobody needs: all of it is used."""
+    part, axis = str(random.choice(["linear", "angular"])), str(random.choice(["x", "y", "z"]))
+    every = int(random.choice([1, 7]))
+
+    def change(number: int, odometry: Any) -> None:
+        if number % every == 0:
+            setattr(getattr(odometry.twist.twist, part), axis, np.nan)
+
+    return Case(calibrated(folder, change), (0,), (LOCATED,))
+
+
+def quaternion_length(folder: Path, random: np.random.Generator) -> Case:
+    """Not 1: its meaning is plain."""
+    by = float(random.choice([random.uniform(0.3, 0.95), random.uniform(1.05, 3.0)]))
+
+    def change(_number: int, odometry: Any) -> None:
+        turn = odometry.pose.pose.orientation
+        turn.x, turn.y, turn.z, turn.w = (by * value for value in (turn.x, turn.y, turn.z, turn.w))
+
+    return Case(calibrated(folder, change), (0,), (LOCATED,))
+
+
+def unusable_pose(folder: Path, random: np.random.Generator) -> Case:
+    """A place or turn that is none in all messages: said, with how many."""
+    field = str(random.choice(["position", "orientation"]))
+    value = 0.0 if field == "orientation" else float(random.choice([np.nan, np.inf]))
+
+    def change(_number: int, odometry: Any) -> None:
+        spoilt = getattr(odometry.pose.pose, field)
+        for axis in ("x", "y", "z") if field == "position" else ("x", "y", "z", "w"):
+            setattr(spoilt, axis, value)
+
+    count = sum(kind == ODOM for kind, *_ in drive())
+    says = (rf"\b{count}\b", r"finite|nan\b|quaternion|length")
+    return Case(calibrated(folder, change), (1, 2), says)
+
+
+def a_few_unusable(folder: Path, random: np.random.Generator) -> Case:
+    """Some poses that are none among good ones: left out and counted."""
+    every = int(random.integers(20, 60))
+
+    def change(number: int, odometry: Any) -> None:
+        if number % every == 0:
+            odometry.pose.pose.position.x = np.nan
+
+    count = len(range(0, sum(kind == ODOM for kind, *_ in drive()), every))
+    return Case(calibrated(folder, change), (0,), (rf"\b{count}\b", LOCATED))
+
+
+ODOMETRY: Mapping[str, Kind] = {
+    "two clocks": two_clocks,
+    "stamps of zero": zero_stamps,
+    "NaN where nobody looks": needless_nan,
+    "a quaternion's length": quaternion_length,
+    "no pose in odometry": unusable_pose,
+    "a few poses that are none": a_few_unusable,
+}

@@ -1,0 +1,143 @@
+"""Site files and lens files that are not what the program reads."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from trigpoint.camera_info import read_camera_info, write_camera_info
+from trigpoint.geometry import CameraModel
+
+from .case import LOCATED, Case, Kind
+from .odometry import calibrated
+
+_SITE: str = """\
+site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "dir:///x"
+width = 640
+rate = 5.0
+horizontal_fov = 60.0
+[robots.r1]
+port = "loop://"
+baud = 57600
+max_speed = 2.0
+[robots.r1.odometry]
+distance = 0.006
+heading_turn = 0.006
+[fusion]
+late = 1.0
+"""
+
+
+def _opencv(lens: CameraModel) -> str:
+    k, d = lens.matrix.reshape(-1).tolist(), list(lens.distortion)
+    matrix = "!!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: {}\n"
+    return (
+        f"%YAML:1.0\n---\nimage_width: {lens.width}\nimage_height: {lens.height}\n"
+        f"camera_matrix: {matrix.format(3, 3, k)}"
+        f"distortion_coefficients: {matrix.format(1, len(d), d)}"
+    )
+
+
+def _kalibr(lens: CameraModel) -> str:
+    return (
+        "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n"
+        f"  distortion_coeffs: {list(lens.distortion[:4])}\n"
+        f"  intrinsics: {[lens.fx, lens.fy, lens.cx, lens.cy]}\n"
+        f"  resolution: [{lens.width}, {lens.height}]\n"
+    )
+
+
+def _matlab(lens: CameraModel) -> str:
+    k1, k2, p1, p2, *_ = lens.distortion
+    fields = {
+        "RadialDistortion": [k1, k2],
+        "TangentialDistortion": [p1, p2],
+        "ImageSize": [lens.height, lens.width],
+        "IntrinsicMatrix": lens.matrix.T.tolist(),
+    }
+    return json.dumps(fields)
+
+
+def _printed(lens: CameraModel) -> str:
+    """What people copy from a terminal."""
+    return f"mtx =\n{lens.matrix}\ndist =\n{np.array(lens.distortion)}\n"
+
+
+_DIALECTS: tuple[Callable[[CameraModel], str], ...] = (_opencv, _kalibr, _matlab)
+
+
+def foreign_lens(folder: Path, random: np.random.Generator) -> Case:
+    """Read where it says the same."""
+    words = calibrated(folder)
+    path = folder / "c1.yaml"
+    dialect = _DIALECTS[random.integers(len(_DIALECTS))]
+    path.write_text(dialect(read_camera_info(path)), encoding="utf-8")
+    return Case(words, (0,), (LOCATED,))
+
+
+def unreadable_lens(folder: Path, _random: np.random.Generator) -> Case:
+    words = calibrated(folder)
+    path = folder / "c1.yaml"
+    path.write_text(_printed(read_camera_info(path)), encoding="utf-8")
+    return Case(words, (2,), (r"c1\.yaml", r"camera_info|camera_matrix"))
+
+
+def impossible_lens(folder: Path, random: np.random.Generator) -> Case:
+    """A focal length, a centre or a distortion that no lens has."""
+    words = calibrated(folder)
+    path = folder / "c1.yaml"
+    lens = read_camera_info(path)
+    write_camera_info(path, lens, "c1")
+    was, now = [
+        (lens.fx, 0.0),
+        (lens.fx, -lens.fx),
+        (lens.cx, 20 * lens.cx),
+        (lens.fy, 1000 * lens.fy),
+        (lens.distortion[0], -5.0),
+        (lens.distortion[0], float("nan")),
+    ][random.integers(6)]
+    path.write_text(path.read_text(encoding="utf-8").replace(repr(was), repr(now), 1), "utf-8")
+    return Case(words, (2,), (r"c1\.yaml",))
+
+
+def unknown_key(folder: Path, random: np.random.Generator) -> Case:
+    """A key with a letter too few: line, key and what is near are named."""
+    lines: list[str] = _SITE.splitlines()
+    places = [at for at, line in enumerate(lines) if " = " in line]
+    at = int(random.choice(places[2:]))
+    key = lines[at].split()[0]
+    k = int(random.integers(1, len(key)))
+    wrong = key[:k] + key[k + 1 :]
+    lines[at] = lines[at].replace(key, wrong, 1)
+    says = (rf"site\.toml:{at + 1}\b", rf"\b{wrong}\b", rf"\b{key}\b")
+    return Case(_looked_at(folder, lines), (2,), says)
+
+
+def missing_robot(folder: Path, random: np.random.Generator) -> Case:
+    """The robot that is asked for is not in the file, or none is."""
+    lines: list[str] = _SITE.splitlines()
+    if random.integers(2):
+        begin = lines.index("[robots.r1]")
+        return Case(_looked_at(folder, lines[:begin]), (2,), (r"\brobots\b|no robot",))
+    other = str(random.choice(["rover", "r10", "robot1"]))
+    lines = [line.replace("robots.r1", f"robots.{other}") for line in lines]
+    return Case(_looked_at(folder, lines), (2,), ("r1", other))
+
+
+def _looked_at(folder: Path, lines: list[str]) -> tuple[str | Path, ...]:
+    site = folder / "site.toml"
+    site.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return ("robot", "--site", site, "--robot", "r1", "--dry-run")
+
+
+SETTINGS: Mapping[str, Kind] = {
+    "a foreign lens file": foreign_lens,
+    "no lens file at all": unreadable_lens,
+    "a lens that cannot be": impossible_lens,
+    "an unknown key": unknown_key,
+    "a robot that is missing": missing_robot,
+}

@@ -1,0 +1,43 @@
+"""The wrong inputs of the benchmark «said rightly»: drawn by number alone, and fairly judged."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.wrong_inputs import KINDS, Case, fault
+
+SEEN = '{"faces": [{"face": 0}]}\n{"faces": []}\n'
+
+
+@pytest.mark.parametrize(
+    ("status", "out", "err", "expected"),
+    [
+        (0, SEEN, "left out: 1 picture, b.png", ""),
+        (2, SEEN, "left out: 1 picture, b.png", "status 2, not 0"),
+        (0, SEEN, "1 picture", "nothing like «left out»"),
+        (0, SEEN, "left out: face 3", "«face 3»"),
+        (0, "", "left out", "faces in 0 pictures of 1"),
+        (1, "", "Traceback (most recent call last):", "a traceback"),
+    ],
+)
+def test_an_answer_is_right_in_status_words_and_what_is_used(
+    status: int, out: str, err: str, expected: str
+) -> None:
+    case = Case(("detect",), (0,), says=("left out",), never=(r"face \d",), seen=1)
+    assert fault(case, status, out, err) == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_input_is_the_same_for_the_same_number(kind: str, tmp_path: Path) -> None:
+    drawn = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        case = KINDS[kind](folder, np.random.default_rng(5))
+        with case.beside:
+            pass  # a board's port is closed behind it
+        words = [str(word).replace(str(folder), "") for word in case.words]
+        drawn.append((words, case.statuses, case.says, case.never, case.seen))
+    assert drawn[0] == drawn[1]
+    assert any((tmp_path / "a").iterdir())
