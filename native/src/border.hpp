@@ -7,6 +7,13 @@
 #include <exception>
 #include <new>
 
+// Of loops over whole pictures: also compiled for wider registers, which is chosen at run time.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
+#define TRIGPOINT_WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define TRIGPOINT_WIDE
+#endif
+
 namespace trigpoint {
 
 // An array in one piece, row by row; its type and shape were checked by `library.py`.
