@@ -85,6 +85,19 @@ void saddle_strength(const float* __restrict above, const float* __restrict here
     to[0] = to[count - 1] = 0;
 }
 
+// Whether each value is above `least` and no smaller than those right beside, above and below it.
+TRIGPOINT_WIDE
+void might_peak(const float* __restrict above, const float* __restrict here,
+                const float* __restrict below, float least, std::uint8_t* __restrict to,
+                std::int64_t count) {
+    for (std::int64_t x = 1; x < count - 1; ++x) {
+        const float value = here[x];
+        const int is_peak = (value > least) & (value >= here[x - 1]) & (value >= here[x + 1]) &
+                            (value >= above[x]) & (value >= below[x]);
+        to[x] = static_cast<std::uint8_t>(is_peak);
+    }
+}
+
 // Where a ring that is even about its middle, half of it, crosses 0 upwards or downwards: an angle
 // below π; -1 where it does not do so just once.
 float crossing(const std::array<float, HALF>& above, bool upwards) {
@@ -133,6 +146,7 @@ void Curvature::smooth(const Grey& grey) {
     across_.resize(KEPT * width_);
     smooth_.resize(width_ * height_);
     strength_.resize(5 * width_);
+    might_peak_.resize(width_);
     const auto kept = [&](std::int64_t y) { return across_.data() + (y % KEPT) * width_; };
     for (std::int64_t y = 0; y < height_ + REACH + 3; ++y) {
         if (y < height_) {
@@ -160,11 +174,15 @@ void Curvature::smooth(const Grey& grey) {
 }
 
 void Curvature::peaks(std::int64_t y) {
-    constexpr float LEAST = LEAST_STRENGTH * LEAST_STRENGTH;
     const float* here = strength(y);
-    for (std::int64_t x = MARGIN; x < width_ - MARGIN; ++x) {
+    might_peak(strength(y - 1), here, strength(y + 1), LEAST_STRENGTH * LEAST_STRENGTH,
+               might_peak_.data(), width_);
+    const std::uint8_t *first = might_peak_.data(), *end = first + width_ - MARGIN;
+    for (const std::uint8_t* at = first + MARGIN; at < end; ++at) {
+        at = static_cast<const std::uint8_t*>(std::memchr(at, 1, end - at));
+        if (at == nullptr) break;
+        const std::int64_t x = at - first;
         const float value = here[x];
-        if (value <= LEAST || here[x - 1] > value || here[x + 1] > value) continue;
         bool is_peak = true;
         for (std::int64_t row = y - 2; row <= y + 2 && is_peak; ++row) {
             const float* other = strength(row) + x;
@@ -196,31 +214,32 @@ bool Curvature::examine(Place place, float tolerance, Saddle& saddle) const {
     const float determinant = std::min(bend.xx * bend.yy - bend.xy * bend.xy, -1e-6F);
     float step_x = -(bend.yy * slope_x - bend.xy * slope_y) / determinant,
           step_y = -(bend.xx * slope_y - bend.xy * slope_x) / determinant;
-    const float shorter =
-        std::min(1.0F, LONGEST_STEP_PX / std::max(std::hypot(step_x, step_y), 1e-9F));
+    const float shorter = std::min(
+        1.0F, LONGEST_STEP_PX / std::max(std::sqrt(step_x * step_x + step_y * step_y), 1e-9F));
     saddle.pixel = {static_cast<float>(x) + shorter * step_x,
                     static_cast<float>(y) + shorter * step_y};
 
     // Up along one axis and clearly down along the other.
     x = whole(saddle.pixel.x, width_), y = whole(saddle.pixel.y, height_);
     bend = bends(x, y);
-    const float mean = 0.5F * (bend.xx + bend.yy),
-                radius = std::hypot(0.5F * (bend.xx - bend.yy), bend.xy);
+    const float mean = 0.5F * (bend.xx + bend.yy), half = 0.5F * (bend.xx - bend.yy),
+                radius = std::sqrt(half * half + bend.xy * bend.xy);
     const float up = mean + radius, down = radius - mean;
     if (!(up > LEAST_RATIO * down && down > LEAST_RATIO * up)) return false;
 
     const Picture<float> smooth{smooth_.data(), height_, width_};
+    const Ring& around = ring();
     std::array<float, SAMPLES> seen;
     for (int k = 0; k < SAMPLES; ++k)
-        seen[k] = smooth.at(saddle.pixel.x + ring().x[k], saddle.pixel.y + ring().y[k]);
+        seen[k] = smooth.at(saddle.pixel.x + around.x[k], saddle.pixel.y + around.y[k]);
     // Its even part is that which half a turn leaves; power by Parseval's theorem.
     std::array<float, HALF> even;
     float sum = 0, squares = 0, odd = 0, alternating = 0;
     for (int k = 0; k < HALF; ++k) {
         even[k] = 0.5F * (seen[k] + seen[k + HALF]);
         sum += even[k];
-        const float half = 0.5F * (seen[k] - seen[k + HALF]);
-        odd += half * half;
+        const float uneven = 0.5F * (seen[k] - seen[k + HALF]);
+        odd += uneven * uneven;
         alternating += k % 2 ? -even[k] : even[k];
     }
     const float average = sum / HALF;

@@ -59,6 +59,7 @@ private:
 
     std::int64_t width_ = 0, height_ = 0;
     std::vector<float> padded_, across_, smooth_, strength_;
+    std::vector<std::uint8_t> might_peak_;
     std::vector<Candidate> candidates_;
     std::vector<Saddle> saddles_;
 };

@@ -23,17 +23,14 @@ struct Picture {
 
     // The value at (x, y), interpolated; beyond the edge as at the edge. The picture is not empty.
     float at(float x, float y) const {
-        x = std::clamp(x, 0.0F, static_cast<float>(width - 1));
-        y = std::clamp(y, 0.0F, static_cast<float>(height - 1));
-        const auto left =
-            std::min(static_cast<std::int64_t>(x), std::max<std::int64_t>(width - 2, 0));
-        const auto top =
-            std::min(static_cast<std::int64_t>(y), std::max<std::int64_t>(height - 2, 0));
-        const auto right = std::min(left + 1, width - 1), below = std::min(top + 1, height - 1);
+        x = std::min(std::max(x, 0.0F), static_cast<float>(width - 1));
+        y = std::min(std::max(y, 0.0F), static_cast<float>(height - 1));
+        const auto left = static_cast<std::int32_t>(x), top = static_cast<std::int32_t>(y);
+        const std::int64_t right = left + 1 < width ? 1 : 0, below = top + 1 < height ? width : 0;
         const float across = x - static_cast<float>(left), down = y - static_cast<float>(top);
-        const T *upper = row(top), *lower = row(below);
-        const float above = upper[left] + across * (upper[right] - upper[left]);
-        const float under = lower[left] + across * (lower[right] - lower[left]);
+        const T* corner = data + top * width + left;
+        const float above = corner[0] + across * (corner[right] - corner[0]);
+        const float under = corner[below] + across * (corner[below + right] - corner[below]);
         return above + down * (under - above);
     }
 };
