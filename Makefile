@@ -10,7 +10,7 @@ SEEDS ?= 100
 SITUATIONS ?=
 KINDS ?=
 
-.PHONY: demo core test check lint types imports bench study compositions clean
+.PHONY: demo core wheels test check lint types imports bench study compositions clean
 
 demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -52,6 +52,13 @@ core: $(CORE)  ## the compiled core, where its sources changed
 $(CORE): $(CORE_SOURCES) | $(INSTALLED)
 	$(BIN)/python native/build.py --strict
 	touch $@
+
+# For machines without a compiler, on either kind: zig builds for both, against an old C library.
+wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist
+	for machine in x86_64 aarch64; do \
+	  TRIGPOINT_WHEEL_PLATFORM=manylinux_2_28_$$machine TRIGPOINT_WHEEL_TARGET=$$machine-linux-gnu.2.28 \
+	  $(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps -w dist . || exit; \
+	done
 
 $(WITH_BENCH): $(CORE)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'

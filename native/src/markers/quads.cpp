@@ -41,14 +41,27 @@ void brightest(const std::uint8_t* __restrict above, const std::uint8_t* __restr
 // Whether pixels are darker by DARKER than the mean of `window` × `window`: (value + DARKER) ·
 // window² <= sum; `sums`: of columns, with window / 2 more on both sides.
 template <int WINDOW>
-TRIGPOINT_WIDE void compare(const std::uint8_t* __restrict grey,
-                            const std::uint16_t* __restrict sums, std::uint8_t* __restrict dark,
-                            std::int64_t count) {
+inline __attribute__((always_inline)) void compare(const std::uint8_t* __restrict grey,
+                                                   const std::uint16_t* __restrict sums,
+                                                   std::uint8_t* __restrict dark,
+                                                   std::int64_t count) {
     for (std::int64_t x = 0; x < count; ++x) {
         std::int32_t sum = 0;
         for (int k = 0; k < WINDOW; ++k) sum += sums[x + k];
         dark[x] = (grey[x] + DARKER) * (WINDOW * WINDOW) <= sum + WINDOW * WINDOW / 2 ? 1 : 0;
     }
+}
+
+TRIGPOINT_WIDE
+void compare_5(const std::uint8_t* grey, const std::uint16_t* sums, std::uint8_t* dark,
+               std::int64_t count) {
+    compare<5>(grey, sums, dark, count);
+}
+
+TRIGPOINT_WIDE
+void compare_11(const std::uint8_t* grey, const std::uint16_t* sums, std::uint8_t* dark,
+                std::int64_t count) {
+    compare<11>(grey, sums, dark, count);
 }
 
 double cross(const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
@@ -115,9 +128,9 @@ void QuadSearch::threshold(const Grey& grey, int window) {
         std::fill(columns_.end() - half, columns_.end(), sums[width_ - 1]);
         std::uint8_t* dark = dark_.data() + y * width_;
         if (window == 5)
-            compare<5>(grey.row(y), columns_.data(), dark, width_);
+            compare_5(grey.row(y), columns_.data(), dark, width_);
         else
-            compare<11>(grey.row(y), columns_.data(), dark, width_);
+            compare_11(grey.row(y), columns_.data(), dark, width_);
     }
 }
 
