@@ -3,18 +3,20 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+CORE := native/libtrigpoint_core.so
+CORE_SOURCES := $(wildcard native/*.py native/src/*.hpp native/src/*/*.[ch]pp)
 WITH_BENCH := $(VENV)/.installed-bench
 SEEDS ?= 100
 SITUATIONS ?=
 KINDS ?=
 
-.PHONY: demo test check lint types imports bench study compositions clean
+.PHONY: demo core wheels test check lint types imports bench study compositions clean
 
-demo: $(INSTALLED)  ## the whole system on this machine, about a minute and a half
+demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
 
 # Three at a time: the longest wait for processes that they started, and for time to pass.
-test: $(INSTALLED)  ## every test
+test: $(CORE)  ## every test
 	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 check: lint types imports test  ## what CI runs
@@ -22,6 +24,7 @@ check: lint types imports test  ## what CI runs
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run -Werror $(filter %.cpp %.hpp,$(CORE_SOURCES))
 
 types: $(INSTALLED)
 	$(BIN)/pyright
@@ -44,7 +47,20 @@ compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it
 	-$(BIN)/python -m benchmarks.compositions run --seeds 1:$(SEEDS) $(KINDS)
 	$(BIN)/python -m benchmarks.compositions report
 
-$(WITH_BENCH): $(INSTALLED)
+core: $(CORE)  ## the compiled core, where its sources changed
+
+$(CORE): $(CORE_SOURCES) | $(INSTALLED)
+	$(BIN)/python native/build.py --strict
+	touch $@
+
+# For machines without a compiler, on either kind: zig builds for both, against an old C library.
+wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist
+	for machine in x86_64 aarch64; do \
+	  TRIGPOINT_WHEEL_PLATFORM=manylinux_2_28_$$machine TRIGPOINT_WHEEL_TARGET=$$machine-linux-gnu.2.28 \
+	  $(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps -w dist . || exit; \
+	done
+
+$(WITH_BENCH): $(CORE)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,bench]'
 	touch $@
 

@@ -27,11 +27,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
 from .evidence import weighed
-from .grid import Grid, find_grids
-from .grid_growth import cleaned, grown
+from .grid import Grid, GridSearch
 from .misdescribed import other_colours, remedy, turned
 from .placement import Placement, keeps_its_place, placed
-from .saddles import Curvature, find_saddles
 from .tuning import TUNING
 
 
@@ -42,10 +40,11 @@ class CheckerboardDetector(FaceFinder):
         self._looks = tuple(looks)
         self._unexpected = _unexpected(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
-        self._largest = (max(max(e) for e in extents), max(min(e) for e in extents))
+        self._longest = max(max(extent) for extent in extents)
         self._least = min(TUNING.least_share * width * height for width, height in extents)
         self._most = TUNING.most_boards_joined * max(width * height for width, height in extents)
-        self._spaces = {1: Workspace(), 2: Workspace()}
+        self._searches = {1: GridSearch(), 2: GridSearch()}
+        self._space = Workspace()
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
@@ -58,7 +57,7 @@ class CheckerboardDetector(FaceFinder):
         found = self._search(grey, _Source(grey, whole, 1), _Allowance(is_over))
         if not found and min(grey.shape) >= 64 and not is_over():
             height, width = grey.shape
-            half = self._spaces[2].array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
+            half = self._space.array("half", ((height + 1) // 2, (width + 1) // 2), np.uint8)
             small = cv2.pyrDown(grey, dst=half)
             found = self._search(small, _Source(grey, whole, 2), _Allowance(is_over))
         return found
@@ -102,20 +101,19 @@ class CheckerboardDetector(FaceFinder):
     ) -> list[Located]:
         """The boards found in what was made of a picture, measured in that itself."""
         is_over = allowance.is_over
-        curvature = Curvature.of(small, self._spaces[source.step])
-        saddles = find_saddles(curvature)
-        if len(saddles) < self._least or is_over():
+        search = self._searches[source.step]
+        if search.take(small) < self._least or is_over():
             return []
         found: list[Located] = []
-        joined = find_grids(saddles)[: TUNING.most_grids]
+        joined = search.grids()[: TUNING.most_grids]
         waiting = deque(grid for grid in joined if len(grid) <= self._most)
         for _ in range(TUNING.most_grids):
             if not waiting or is_over():
                 break
             grid = waiting.popleft()
-            board = self._board_of(grid, curvature, allowance)
+            board = self._board_of(grid, search, source, allowance)
             if board is None:
-                self._look_for_unexpected(grid, curvature, source, is_over)
+                self._look_for_unexpected(grid, source, is_over)
                 continue
             if len(board.rest) >= self._least:
                 waiting.append(board.rest)
@@ -126,29 +124,29 @@ class CheckerboardDetector(FaceFinder):
         return found
 
     def _board_of(
-        self, grid: Grid, curvature: Curvature, allowance: "_Allowance"
+        self, grid: Grid, search: GridSearch, source: "_Source", allowance: "_Allowance"
     ) -> Placement | None:
         """The board that a grid is, grown where it is not whole; None where it is none."""
         if len(grid) < max(
             TUNING.least_seed, TUNING.least_filled * grid.extent[0] * grid.extent[1]
         ):
             return None
-        grid = cleaned(grid)
-        board = self._placed(grid, curvature)
+        grid = grid.cleaned()
+        board = self._placed(grid, source)
         if board is None or len(board.ids) < TUNING.least_grown * board.look.face.corner_count:
             if not allowance.may("grow"):
                 return board
-            board = self._placed(grown(grid, curvature, self._largest), curvature) or board
+            board = self._placed(search.grown(grid, self._longest), source) or board
         return board
 
     def _placed(
-        self, grid: Grid, curvature: Curvature, looks: Sequence[Appearance] = ()
+        self, grid: Grid, source: "_Source", looks: Sequence[Appearance] = ()
     ) -> Placement | None:
         """The best of these looks' best places on a grid, of all expected ones where none are
         given."""
         if len(grid) < self._least:
             return None
-        height, width = curvature.smooth.shape
+        width, height = source.size
 
         @cache
         def fit_of() -> PlanarFit | None:
@@ -158,15 +156,13 @@ class CheckerboardDetector(FaceFinder):
         boards = (placed(grid, look, (width, height), fit_of) for look in looks or self._looks)
         return max((board for board in boards if board), key=lambda b: b.score, default=None)
 
-    def _look_for_unexpected(
-        self, grid: Grid, curvature: Curvature, source: "_Source", is_over: IsOver
-    ) -> None:
+    def _look_for_unexpected(self, grid: Grid, source: "_Source", is_over: IsOver) -> None:
         """Note where a grid is a board whose black and white squares are exchanged; each look is
         noted once, and then not asked for any more."""
         looks = [look for look in self._unexpected.values() if look]
         if len(grid) < TUNING.least_seed or not looks or is_over():
             return
-        board = self._placed(cleaned(grid), curvature, looks)
+        board = self._placed(grid.cleaned(), source, looks)
         if board is None or _measured(board, source, is_over) is None:
             return
         for described, other in self._unexpected.items():
@@ -183,6 +179,12 @@ class _Source:
     grey: np.ndarray
     part: Region
     step: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of what was made."""
+        width, height = self.part.right - self.part.left, self.part.bottom - self.part.top
+        return -(-width // self.step), -(-height // self.step)
 
     def pixels(self, small: Array) -> Array:
         """Where pixels (n, 2) of what was made lie in `grey`; pyrDown's (x, y) is (2x, 2y)."""

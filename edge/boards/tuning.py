@@ -1,52 +1,16 @@
-"""What the search for checkerboards is tuned by, each number with its reason."""
+"""What a place of a board and its evidence are judged by, each number with its reason; what X
+corners and grids are is in the core (`native/src/boards`)."""
 
 from dataclasses import dataclass
-from math import cos, log, radians
+from math import log
 
 
 @dataclass(frozen=True, slots=True)
 class CheckerboardTuning:
     """All numbers of the search; pixels are those of the picture that is searched."""
 
-    # X corners. Smoothed by a pixel, a ring of 2.5 still fits squares of 5.
-    smoothing_px: float = 1.0
-    ring_radius_px: float = 2.5
-    ring_samples: int = 16
-    # Bounds on the work in a picture that is all corners; the strongest stay.
-    most_candidates: int = 2500
-    most_saddles: int = 800
-    # A corner of contrast C smoothed by s has sqrt(-det H) = C / (π s²); 2 is a contrast of about
-    # 15 grey levels in a sharp picture, five times the noise of a bad camera.
-    least_strength: float = 2.0
-    least_ring_amplitude: float = 5.0
-    # Of a ring's power: an X has nearly all in its even harmonics, most of that in the second.
-    most_odd_power: float = 0.25
-    least_second_harmonic: float = 0.35
-    # Curvature across a thin line against that along it; a square seen at 80 degrees has 0.03.
-    least_curvature_ratio: float = 0.02
-
-    # Links. Next corners are among the nearest 14 also where squares are seen aslant as 1 : 3.
-    nearest: int = 14
-    # Where squares are small, the next ones bend a corner's edges by up to 30 degrees.
-    least_cosine: float = cos(radians(40.0))
-    # Fewer are chance.
-    least_corners: int = 4
-    # Of a step against the opposite one: perspective shrinks a slanted board's by a quarter.
-    longest_ratio: float = 2.2
-    # Of a step, how much the next one and those beside it may differ.
-    most_changed: float = 0.5
-
     # Growth. Three by three corners predict those beside them both ways.
     least_seed: int = 9
-    most_rounds: int = 8
-    # How often a grid's wild corners are dropped, the wildest first.
-    most_drops: int = 4
-    # A corner may lie this far from where those about it have it, of the distance to the next: a
-    # slanted board's squares shrink by a quarter from one to the next, and each prediction is off
-    # by half of that.
-    most_off: float = 0.3
-    # A predicted corner may be this much weaker than one that nothing predicted.
-    tolerance: float = 1.7
 
     # Place. Of a board's corners, how many must be seen: of two halves only one is.
     least_share: float = 0.55

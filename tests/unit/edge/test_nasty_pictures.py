@@ -10,7 +10,7 @@ from boards import aprilgrid, charuco, checkerboard, target_of
 from benchmarks.empty_pictures import empty_picture
 from benchmarks.nasty_pictures import nasty_pictures
 from trigpoint.clock import ManualClock
-from trigpoint.edge.boards import detector_checkerboard, grid, saddles
+from trigpoint.edge.boards import detector_checkerboard, grid
 from trigpoint.edge.boards.tuning import TUNING
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.markers import marked_board, marked_search, marker_groups, quads
@@ -23,16 +23,15 @@ from trigpoint.errors import InputError
 TARGET = target_of(checkerboard(), charuco(number=1), aprilgrid(number=2))
 NASTY = dict(nasty_pictures((checkerboard(), charuco(number=1))))
 COSTLY: list[tuple[object, str]] = [
-    (detector_checkerboard, "find_saddles"),
-    (detector_checkerboard, "find_grids"),
-    (detector_checkerboard, "grown"),
+    (grid.GridSearch, "take"),
+    (grid.GridSearch, "grids"),
+    (grid.GridSearch, "grown"),
     (detector_checkerboard, "_measured"),
     (detector_checkerboard, "measured"),
     (marked_board.MarkedBoard, "locate"),
     (marked_board, "measured"),
-    (quads.QuadFinder, "_outlines"),
+    (quads.QuadFinder, "find"),
     (marker_groups, "_gathered"),
-    (quads, "_quad_of"),
     (plane_fitting, "_linearised"),
 ]
 
@@ -53,7 +52,6 @@ def test_work_is_bounded_whatever_the_picture(monkeypatch: pytest.MonkeyPatch) -
         assert done["_measured"] <= looks * TUNING.most_grids, name
         # Two marked faces are looked for.
         assert done["locate"] <= 2 * marked_search.MOST_REFUSED + 2, name
-        assert done["_quad_of"] <= 4 * quads.MOST_PIECES, name
         assert done["_gathered"] <= 2 * marker_groups.MOST_SEEDS, name
         assert done["_linearised"] < 3000, name
 
@@ -62,7 +60,7 @@ def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) 
     """Where every costly step takes 15 ms; the tracker meets each picture twice, so that what it
     found is followed."""
     clock = ManualClock()
-    counted(monkeypatch, COSTLY[:-2], lambda: clock.advance(0.015))
+    counted(monkeypatch, COSTLY[:-1], lambda: clock.advance(0.015))
     for name, picture in NASTY.items():
         tracker = TargetTracker([TARGET], budget_s=0.1, clock=clock)
         for stamp_ns in (100_000_000, 200_000_000):
@@ -71,11 +69,11 @@ def test_no_picture_takes_longer_than_its_time(monkeypatch: pytest.MonkeyPatch) 
             assert clock.elapsed_ns() - began_ns <= 100_000_000, name
 
 
-def test_saddles_are_no_more_than_the_bound() -> None:
+def test_corners_are_no_more_than_the_bound() -> None:
+    search = grid.GridSearch()
     for picture in NASTY.values():
-        found = saddles.find_saddles(saddles.Curvature.of(picture))
-        assert len(found) <= TUNING.most_saddles
-        assert len(grid.find_grids(found)) <= TUNING.most_saddles // TUNING.least_corners
+        assert search.take(picture) <= grid.MOST_CORNERS
+        assert sum(map(len, search.grids())) <= grid.MOST_CORNERS
 
 
 @pytest.mark.parametrize(

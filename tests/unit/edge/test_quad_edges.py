@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from trigpoint.edge.markers.quad_edges import straightened
 from trigpoint.edge.markers.quads import QuadFinder
 
 POINTED = np.array([[60.3, 40.0], [67.1, 61.2], [61.0, 82.4], [54.2, 61.2]])
@@ -28,15 +27,3 @@ def off(quad: np.ndarray) -> float:
 def test_corners_of_a_pointed_quadrilateral_are_where_its_edges_meet() -> None:
     (quad,) = QuadFinder().find(picture_of(POINTED))
     assert off(quad) < 0.7
-
-
-def test_edges_of_a_rounded_outline_are_found_beside_it() -> None:
-    middle = POINTED.mean(axis=0)
-    rounded = middle + 0.9 * (POINTED - middle)
-    assert off(rounded) > 1.5
-    assert off(straightened(picture_of(POINTED), rounded[None])[0]) < 0.5
-
-
-def test_a_corner_without_edges_stays() -> None:
-    plain = np.full((120, 160), 128, np.uint8)
-    assert np.array_equal(straightened(plain, POINTED[None])[0], POINTED)

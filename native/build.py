@@ -1,0 +1,143 @@
+"""Builds the compiled core: `python native/build.py [--strict] [--target TARGET]`.
+
+With the system's C++ compiler where there is a usable one, else with `ziglang` from the Python
+registry, which also builds for other machines (decisions/0680). Nothing is built where the library
+is that of these sources.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
+from importlib.util import find_spec
+from pathlib import Path
+
+ROOM = Path(__file__).resolve().parent
+SOURCES = ROOM / "src"
+LIBRARY = ROOM / "libtrigpoint_core.so"
+EIGEN = "cmeel-eigen==3.4.1"
+ZIG = "ziglang==0.17.1"
+# The same results on every machine: no fused multiplications, no instructions of this one alone.
+FLAGS = (
+    "-std=c++17", "-O3", "-fPIC", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+    "-DNDEBUG", "-DEIGEN_MPL2_ONLY", "-DEIGEN_DONT_PARALLELIZE",
+)  # fmt: skip
+STRICT = ("-Wall", "-Wextra", "-Wshadow", "-Werror")
+_TRIAL = "#include <vector>\nint main() { return std::vector<int>{}.size(); }\n"
+_MOST_SECONDS = 900
+
+
+class BuildError(Exception):
+    """The core cannot be built; the message says what to do."""
+
+
+def built(*, target: str | None = None, strict: bool = False, library: Path = LIBRARY) -> Path:
+    """The library of these sources, built where it is not there yet.
+
+    `target`: another machine as zig names it (`aarch64-linux-gnu.2.28`), this one where it is left
+    out; `strict`: warnings are errors. Raises BuildError.
+    """
+    compiler = _compiler(target)
+    flags = [*FLAGS, *(STRICT if strict else ()), f"-I{SOURCES}", f"-isystem{_eigen()}"]
+    digest = _digest([*compiler[-3:], *flags[: len(FLAGS)]])
+    if library.exists() and digest.encode() in library.read_bytes():
+        return library
+    with tempfile.TemporaryDirectory() as folder:
+        sources = sorted(SOURCES.rglob("*.cpp"))
+        objects = [Path(folder) / f"{number}.o" for number in range(len(sources))]
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            jobs = [
+                pool.submit(_run, [*compiler, *flags, "-c", str(source), "-o", str(to)])
+                for source, to in zip(sources, objects, strict=True)
+            ]
+        for job in jobs:
+            job.result()
+        stamp = Path(folder) / "digest.cpp"
+        stamp.write_text(
+            'extern "C" __attribute__((visibility("default"))) '
+            f'const char tp_digest[] = "{digest}";\n'
+        )
+        fresh = Path(folder) / library.name
+        _run([*compiler, "-shared", "-fPIC", *map(str, objects), str(stamp), "-o", str(fresh)])
+        # A program that has the old one loaded keeps it.
+        shutil.copy(fresh, library.with_suffix(".new"))
+        library.with_suffix(".new").replace(library)
+    return library
+
+
+def needs() -> list[str]:
+    """What must be installed to build here: headers, and a compiler where there is none."""
+    return [EIGEN] if _system_compiler() else [EIGEN, ZIG]
+
+
+def _compiler(target: str | None) -> list[str]:
+    """The command of a C++ compiler for that machine."""
+    system = None if target else _system_compiler()
+    if system:
+        return system
+    if find_spec("ziglang") is None:
+        raise BuildError(
+            f"no C++ compiler: install one (apt-get install g++), or `pip install {ZIG}`"
+        )
+    return [sys.executable, "-m", "ziglang", "c++", *(["-target", target] if target else [])]
+
+
+def _system_compiler() -> list[str] | None:
+    """The compiler that CXX names, or `c++`, if it builds a program."""
+    name = os.environ.get("CXX", "c++")
+    if name == "zig" or shutil.which(name) is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / "trial.cpp"
+        trial.write_text(_TRIAL)
+        command = [name, "-std=c++17", str(trial), "-o", str(trial.with_suffix(""))]
+        works = subprocess.run(command, capture_output=True, timeout=_MOST_SECONDS, check=False)
+    return [name] if works.returncode == 0 else None
+
+
+def _eigen() -> Path:
+    """Eigen's headers, of the package `cmeel-eigen`."""
+    for place in sys.path:
+        headers = Path(place) / "cmeel.prefix" / "include" / "eigen3"
+        if headers.is_dir():
+            return headers
+    raise BuildError(f"Eigen's headers are missing: `pip install {EIGEN}`")
+
+
+def _digest(command: Sequence[str]) -> str:
+    """Of the sources and of how they are compiled."""
+    sources = sorted(path for path in SOURCES.rglob("*") if path.suffix in (".cpp", ".hpp"))
+    digest = sha256(" ".join(command).encode())
+    for path in sources:
+        digest.update(path.relative_to(SOURCES).as_posix().encode() + path.read_bytes())
+    return f"trigpoint-core/{digest.hexdigest()}"
+
+
+def _run(command: list[str]) -> None:
+    ran = subprocess.run(
+        command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
+    )
+    if ran.returncode:
+        raise BuildError(f"the compiler failed:\n{' '.join(command)}\n{ran.stderr[-4000:]}")
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Builds the compiled core.")
+    parser.add_argument("--strict", action="store_true", help="warnings are errors")
+    parser.add_argument("--target", help="another machine, as zig names it")
+    parser.add_argument("--out", type=Path, default=LIBRARY, help="the library to write")
+    chosen = parser.parse_args()
+    try:
+        built(target=chosen.target, strict=chosen.strict, library=chosen.out)
+    except BuildError as error:
+        sys.exit(f"build: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""The border to the compiled core: every array that crosses it is checked here.
+
+A `Kernel` is one function of the library with the types and shapes of what it takes. A call checks
+them, so that nothing can be read or written outside of an array; the interpreter's lock is released
+while the core works, and what goes wrong there comes back as an error.
+"""
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from struct import Struct
+from weakref import finalize
+
+import numpy as np
+
+LIBRARY = Path(__file__).with_name("libtrigpoint_core.so")
+_ERROR_BYTES = 256
+_NO_MEMORY = -2
+# As `trigpoint::Argument` of `border.hpp`: an array's address and shape, or a number.
+_ARRAY, _INT, _FLOAT, _HANDLE = (Struct(form) for form in ("Pqqq", "q24x", "d24x", "P24x"))
+
+
+@dataclass(frozen=True, slots=True)
+class In:
+    """An array that is read: its type, and its shape; a letter for a length that is free, the same
+    wherever the letter is the same."""
+
+    dtype: type
+    shape: tuple[int | str, ...]
+    is_written: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Out(In):
+    """An array that is written, of the caller."""
+
+    is_written: bool = True
+
+
+class Kernel:
+    """One function of the core. Its parameters in order: `In`, `Out`, or `int`, `float` for a
+    number, or `Handle` for an object of the core."""
+
+    def __init__(self, name: str, *parameters: In | type) -> None:
+        self._name = name
+        self._parameters = parameters
+
+    def __call__(self, *values: object) -> int:
+        """What the function counts, 0 or more.
+
+        Raises TypeError or ValueError where an argument is not as declared, MemoryError,
+        RuntimeError with the core's own words.
+        """
+        if len(values) != len(self._parameters):
+            raise TypeError(f"{self._name} takes {len(self._parameters)} arguments")
+        lengths: dict[str, int] = {}
+        arguments = b"".join(
+            [
+                self._packed(value, parameter, lengths)
+                for value, parameter in zip(values, self._parameters, strict=True)
+            ]
+        )
+        error = ctypes.create_string_buffer(_ERROR_BYTES)
+        count = _function(self._name)(arguments, error)
+        if count >= 0:
+            return count
+        text = error.value.decode(errors="replace")
+        raise MemoryError(text) if count == _NO_MEMORY else RuntimeError(f"{self._name}: {text}")
+
+    def _packed(self, value: object, parameter: In | type, lengths: dict[str, int]) -> bytes:
+        if isinstance(parameter, In):
+            return self._packed_array(value, parameter, lengths)
+        if parameter is float and isinstance(value, int | float | np.floating):
+            return _FLOAT.pack(value)
+        if parameter is int and isinstance(value, int | np.integer):
+            return _INT.pack(value)
+        if parameter is Handle and isinstance(value, Handle):
+            return _HANDLE.pack(value.address)
+        raise TypeError(f"{self._name} takes {parameter.__name__}, not {type(value).__name__}")
+
+    def _packed_array(self, value: object, parameter: In, lengths: dict[str, int]) -> bytes:
+        if not isinstance(value, np.ndarray) or value.dtype != parameter.dtype:
+            kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+            raise TypeError(f"{self._name} takes {parameter.dtype.__name__} arrays, not {kind}")
+        shape = value.shape
+        is_fit = len(shape) == len(parameter.shape) and all(
+            length == (lengths.setdefault(axis, length) if isinstance(axis, str) else axis)
+            for axis, length in zip(parameter.shape, shape, strict=True)
+        )
+        if not is_fit:
+            raise ValueError(f"{self._name} takes shape {parameter.shape}, not {shape}")
+        flags = value.flags
+        if not flags.c_contiguous or not flags.aligned:
+            raise ValueError(f"{self._name} takes arrays that lie in one piece")
+        if parameter.is_written and not flags.writeable:
+            raise ValueError(f"{self._name} writes to an array that is read-only")
+        address = value.__array_interface__["data"][0]
+        return _ARRAY.pack(address, *shape, *(0, 0, 0)[len(shape) :])
+
+
+class Handle:
+    """An object of the core, freed with this one; for one thread at a time. `name`: of the two
+    functions `…_new` and `…_free`."""
+
+    def __init__(self, name: str) -> None:
+        made = ctypes.c_void_p()
+        if _function(f"{name}_new")(ctypes.byref(made), ctypes.create_string_buffer(_ERROR_BYTES)):
+            raise MemoryError(f"{name}: no memory is left")
+        self.address = made.value
+        finalize(self, _function(f"{name}_free"), made, None)
+
+
+_MAKE = "run `make core` in a checkout, or install Trigpoint again"
+
+
+@cache
+def _function(name: str) -> Callable[..., int]:
+    """A function of the library; it is called without the interpreter's lock."""
+    try:
+        function = _library()[name]
+    except AttributeError as error:
+        raise ImportError(f"the compiled core is another version ({error}); {_MAKE}") from error
+    function.restype = ctypes.c_int64
+    return function
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(LIBRARY))
+    except OSError as error:
+        raise ImportError(f"the compiled core cannot be loaded ({error}); {_MAKE}") from error
