@@ -1,10 +1,10 @@
 """Ends a program that was told to stop: within two seconds, whatever hangs.
 
-There is one `Ending` per process, as with signals, which reach it on a thread of its own: nothing is
-raised into whatever the main thread is doing, where one of Python's own callbacks would swallow it,
-and a call that hangs on the main thread holds nothing up. Code that waits during the end asks `left_s` how
-long it may. Code that writes something irreplaceable does so inside `writing`, and gets more time
-on a busy machine. Whatever does not close in time is left behind, and the process exits without it.
+There is one `Ending` per process, as with signals, and they reach it on a thread of its own: so
+nothing is raised into what the main thread does, where a callback of Python's own would swallow it,
+and a call that hangs there holds nothing up. Code that waits during the end asks `left_s` how long
+it may. Code that writes something irreplaceable does so inside `writing`, and gets more time on a
+busy machine. Whatever does not close in time is left behind, and the process exits without it.
 """
 
 import logging
@@ -63,7 +63,7 @@ class Ending:
         os.close(reader)
 
     def tell(self, stop: Callable[[], None]) -> None:
-        """Have `stop` called, on another thread, when a stop is requested; now if it already was."""
+        """Have `stop` called, on any thread, when a stop is requested; now if it already was."""
         with self._lock:
             self._stop = stop
         if self.is_asked:

@@ -30,7 +30,7 @@ def main() -> None:
         from trigpoint.ending import ENDING
         with ENDING.writing():
             time.sleep(3.5)
-        print("written", flush=True)
+            print("written", flush=True)
     time.sleep(600)
 kind = sys.argv[1]
 sys.argv[1:] = ["edge"]
