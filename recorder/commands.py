@@ -94,17 +94,14 @@ def record(
     clock = SystemClock()
     path = recorder.session_path(loaded, out, now_ns=clock.now_ns())
     ring_s = _seconds(ring, "--ring") if ring else 0.0
-    with (
-        open_bus(loaded, (Kind.RECORDER, recorder.NAME)) as bus,
-        recorder.Recorder(loaded, path, clock=clock, out=out, ring_s=ring_s) as session,
-        stopped_by_signals(
-            Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)
-        ) as node,
-    ):
-        session.start(bus, node)
-        what = f"keeping the last {ring_s:g} s of" if ring_s else "recording"
-        typer.echo(f"{what} site {loaded.name} to {path}")
-        node.wait()
+    with open_bus(loaded, (Kind.RECORDER, recorder.NAME)) as bus:
+        node = Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)
+        stopped_by_signals(node)  # before there is anything to close
+        with recorder.Recorder(loaded, path, clock=clock, out=out, ring_s=ring_s) as session, node:
+            session.start(bus, node)
+            what = f"keeping the last {ring_s:g} s of" if ring_s else "recording"
+            typer.echo(f"{what} site {loaded.name} to {path}")
+            node.wait()
     if session.last is not None:
         _say_recorded(session.last.path, session.last.counts, session.last.lost)
 
@@ -142,16 +139,17 @@ def view(site: SiteFile, web: Web = False, port: Port = WEB_PORT, host: Host = L
     targets = {
         robot: load_target(loaded.path(loaded.target_name(robot))) for robot in loaded.robots
     }
-    with (
-        _viewer(None, web, port, host) as viewer,
-        _streaming(loaded.name, viewer) as stream,
-        open_bus(loaded) as bus,
-        stopped_by_signals(Node(bus, site=loaded.name, kind=KIND, name=_own_name())) as node,
-    ):
-        LiveView(loaded, targets, stream).start(bus, node)
-        node.thread("viewer", lambda: _watch(viewer, node))
-        _say_viewer(viewer)
-        node.wait()
+    with open_bus(loaded) as bus:
+        node = stopped_by_signals(Node(bus, site=loaded.name, kind=KIND, name=_own_name()))
+        with (
+            _viewer(None, web, port, host) as viewer,
+            _streaming(loaded.name, viewer) as stream,
+            node,
+        ):
+            LiveView(loaded, targets, stream).start(bus, node)
+            node.thread("viewer", lambda: _watch(viewer, node))
+            _say_viewer(viewer)
+            node.wait()
 
 
 def review(

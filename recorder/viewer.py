@@ -21,6 +21,7 @@ from urllib.parse import quote
 import rerun_cli
 
 from trigpoint.closing import Closing
+from trigpoint.ending import ENDING
 from trigpoint.errors import OperationError
 
 from .viewer_page import LOOPBACK, ViewerPage
@@ -152,6 +153,8 @@ class Viewer(Closing):
         ports = [self._ports.stream, *([self._ports.web] if self._is_web else [])]
         deadline = time.monotonic() + START_TIMEOUT_S
         while not all(_answers(port) for port in ports):
+            if ENDING.is_asked:
+                raise SystemExit(0)
             if not self.is_running:
                 raise OperationError(f"rerun's viewer ended at once: {_last_line(self._output)}")
             if time.monotonic() > deadline:

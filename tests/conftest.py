@@ -49,7 +49,7 @@ def no_thread_is_left() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def process_is_put_back() -> Iterator[None]:
+def process_is_put_back(no_thread_is_left: None) -> Iterator[None]:
     """Undo what a command sets for its whole process: signals, that it was told to end, the log."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     root, ours = logging.getLogger(), logging.getLogger("trigpoint")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from signal import SIGKILL, SIGTERM, Signals
 
+from builders import eventually
 from drives import EPOCH_NS, Sent, Session, offline
 
 from trigpoint import cdr
@@ -98,6 +99,15 @@ class Program:
                 stderr=log,
                 start_new_session=True,
             )
+        assert eventually(lambda: self.hears(SIGTERM) or self.process.poll() is not None, 60.0)
+
+    def hears(self, number: Signals) -> bool:
+        """Whether it has a handler for a signal; before its first lines, Python itself runs."""
+        with suppress(OSError):
+            status = Path(f"/proc/{self.process.pid}/status").read_text()
+            caught = int(status.partition("SigCgt:")[2].split()[0], 16)
+            return bool(caught >> (number - 1) & 1)
+        return False
 
     def signal(self, number: Signals, *, to_group: bool = False) -> None:
         with suppress(ProcessLookupError):

@@ -180,7 +180,7 @@ def run(arguments: Sequence[str]) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = log_level_in_front(arguments)
     chosen = chosen_command(_completed(os.environ) or arguments)
-    _exit_on_termination(chosen)
+    _listen_for_stops(chosen)
     try:
         status = _app(chosen)(
             args=_in_one_word(arguments, chosen) or ["--help"],
@@ -297,21 +297,19 @@ def _placeholder() -> None:
     raise AssertionError("a command was run that was not loaded")
 
 
-def _exit_on_termination(chosen: str) -> None:
-    """Make SIGTERM unwind like an error, so that everything is closed, until a node handles it.
+def _listen_for_stops(chosen: str) -> None:
+    """Have a service end in order on SIGTERM and SIGINT, which are its normal end.
 
-    For a service, SIGTERM and SIGINT are the normal end; any other command was cut short.
+    Any other command is cut short: SIGTERM unwinds like an error, so that everything is closed.
     """
-    is_service = bool(chosen) and COMMANDS[chosen].service
 
-    def stop(number: int, _frame: FrameType | None) -> None:
-        if is_service:
-            ENDING.ask()
-        raise SystemExit(0 if is_service else 128 + number)
+    def unwind(number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
 
-    signal.signal(signal.SIGTERM, stop)
-    if is_service:
-        signal.signal(signal.SIGINT, stop)
+    if chosen and COMMANDS[chosen].service:
+        ENDING.listen()
+    else:
+        signal.signal(signal.SIGTERM, unwind)
 
 
 def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:

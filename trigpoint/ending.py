@@ -1,18 +1,20 @@
 """Ends a program that was told to stop: within two seconds, whatever hangs.
 
-There is one `Ending` per process, as with signals. Code that waits during the end asks `left_s` how
-long it may. Code that writes something irreplaceable does so inside `writing`, and gets more time
-on a busy machine. Whatever does not close in time is left behind, and the process exits without it.
+There is one `Ending` per process, as with signals, and they reach it on a thread of its own: so
+nothing is raised into what the main thread does, where a callback of Python's own would swallow it,
+and a call that hangs there holds nothing up. Code that waits during the end asks `left_s` how long
+it may. Code that writes something irreplaceable does so inside `writing`, and gets more time on a
+busy machine. Whatever does not close in time is left behind, and the process exits without it.
 """
 
-import _thread
 import logging
 import math
 import os
+import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
@@ -23,6 +25,7 @@ STOP_S = 2.0
 _WRITING_S = 8.0
 """How much longer writing a file may take: a lost network is worse than a late stop."""
 _LOOK_S = 0.02
+_REQUESTS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Ending:
@@ -31,7 +34,8 @@ class Ending:
     def __init__(self) -> None:
         self._since_s: float | None = None
         self._is_guarded = False
-        self._is_asked = False
+        self._stop: Callable[[], None] | None = None
+        self._wakeup: int | None = None
         self._writers = 0
         self._left_behind: list[str] = []
         self._lock = threading.Lock()
@@ -41,25 +45,56 @@ class Ending:
         would end a test's process too."""
         self._is_guarded = True
 
-    def ask(self) -> bool:
-        """Note that a stop was requested; return whether it is the first request. Takes no lock, so
-        a signal handler may call it."""
-        if self._is_asked:
-            return False
-        self._is_asked, self._since_s = True, time.monotonic()
+    def listen(self) -> None:
+        """From now on, SIGINT and SIGTERM request a stop; call it on the main thread."""
+        if self._wakeup is not None:
+            return
+        reader, self._wakeup = os.pipe()
+        os.set_blocking(self._wakeup, False)
+        signal.set_wakeup_fd(self._wakeup, warn_on_full_buffer=False)
+        for number in _REQUESTS:
+            signal.signal(number, lambda *_: None)
+        threading.Thread(target=self._hear, args=(reader,), name="stops", daemon=True).start()
+
+    def _hear(self, reader: int) -> None:
+        while numbers := os.read(reader, 64):
+            if not set(_REQUESTS).isdisjoint(numbers):
+                self.ask()
+        os.close(reader)
+
+    def tell(self, stop: Callable[[], None]) -> None:
+        """Have `stop` called, on any thread, when a stop is requested; now if it already was."""
+        with self._lock:
+            self._stop = stop
+        if self.is_asked:
+            stop()
+
+    def ask(self) -> None:
+        """Request a stop. Only the first request counts. A program that has told nothing yet has
+        nothing to close either, and ends at once."""
+        with self._lock:
+            if self.is_asked:
+                return
+            self._since_s, stop = time.monotonic(), self._stop
+        if stop is not None:
+            stop()
+        elif self._is_guarded:
+            self.leave(0)
         if self._is_guarded:
-            # No threading.Thread: starting one takes locks that the interrupted thread may hold.
-            _thread.start_new_thread(self._watch, ())
-        return True
+            self._watch()
 
     def forget(self) -> None:
-        """Return to the state before any request to stop."""
-        self._is_asked, self._since_s = False, None
+        """Return to the state before any request to stop, and before any was listened for."""
+        self._since_s = self._stop = None
+        if self._wakeup is not None:
+            signal.set_wakeup_fd(-1)
+            os.close(self._wakeup)
+            self._wakeup = None
 
     @property
     def is_asked(self) -> bool:
         """Whether a stop was requested."""
-        return self._is_asked
+        return self._since_s is not None
 
     def left_s(self, reserve_s: float = 0.0) -> float:
         """How long something may take, with `reserve_s` kept for what follows; infinite if no stop
@@ -87,7 +122,7 @@ class Ending:
     def leave(self, status: int) -> NoReturn:
         """End the process; at once if a stop was requested or something was left behind, since a
         normal exit would wait for exactly that."""
-        if not self._is_asked and not self._left_behind:
+        if not self.is_asked and not self._left_behind:
             sys.exit(status)
         _flush()
         os._exit(status)

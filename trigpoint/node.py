@@ -8,16 +8,14 @@ A command looks like this:
         node.wait()   # until SIGINT, SIGTERM, node.stop() or an error in one of the threads
 """
 
-import _thread
 import logging
 import os
-import signal
 import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Protocol, Self
 
 from . import CONTRACT, __version__
@@ -349,17 +347,9 @@ def stop_on_signals(nodes: Sequence[Stoppable]) -> None:
     (`ending`), and Ctrl-C often comes with a SIGTERM from the parent process.
     """
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        if ENDING.ask():
-            # Event.set takes a lock that the interrupted main thread may hold; so does starting a
-            # threading.Thread.
-            _thread.start_new_thread(stop_all, ())
-
-    def stop_all() -> None:
+    def stop() -> None:
         for node in nodes:
             node.stop()
 
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    if ENDING.is_asked:
-        stop_all()
+    ENDING.listen()
+    ENDING.tell(stop)

@@ -114,6 +114,19 @@ def test_idle_connections_at_its_listener_do_not_hold_a_stop_up(
     assert "left by force" not in fusion.said
 
 
+def test_router_that_says_nothing_does_not_hold_a_stop_up(
+    tmp_path: Path, free_port: Callable[[], int], stack: ExitStack
+) -> None:
+    port = free_port()
+    silent = stack.enter_context(socket.create_server(("127.0.0.1", port)))
+    field = lay_out(tmp_path, port, make_session(lab_plan("charuco", seconds=2.0)))
+    fusion = stack.enter_context(running(field, "fusion", "--out", str(field.out)))
+    silent.settimeout(60.0)
+    stack.enter_context(silent.accept()[0])
+    assert fusion.stop() >= 0, fusion.said
+    assert (fusion.process.returncode, fusion.said) == (0, "")
+
+
 def test_stops_at_drawn_moments_leave_a_network_or_say_why_not(
     field: Field, bus: Bus, stack: ExitStack
 ) -> None:

@@ -224,27 +224,20 @@ def test_a_commands_own_status_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(["edge"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("number", "service", "status"),
-    [(signal.SIGTERM, True, 0), (signal.SIGINT, True, 0), (signal.SIGTERM, False, 143)],
-)
-def test_signal_before_the_node_handles_it_unwinds(
-    monkeypatch: pytest.MonkeyPatch, number: signal.Signals, service: bool, status: int
-) -> None:
+def test_sigterm_unwinds_a_command_that_is_no_service(monkeypatch: pytest.MonkeyPatch) -> None:
     unwound: list[bool] = []
 
     def terminated() -> None:
         try:
-            signal.raise_signal(number)
+            signal.raise_signal(signal.SIGTERM)
         finally:
             unwound.append(True)
 
     put_command(monkeypatch, terminated)
-    row = Command("pretended:main", "Pretends.", service=service)
-    monkeypatch.setitem(COMMANDS, "edge", row)
+    monkeypatch.setitem(COMMANDS, "edge", Command("pretended:main", "Pretends."))
     with pytest.raises(SystemExit) as caught:
         run(["edge"])
-    assert caught.value.code == status
+    assert caught.value.code == 143
     assert unwound == [True]
 
 
