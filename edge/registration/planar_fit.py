@@ -11,14 +11,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 from .bend import Bend
 
-_NEWTON_STEPS = 4
-# What no ray in front of the camera comes near to, of its length; and of the quadratic's slope,
-# how much at least is left with the second coefficient.
-HORIZON = 1e-9
-_LEAST_SLOPE = 0.1
+# Of a fit as it crosses the border to the core, and of its bend's polynomials.
+FIT = 45
+_BEND = 24
+_PROJECT = Kernel(
+    "tp_project", In(np.float64, (FIT,)), In(np.float64, ("n", 2)), Out(np.float64, ("n", 2))
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +45,35 @@ class PlanarFit:
         width, height = (2 * self.centre + 1).round().astype(int).tolist()
         return width, height
 
+    @property
+    def packed(self) -> Array:
+        """As it crosses the border to the core, (FIT,)."""
+        head = [*self.homography.reshape(-1), *self.radial, *self.centre, self.scale, *self.aside]
+        bend = self.bend
+        tail = [*bend.middle, *bend.half, bend.degree, *bend.values.reshape(-1)] if bend else []
+        return np.array(head + (tail or [0.0, 0.0, 1.0, 1.0, 0.0] + [0.0] * _BEND))
+
+    @classmethod
+    def unpacked(cls, numbers: Array) -> "PlanarFit":
+        """The fit of the core's numbers (FIT,)."""
+        bend = None
+        if numbers[20]:
+            values = numbers[21:].reshape(-1, 2).copy()
+            bend = Bend(numbers[16:18].copy(), numbers[18:20].copy(), int(numbers[20]), values)
+        return cls(
+            numbers[:9].reshape(3, 3).copy(),
+            numbers[9:11].copy(),
+            numbers[11:13].copy(),
+            float(numbers[13]),
+            bend,
+            numbers[14:16].copy(),
+        )
+
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of face points (n, 2)."""
-        pixels = self._straight(points)
-        return pixels if self.bend is None else pixels + self.bend.at(points)
+        pixels = np.empty(points.shape)
+        _PROJECT(self.packed, np.ascontiguousarray(points, dtype=float), pixels)
+        return pixels
 
     def scaled(self, unit: float) -> "PlanarFit":
         """The same for points in units of `unit` metres."""
@@ -69,7 +96,8 @@ class PlanarFit:
             return self._straight_points(x, y, inverse if then is None else then @ inverse)
         # The bend is small and smooth: where it moves a point to is where it would move that too.
         there_x, there_y = self._straight_points(x, y, inverse)
-        aside = self.bend.at(np.column_stack([there_x.ravel(), there_y.ravel()]))
+        about = np.column_stack([there_x.ravel(), there_y.ravel()]).astype(float)
+        aside = self.project(about) - replace(self, bend=None).project(about)
         x = x - aside[:, 0].reshape(there_x.shape).astype(np.float32)
         y = y - aside[:, 1].reshape(there_y.shape).astype(np.float32)
         return self._straight_points(x, y, inverse if then is None else then @ inverse)
@@ -92,29 +120,3 @@ class PlanarFit:
         above_x /= depth
         above_y /= depth
         return above_x, above_y
-
-    def _straight(self, points: Array) -> Array:
-        """Pixels (n, 2) of face points (n, 2), as if the face were flat."""
-        rays = points @ self.homography[:, :2].T + self.homography[:, 2]
-        from_centre = rays[:, :2] * shares(rays, self.radial)[:, None] + self.aside
-        return self.centre + self.scale * from_centre
-
-
-def shares(rays: Array, radial: Array) -> Array:
-    """(n,) q of rays (n, 3) to (X, Y, Z), so that the picture has them at q · (X, Y): the root of
-    1 + k1 R² q² + k2 R⁴ q⁴ = Z q that is nearest the lens's centre."""
-    squared = rays[:, 0] ** 2 + rays[:, 1] ** 2
-    depth, first, second = rays[:, 2], radial[0] * squared, radial[1] * squared * squared
-    root = np.sqrt(np.maximum(depth * depth - 4 * first, 0.0))
-    # With the first coefficient alone it is a quadratic equation.
-    shares = 2 / np.maximum(depth + root, HORIZON)
-    if radial[1]:
-        steepest = -np.maximum(_LEAST_SLOPE * root, HORIZON)
-        for _ in range(_NEWTON_STEPS):
-            square = shares * shares
-            lens = second * square
-            error = 1 + square * (first + lens) - depth * shares
-            slope = np.minimum(shares * (2 * first + 4 * lens) - depth, steepest)
-            better = shares - error / slope
-            shares = np.minimum(np.maximum(better, 0.5 * shares), 2 * shares)
-    return shares

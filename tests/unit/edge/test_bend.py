@@ -2,35 +2,40 @@
 
 import numpy as np
 
-from trigpoint.edge.registration.bend import Bend
+from trigpoint.edge.registration.plane_fitting import settled_fit
 
 POINTS = np.stack(np.meshgrid(np.arange(9.0), np.arange(6.0)), axis=-1).reshape(-1, 2)
+SIZE = (640, 480)
+ENOUGH_PX = 0.01
+FLAT = 60.0 + 50.0 * POINTS
 
 
 def curl(points: np.ndarray) -> np.ndarray:
-    """Paper that lifts at one side, pixels."""
-    return np.column_stack([0.02 * points[:, 0] ** 2, 0.004 * points[:, 1] ** 3])
+    """Paper that is wavy along one side, pixels."""
+    return np.column_stack([np.zeros(len(points)), 0.4 * np.sin(0.8 * points[:, 0])])
 
 
 def test_curl_is_taken_up() -> None:
-    flat = np.column_stack([np.ones(len(POINTS)), POINTS])
-    left = curl(POINTS) - flat @ np.linalg.lstsq(flat, curl(POINTS))[0]
-    bend = Bend.of(POINTS, left)
-    assert bend is not None
-    again = left - bend.at(POINTS)
-    again -= flat @ np.linalg.lstsq(flat, again)[0]
-    assert np.abs(left).max() > 0.15
-    assert np.abs(again).max() < 0.05
+    pixels = FLAT + curl(POINTS)
+    fit = settled_fit(POINTS, pixels, SIZE, ENOUGH_PX)
+    rough = settled_fit(POINTS, pixels, SIZE, 10.0)
+    assert fit is not None
+    assert fit.bend is not None
+    assert rough is not None
+    assert rough.residuals(POINTS, pixels).max() > 0.3
+    assert fit.residuals(POINTS, pixels).max() < 0.1
 
 
 def test_one_wild_corner_is_not() -> None:
-    left = np.zeros((len(POINTS), 2))
-    left[20] = 3.0
-    bend = Bend.of(POINTS, left)
-    assert bend is not None
-    assert np.abs(left - bend.at(POINTS))[20].min() > 2.0
+    pixels = FLAT.copy()
+    pixels[20] += 3.0
+    fit = settled_fit(POINTS, pixels, SIZE, ENOUGH_PX)
+    assert fit is not None
+    assert fit.residuals(POINTS, pixels)[20] > 2.0
 
 
 def test_few_corners_have_none() -> None:
-    assert Bend.of(POINTS[:8], np.ones((8, 2))) is None
-    assert Bend.of(POINTS[:9], np.ones((9, 2))) is None  # a line
+    fit = settled_fit(
+        POINTS[[0, 1, 9, 10, 20, 33, 40]], np.arange(14.0).reshape(7, 2) ** 1.5, SIZE, 0
+    )
+    assert fit is None or fit.bend is None
