@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trigpoint.checks import Check
+from trigpoint.words import install_command
 
 from .sources.v4l2_formats import Offer, offers_of
 
@@ -13,7 +14,7 @@ from .sources.v4l2_formats import Offer, offers_of
 def checks() -> list[Check]:
     """Is the part installed, are there cameras, and may this user open them?"""
     if importlib.util.find_spec("cv2") is None:
-        remedy = "pip install 'trigpoint[edge]'"
+        remedy = install_command("edge")
         return [Check("edge", "error", "OpenCV (cv2) is not installed", remedy)]
     return [_opencv(), *_cameras()]
 
@@ -22,10 +23,10 @@ def _opencv() -> Check:
     try:
         import cv2
     except ImportError as reason:
-        remedy = "pip install --force-reinstall opencv-python-headless"
+        remedy = "pip install -c constraints.txt --force-reinstall opencv-python-headless"
         return Check("edge", "error", f"OpenCV cannot be loaded ({reason})", remedy)
     if int(cv2.__version__.partition(".")[0]) < 5:
-        remedy = "pip install --upgrade 'trigpoint[edge]'"
+        remedy = install_command("edge")
         return Check("edge", "error", f"OpenCV {cv2.__version__} is too old", remedy)
     return Check("edge", "ok", f"OpenCV {cv2.__version__}")
 

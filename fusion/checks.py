@@ -3,6 +3,7 @@
 from importlib.metadata import PackageNotFoundError, version
 
 from trigpoint.checks import Check
+from trigpoint.words import install_command
 
 
 def checks() -> list[Check]:
@@ -12,7 +13,5 @@ def checks() -> list[Check]:
         try:
             found.append(Check(package, "ok", version(package), ""))
         except PackageNotFoundError:
-            found.append(
-                Check(package, "error", "is not installed", "pip install 'trigpoint[fusion]'")
-            )
+            found.append(Check(package, "error", "is not installed", install_command("fusion")))
     return found

@@ -11,10 +11,13 @@ from trigpoint.clock import to_ns, to_seconds
 from trigpoint.config import Site
 
 from .intake.admission import Admission
+from .intake.arrivals import Span
 from .pipeline import Pipeline
 
 _STALE_NS = to_ns(3.0)
 """For how long odometry must be old, or missing, until that is reported."""
+_LEAST_SEEN = 8
+"""So many pictures before odometry begins are nothing unusual: a camera may be there first."""
 _TOLD_NS = to_ns(5.0)
 """For how long a problem is reported after the last message that was left out for it."""
 
@@ -28,6 +31,7 @@ class Diagnostics:
         self._grown_ns: dict[str, int] = {}
         self._stale_since_ns: dict[str, int] = {}
         self._heard_ns: dict[str, int] = {}
+        self._seen: dict[str, tuple[Span, int]] = {}
 
     def heard(self, key: str, now_ns: int) -> None:
         """Note that a message of a key was accepted."""
@@ -38,6 +42,7 @@ class Diagnostics:
         self._reported.clear()
         self._reported.update(self._admission.counts)
         self._stale_since_ns.clear()
+        self._seen.clear()
 
     def left_out(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, int]]:
         """(reason, how many more were left out since the last call)."""
@@ -55,7 +60,20 @@ class Diagnostics:
             grown_ns = self._grown_ns.get(reason)
             if grown_ns is not None and now_ns - grown_ns < _TOLD_NS:
                 found[reason] = text
-        return found | dict(self._stale(pipeline, now_ns)) | dict(self._silent(pipeline, now_ns))
+        for part in (self._stale, self._silent, self._apart):
+            found |= dict(part(pipeline, now_ns))
+        return found
+
+    def _apart(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Cameras that see targets now, but never at a time from which there is odometry."""
+        arrivals = pipeline.arrivals
+        for camera, seen in arrivals.seen.items():
+            if self._seen.get(camera, (None, 0))[0] != seen:
+                self._seen[camera] = seen, now_ns
+        for camera, text in arrivals.apart.items():
+            seen, seen_ns = self._seen[camera]
+            if seen.count >= _LEAST_SEEN and now_ns - seen_ns < _TOLD_NS:
+                yield f"apart {camera}", f"camera {camera}: {text}"
 
     def _stale(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, str]]:
         """Robots whose odometry has been old for seconds."""

@@ -1,12 +1,13 @@
 """Receives the estimator's input from the bus."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from trigpoint import cdr, topics
 from trigpoint.bus import Bell, Bus, Sample, Subscription
 from trigpoint.clock import Clock, to_ns
 from trigpoint.errors import MessageError
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.messages import CameraInfo, Message, Odometry, Sightings, stamped
 from trigpoint.node import Node
 from trigpoint.topics import Topic
 
@@ -59,9 +60,9 @@ class Inbox:
         """What has come and is accepted, the topics in turn; bounded in number and time, so that
         more may wait."""
         for topic, sample in self._samples():
-            message = self._accepted(topic, sample)
-            if message is not None:
-                yield sample, message
+            found = self._accepted(topic, sample)
+            if found is not None:
+                yield found
 
     def _samples(self) -> Iterator[tuple[Topic, Sample]]:
         until_ns = self._clock.elapsed_ns() + _TAKING_NS
@@ -76,8 +77,8 @@ class Inbox:
                 break
         self._news.ring()  # for what is left
 
-    def _accepted(self, topic: Topic, sample: Sample) -> Input | None:
-        """The message; None where it is not to be used."""
+    def _accepted(self, topic: Topic, sample: Sample) -> tuple[Sample, Input] | None:
+        """The sample and its message; None where it is not to be used."""
         try:
             if not topic.may_be(sample.encoding):
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
@@ -86,9 +87,12 @@ class Inbox:
             self._node.health.reject(sample, reason)
             return None
         assert isinstance(message, Input)
+        if message.stamp_ns == 0 and not isinstance(message, CameraInfo):
+            message = stamped(message, sample.received_ns)
+            sample = replace(sample, payload=cdr.encode(message))  # as it is to be stored
         at_ns, set_by_ns = self._clock.elapsed_ns(), self._node.clock_set_by_ns
         if not self._admission.takes(sample, message.stamp_ns, at_ns, set_by_ns=set_by_ns):
             return None
         self._diagnostics.heard(sample.key, at_ns)
         self._node.health.count(f"received {sample.key}")
-        return message
+        return sample, message

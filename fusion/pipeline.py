@@ -5,7 +5,7 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from uuid import UUID
 
 from trigpoint import topics
@@ -20,6 +20,7 @@ from .estimators.interface import Live
 from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
+from .intake.arrivals import Arrivals
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
@@ -85,6 +86,7 @@ class Pipeline:
             shared=RobotIdentification(data),
             standstills=Standstills(data.tracks),
         )
+        self.arrivals = Arrivals(inputs.site, data.tracks)
         self._left_out = LeftOut()
         self._events = deque[Event](maxlen=_MOST_EVENTS)
         self._outputs: list[Output] = []
@@ -114,8 +116,9 @@ class Pipeline:
     @property
     def notes(self) -> list[str]:
         """What a user should know of the session, as text: each event (at most the last
-        `_MOST_EVENTS`), and the last problem with messages for each reason."""
-        return [*(event.text for event in self._events), *self.problems.values()]
+        `_MOST_EVENTS`), the last problem with messages for each reason, and what they lacked."""
+        events = (event.text for event in self._events)
+        return [*events, *self.problems.values(), *self.arrivals.mended]
 
     @property
     def stale_ns(self) -> dict[str, int]:
@@ -168,6 +171,7 @@ class Pipeline:
         Returns whether it may add to the map: without the messages that do not, the map is the
         same.
         """
+        self.arrivals.add(node, message)
         if isinstance(message, Odometry) and node in self.site.robots:
             return self._push_odometry(node, message)
         if isinstance(message, Sightings) and node in self.site.cameras:
@@ -384,7 +388,8 @@ class Pipeline:
 
     def results(self) -> Results:
         """The results as they are known now; see `reports`."""
-        return self.reports.results()
+        results = self.reports.results()
+        return replace(results, network=self.arrivals.explained(results.network))
 
     def guidance_world(self) -> GuidanceWorld | None:
         """A copy of what is known for guidance to work on; None where there is too little yet, or

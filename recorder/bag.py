@@ -3,7 +3,7 @@
 Our own sessions are read by `recording`; this knows no key of the contract, only topics and types.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ PICTURES = (IMAGE, PICTURE)
 READ = (*PICTURES, CAMERA_INFO, ODOMETRY, SIGHTINGS)
 """The types that have a use as input."""
 _FILES = (".mcap", ".db3", ".bag")
+Refuse = Callable[[str, str, MessageError], None]
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
 
 
@@ -66,9 +67,12 @@ class Bag:
         """The topics with pictures."""
         return [topic for topic, kind in self.topics.items() if kind in PICTURES]
 
-    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """The messages of these topics, in the order of recording, those that are not sound left
-        out; raises RecordingError for a topic that is not there or of no use."""
+    def messages(
+        self, topics: Collection[str], refuse: Refuse = lambda *_: None
+    ) -> Iterator[BagMessage]:
+        """The messages of these topics, in the order of recording; one that is not sound is left
+        out, and `refuse` called with its topic, type and what is wrong. Raises RecordingError for a
+        topic that is not there or of no use."""
         for topic in topics:
             self._check(topic)
         with (
@@ -79,8 +83,9 @@ class Bag:
             for connection, log_ns, data in reader.messages(wanted):
                 try:
                     found = reader.deserialize(data, connection.msgtype)
-                    message = _message(connection.msgtype, found, log_ns)
-                except MessageError:
+                    message = _message(connection.msgtype, found)
+                except MessageError as reason:
+                    refuse(connection.topic, connection.msgtype, reason)
                     continue
                 yield BagMessage(connection.topic, log_ns, message)
 
@@ -119,7 +124,7 @@ def _files(path: Path) -> list[Path]:
     return sorted(file for file in path.iterdir() if file.suffix in _FILES)
 
 
-def _message(type_name: str, found: Any, log_ns: int) -> Message | RawImage:
+def _message(type_name: str, found: Any) -> Message | RawImage:
     if type_name == IMAGE:
         stamp_ns = found.header.stamp.sec * 10**9 + found.header.stamp.nanosec
         rows = np.asarray(found.data, dtype=np.uint8)
@@ -127,7 +132,7 @@ def _message(type_name: str, found: Any, log_ns: int) -> Message | RawImage:
             raise MessageError("a picture is shorter than it says")
         rows = rows[: found.height * found.step].reshape(found.height, found.step)
         return RawImage(
-            stamp_ns or log_ns,
+            stamp_ns,
             found.encoding,
             bool(found.is_bigendian),
             found.width,

@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 from trigpoint.checks import Check
+from trigpoint.words import install_command
 
 _NEEDED = 1e9
 _TOO_LITTLE = 1e8
@@ -14,7 +15,7 @@ def checks() -> list[Check]:
     """Is the part installed, does the viewer have a display, is there room to record?"""
     missing = [name for name in ("mcap", "rerun") if importlib.util.find_spec(name) is None]
     if missing:
-        remedy = "pip install 'trigpoint[recorder]'"
+        remedy = install_command("recorder")
         return [Check("recorder", "error", f"{', '.join(missing)} is not installed", remedy)]
     return [_viewer(), room(Path.cwd())]
 
@@ -36,7 +37,7 @@ def _viewer() -> Check:
     from .viewer import has_display, program
 
     if not program().exists():
-        remedy = "run: pip install --force-reinstall rerun-sdk"
+        remedy = "run: pip install -c constraints.txt --force-reinstall rerun-sdk"
         return Check("rerun's viewer", "error", "its program is missing", remedy)
     if not has_display():
         remedy = "give `view` and `review` the option --web"

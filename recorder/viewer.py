@@ -146,7 +146,7 @@ class Viewer(Closing):
         except OSError as reason:
             raise OperationError(
                 f"rerun's viewer cannot be started ({reason.strerror}); "
-                "run: pip install --force-reinstall rerun-sdk"
+                "run: pip install -c constraints.txt --force-reinstall rerun-sdk"
             ) from None
 
     def _wait_until_ready(self) -> None:

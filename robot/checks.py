@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from trigpoint.checks import Check
 from trigpoint.errors import PortError
+from trigpoint.words import install_command
 
 if TYPE_CHECKING:
     from .guess import Guess
@@ -15,10 +16,8 @@ if TYPE_CHECKING:
 
 def checks() -> list[Check]:
     """Is the part installed, are there serial ports, and may this user open them?"""
-    missing = [name for name in ("serial", "cobs") if importlib.util.find_spec(name) is None]
-    if missing:
-        remedy = "pip install 'trigpoint[robot]'"
-        return [Check("robot", "error", f"{', '.join(missing)} is not installed", remedy)]
+    if importlib.util.find_spec("serial") is None:
+        return [Check("robot", "error", "pyserial is not installed", install_command("robot"))]
     from .guess import guessed
     from .port import present_ports
 

@@ -15,7 +15,9 @@ from trigpoint.bus import Bus, Subscription
 from trigpoint.clock import Clock, SystemClock, to_ns
 from trigpoint.config import ROS2_PROTOCOL, Site
 from trigpoint.errors import BusError, MessageError, OperationError
-from trigpoint.health import Health
+from trigpoint.health import Health, mended_count
+from trigpoint.messages import Mended
+from trigpoint.words import counted
 
 from .bridge import Bridge
 from .corrections import Corrections, subscribed
@@ -29,6 +31,7 @@ from .stamps import measured_offset
 
 SECONDS = 5.0
 _TROUBLE = ("serial_framing_errors", "serial_checksum_errors", "serial_content_errors")
+_UNUSED = ("odometry_clock_off", "odometry_impossible", "odometry_out_of_order")
 _SLICE_S = 0.05
 Say = Callable[[str], None]
 
@@ -127,10 +130,11 @@ class _Listener:
         """Take in everything that arrived since the last call."""
         for samples in self._odometry:
             while (sample := samples.take(0.0)) is not None:
+                session = self._session
                 try:
-                    events = reading_of(sample, self._session.bridge, self._session.clock)
+                    events = reading_of(sample, session.bridge, session.health, session.clock)
                 except MessageError as reason:
-                    self._session.health.reject(sample, reason)
+                    session.health.reject(sample, reason)
                     continue
                 for event in events:
                     self._session.handle(event)
@@ -186,6 +190,7 @@ def look(
         raise OperationError(session.trouble)
     if not session.health.total("odometry"):
         raise OperationError(_why_nothing(session))
+    _say_end(session, say)
 
 
 def _say_begin(session: _Session, say: Say) -> None:
@@ -228,8 +233,28 @@ def _say_second(session: _Session, say: Say, before: int) -> int:
     return total
 
 
+def _say_end(session: _Session, say: Say) -> None:
+    """What was not used, or not as it came, though other odometry was."""
+    for lack in Mended:
+        if count := session.health.total(mended_count(lack)):
+            say(f"note: {counted(count, 'odometry message')} {lack}")
+    if unused := _unused(session):
+        say(f"note: {unused}")
+
+
+def _unused(session: _Session) -> str:
+    """How much odometry could not be used, and why the last of it; "" where there is none."""
+    health = session.health
+    count = health.total("rejected") + sum(health.lost(name) for name in _UNUSED)
+    if not count:
+        return ""
+    return f"{counted(count, 'odometry message')} could not be used; the last: {health.last_error}"
+
+
 def _why_nothing(session: _Session) -> str:
     robot = session.robot
+    if unused := _unused(session):
+        return unused
     if session.config.protocol_name == ROS2_PROTOCOL:
         return (
             f"no odometry of robot {robot} comes on the bus; does its bridge run as a client of "

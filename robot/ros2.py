@@ -15,6 +15,7 @@ from trigpoint.clock import Clock
 from trigpoint.config import Site
 from trigpoint.errors import MessageError
 from trigpoint.geometry import Pose
+from trigpoint.health import Health, mended_count
 from trigpoint.messages import Odometry
 from trigpoint.node import Node
 from trigpoint.topics import ODOMETRY, Delivery, Topic
@@ -100,7 +101,7 @@ class RosRobotNode:
         if sample.sender == self._bus.identity:
             return  # our own message
         try:
-            events = reading_of(sample, self._bridge, self._clock)
+            events = reading_of(sample, self._bridge, self._node.health, self._clock)
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return
@@ -127,11 +128,13 @@ def ros_topic(site: Site, robot: str) -> str:
     return site.robot(robot).topic or ODOMETRY.key(site.name, robot)
 
 
-def reading_of(sample: Sample, bridge: Bridge, clock: Clock) -> list[Event]:
+def reading_of(sample: Sample, bridge: Bridge, health: Health, clock: Clock) -> list[Event]:
     """The reading in an odometry sample; raise MessageError if it is not odometry. The first one
     connects the robot, which is identified by the name of its odometry frame."""
     message = decode(ODOMETRY.type_name, sample.payload)
     assert isinstance(message, Odometry)  # guaranteed by the type
+    for lack in message.mended:
+        health.count(mended_count(lack))
     pose = _level(message.pose) if bridge.is_planar else message.pose
     received_ns = clock.elapsed_ns()
     reading = Reading(message.stamp_ns, received_ns, pose, message.linear, message.angular)

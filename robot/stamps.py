@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from trigpoint.clock import Clock, to_ns, to_seconds
-from trigpoint.health import Health
+from trigpoint.health import Health, mended_count
+from trigpoint.messages import Mended
 
 from .firmware_clock import FirmwareClock
 from .protocol import Reading, StampClock
@@ -79,6 +80,9 @@ class Stamps:
 
     def _own(self, reading: Reading) -> int | None:
         """A robot's own Unix time: it may differ from ours, but a stamp far off is unusable."""
+        if reading.firmware_ns == 0:
+            self._health.count(mended_count(Mended.UNSTAMPED))
+            return self.unix_ns(reading.received_ns)
         off_ns = reading.firmware_ns - self.unix_ns(reading.received_ns)
         self.ahead_s = to_seconds(off_ns)
         if abs(off_ns) <= _CLOCKS_APART_NS:

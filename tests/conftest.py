@@ -2,11 +2,13 @@
 
 import logging
 import os
+import secrets
 import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -74,10 +76,13 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 
 @pytest.fixture
 def free_port() -> Callable[[], int]:
-    """Ports of the loopback interface that nobody uses now."""
+    """Ports of the loopback interface that nobody uses now; none of those that the system gives to
+    connections, any of which may have it before who asked for it here."""
 
     def pick() -> int:
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            return server.getsockname()[1]
+        while True:
+            port = secrets.choice(range(20_000, 30_000))
+            with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+                return port
 
     return pick

@@ -40,8 +40,9 @@ def bag_pictures(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str
     chosen = list(topics) or _only(path, bag)
     for one in bag.messages(chosen):
         if isinstance(one.message, (Picture, RawImage)):
-            stem = f"{one.topic.strip('/').replace('/', '_')}_{one.message.stamp_ns}"
-            yield f"{path}#{one.topic}#{one.message.stamp_ns}", stem, grey_of(path, one)
+            stamp_ns = one.message.stamp_ns or one.log_ns
+            stem = f"{one.topic.strip('/').replace('/', '_')}_{stamp_ns}"
+            yield f"{path}#{one.topic}#{stamp_ns}", stem, grey_of(path, one)
 
 
 def grey_of(path: Path, one: BagMessage) -> np.ndarray:

@@ -11,15 +11,14 @@ from trigpoint.messages import (
     CAMERA_INFO,
     ODOMETRY,
     SIGHTINGS,
-    CameraInfo,
     Message,
-    Odometry,
     Picture,
     Sightings,
 )
 from trigpoint.recorder.bag import PICTURES, Bag, BagMessage, RawImage
 
 from .bag_pictures import grey_of
+from .session_messages import SessionMessages
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,30 +42,19 @@ def parse_roles(texts: Sequence[str]) -> list[Role]:
     return roles
 
 
-def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> list[tuple[str, Message]]:
-    """(camera or robot, message) in the order of stamps, lenses first; pictures are searched for
-    the site's targets.
+def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMessages:
+    """The messages of cameras and robots; pictures are searched for the site's targets.
 
     The camera_info beside a camera's pictures is taken by itself. Raises InputError where a role
     or a topic does not fit.
     """
-    bag = Bag(path)
+    bag, found = Bag(path), SessionMessages()
     names = _names(bag, roles, inputs)
     detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
-    found = []
-    for one in bag.messages(list(names)):
-        message = _as_message(path, one, names[one.topic], detector)
-        stamp_ns = 0 if isinstance(message, CameraInfo) else _stamp(message)
-        found.append(
-            (stamp_ns, isinstance(message, Sightings), len(found), names[one.topic], message)
-        )
-    found.sort(key=lambda item: item[:3])
-    return [(name, message) for *_, name, message in found]
-
-
-def _stamp(message: Message) -> int:
-    assert isinstance(message, (Odometry, Sightings))
-    return message.stamp_ns
+    for one in bag.messages(list(names), found.refuse):
+        name = names[one.topic]
+        found.add(name, _as_message(path, one, name, detector), one.log_ns)
+    return found
 
 
 def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]:
@@ -100,5 +88,4 @@ def _as_message(path: Path, one: BagMessage, name: str, detector: TargetDetector
         return message
     grey = grey_of(path, one)
     height, width = grey.shape
-    stamp_ns = message.stamp_ns or one.log_ns
-    return Sightings(stamp_ns, f"{name}/optical", width, height, detector.detect(grey))
+    return Sightings(message.stamp_ns, f"{name}/optical", width, height, detector.detect(grey))

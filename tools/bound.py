@@ -14,8 +14,8 @@ from trigpoint.messages import CameraInfo, Odometry, Sightings
 from trigpoint.network import decode_tum
 from trigpoint.recorder.recording import Recording
 
-from .calibrate import messages_of
 from .cramer_rao import Bound, Oracle, cramer_rao
+from .session_messages import messages_of
 from .truth import load_truth
 
 
@@ -28,8 +28,7 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
     truth = load_truth(folder / "truth.json")
     data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
     intake = Intake(inputs.site, inputs.targets)
-    messages = messages_of(recording)
-    for node, message in messages:
+    for node, message in messages_of(recording).in_order:
         if isinstance(message, CameraInfo):
             data.lenses.setdefault(node, message.camera)
         elif isinstance(message, Odometry) and node in data.tracks:

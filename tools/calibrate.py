@@ -8,26 +8,25 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 
-from trigpoint import cdr, topics
 from trigpoint.building import attached_plan, load_plan
 from trigpoint.config import load_site
-from trigpoint.errors import InputError, MessageError, writing
+from trigpoint.errors import InputError, OperationError, writing
 from trigpoint.fusion.estimators.registry import check_estimator
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Message, Odometry, Sightings
+from trigpoint.messages import ODOMETRY, Odometry
 from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.terminal import Progress, table, waiting
 from trigpoint.tools.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.calibration_report import REPORT, write_report
 from trigpoint.tools.truth import NetworkError, load_truth, network_error
+from trigpoint.words import counted
 
 from .noise_words import noise_text
 from .session_inputs import session_inputs
-
-_TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
+from .session_messages import SessionMessages, messages_of
 
 
 def main(
@@ -95,9 +94,9 @@ def main(
         _say_alignment(alignment)
     if alignment.problem:
         raise InputError(f"{alignment.problem} (the network itself is written to {folder})")
-    if json:
-        return
-    typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
+    if not json:
+        typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
+    _check_used(results)
 
 
 def calibrated(recording: Recording, inputs: Inputs) -> Results:
@@ -110,10 +109,16 @@ def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
     return work_out(messages_of(recording), inputs, source=recording.path)
 
 
-def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Path) -> Pipeline:
-    """A pipeline after these messages, which are in stamp order, lenses first."""
-    pipeline = Pipeline(inputs, is_live=False)
-    robots = {node for node, message in messages if isinstance(message, Odometry)}
+def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipeline:
+    """A pipeline after these messages; raises OperationError where no odometry is sound."""
+    for words in found.unsound():
+        typer.echo(f"left out: {words}", err=True)
+    pipeline, messages, robots = Pipeline(inputs, is_live=False), found.in_order, found.robots
+    if not robots and (unsound := found.unsound(ODOMETRY)):
+        raise OperationError(
+            f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "
+            "record anew"
+        )
     if not robots:
         raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
     if robots.isdisjoint(inputs.site.robots):
@@ -136,35 +141,13 @@ def work_out(messages: list[tuple[str, Message]], inputs: Inputs, *, source: Pat
     return pipeline
 
 
-def messages_of(recording: Recording) -> list[tuple[str, Message]]:
-    """(camera or robot, message) of a session in stamp order, lenses first."""
-    found: list[tuple[int, int, int, str, Message]] = []
-    broken = 0
-    for sample in recording.samples(_TOPICS):
-        try:
-            message = cdr.decode(sample.topic.type_name, sample.payload)
-        except MessageError:
-            broken += 1
-            continue
-        assert not isinstance(message, (bytes, bytearray))
-        stamp_ns = 0
-        if isinstance(message, (Odometry, Sightings)):
-            stamp_ns = message.stamp_ns
-        is_sightings = isinstance(message, Sightings)
-        found.append((stamp_ns, is_sightings, len(found), topics.node_of(sample.key), message))
-    if broken:
-        typer.echo(f"left out: {broken} messages that do not decode", err=True)
-    found.sort(key=lambda item: item[:3])
-    return [(node, message) for *_, node, message in found]
-
-
 def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
     if site is None:
         raise InputError("--topic: a bag has no site file; give it with --site")
     return load_inputs(load_site(site), network=network)
 
 
-def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> list[tuple[str, Message]]:
+def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> SessionMessages:
     from .bag_session import bag_messages, parse_roles  # OpenCV and bags, not needed by sessions
 
     return bag_messages(bag, parse_roles(topics), inputs)
@@ -175,6 +158,16 @@ def _error(folder: Path, results: Results) -> NetworkError | None:
     if not path.exists():
         return None
     return network_error(results.network, results.covariance, load_truth(path))
+
+
+def _check_used(results: Results) -> None:
+    """Raise OperationError where no camera is located, and what one saw could not be used."""
+    cameras = results.network.cameras.items()
+    unused = [(n, c.undetermined[0]) for n, c in cameras if c.status == "unseen" and c.undetermined]
+    if unused and not results.network.located:
+        (name, why), *more = unused
+        others = f" (and {counted(len(more), 'other camera')} likewise)" if more else ""
+        raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
 
 
 def _say_alignment(alignment: Alignment) -> None:
@@ -207,7 +200,10 @@ def _print(results: Results, error: NetworkError | None) -> None:
     typer.echo(table(head[:width], filled, left=(0, 1), styles=styles))
     for name, camera in cameras:
         for reason in camera.undetermined:
-            typer.echo(f"{name} is not determined: {reason}")
+            if camera.status == "undetermined":
+                typer.echo(f"{name} is not determined: {reason}")
+            elif results.network.located:  # else the command ends in that
+                typer.echo(f"{name} is unseen: {reason}")
         if camera.status == "located" and not camera.confirmed:
             typer.echo(f"{name} {ON_ONE_SIGHTING}")
     if results.network.statistics.chi2_per_dof is not None:

@@ -17,10 +17,11 @@ from trigpoint.checks import Check, Level
 from trigpoint.config import ROS2_PROTOCOL, BusConfig, Site
 from trigpoint.errors import BusError
 from trigpoint.topics import ODOMETRY
+from trigpoint.words import install_command
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "edge": ("cv2", "av"),
-    "robot": ("serial", "cobs"),
+    "robot": ("serial",),
     "fusion": ("cv2", "scipy"),
     "recorder": ("mcap", "rerun"),
 }
@@ -53,7 +54,7 @@ def check_extra(extra: str) -> Check:
     missing = missing_packages(extra)
     if not missing:
         return Check(f"extra {extra}", "ok", "installed")
-    remedy = f"where this machine runs that part: pip install 'trigpoint[{extra}]'"
+    remedy = f"where this machine runs that part: {install_command(extra)}"
     return Check(f"extra {extra}", "warning", f"not installed ({', '.join(missing)})", remedy)
 
 

@@ -14,9 +14,10 @@ from .cdr_layout import (
     MOST_FACES,
     MOST_SIGMA_PX,
     MOST_TEXT_BYTES,
+    UNIT_TOLERANCE,
     check_count,
 )
-from .cdr_ros import Builder, finite, pose_of, stamp_of, xyz_of
+from .cdr_ros import Builder, finite, normalised_pose_of, pose_of, stamp_of
 from .errors import MessageError
 from .geometry import CameraModel, Pose
 from .geometry.camera import LensModel
@@ -35,6 +36,7 @@ from .messages import (
     Diagnostics,
     DiagnosticStatus,
     FaceSighting,
+    Mended,
     Odometry,
     Picture,
     Polygon,
@@ -131,13 +133,21 @@ def _odometry_to_ros(ros: Builder, m: Odometry) -> Any:
 def _odometry_from_ros(ros: Any) -> Odometry:
     _check_name(ros.header.frame_id)
     _check_name(ros.child_frame_id)
+    pose, length = normalised_pose_of(ros.pose.pose)
+    twist = ros.twist.twist
+    velocities = np.array([[v.x, v.y, v.z] for v in (twist.linear, twist.angular)], dtype=float)
+    is_known = np.isfinite(velocities)
+    lacks = {
+        Mended.NOT_NORMALISED: abs(length - 1) > UNIT_TOLERANCE,
+        Mended.NO_TWIST: not is_known.all(),
+    }
     return Odometry(
         stamp_of(ros.header),
         ros.header.frame_id,
         ros.child_frame_id,
-        pose_of(ros.pose.pose),
-        xyz_of(ros.twist.twist.linear, "a twist"),
-        xyz_of(ros.twist.twist.angular, "a twist"),
+        pose,
+        *np.where(is_known, velocities, 0.0),
+        mended=tuple(lack for lack, is_so in lacks.items() if is_so),
     )
 
 

@@ -2,6 +2,7 @@
 their common parts. In the shared package, only this module imports rosbags.
 """
 
+import math
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -35,6 +36,8 @@ _COMMENTED = {
     "trigpoint_msgs/FaceSighting": _FACE_SIGHTING_DEFINITION,
 }
 _SEPARATOR = "=" * 80 + "\n"
+# Below it a quaternion is nothing but rounding, above its inverse it overflows.
+_LEAST_LENGTH = 1e-6
 
 
 @cache
@@ -101,11 +104,21 @@ def xyz_of(vector: Any, what: str) -> Array:
 
 def pose_of(pose: Any) -> Pose:
     """A pose; raise MessageError if its orientation is not a rotation or a number not finite."""
+    found, length = normalised_pose_of(pose)
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise MessageError("an orientation is no unit quaternion")
+    return found
+
+
+def normalised_pose_of(pose: Any) -> tuple[Pose, float]:
+    """A pose, and the length that its quaternion had; raise MessageError if that is 0, or a number
+    not finite."""
     q = pose.orientation
     quaternion = finite([q.x, q.y, q.z, q.w], "an orientation")
-    if abs(np.linalg.norm(quaternion) - 1) > UNIT_TOLERANCE:
-        raise MessageError("an orientation is no unit quaternion")
-    return Pose.from_quaternion(xyz_of(pose.position, "a position"), quaternion)
+    length = math.hypot(*quaternion)
+    if not _LEAST_LENGTH < length < 1 / _LEAST_LENGTH:
+        raise MessageError(f"an orientation is a quaternion of length {length:g}, no rotation")
+    return Pose.from_quaternion(xyz_of(pose.position, "a position"), quaternion), length
 
 
 def register(definitions: Mapping[str, str]) -> None:

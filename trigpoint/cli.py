@@ -16,6 +16,7 @@ import typer
 from . import __version__, log
 from .ending import ENDING
 from .errors import MissingExtraError, TrigpointError
+from .words import install_command
 
 PROGRAM = "trigpoint"
 _LOG_LEVEL = "--log-level"
@@ -139,7 +140,6 @@ EXTRAS: dict[str, str] = {
     "av": "edge",
     "cv2": "edge",
     "serial": "robot",
-    "cobs": "robot",
     "filterpy": "fusion",
     "scipy": "fusion",
     "isal": "recorder",
@@ -321,7 +321,7 @@ def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError
     extra = extra or (COMMANDS[chosen].extra if chosen else "") or EXTRAS[package]
     return MissingExtraError(
         f"`{PROGRAM} {chosen}` needs the package «{package}», which is not installed here; "
-        f"run: pip install 'trigpoint[{extra}]'"
+        f"run: {install_command(extra)}"
     )
 
 

@@ -9,9 +9,15 @@ from enum import IntEnum
 from .bus import Sample, Subscription
 from .clock import Clock, SystemClock, to_ns, to_seconds
 from .errors import MessageError
+from .messages import Mended
 
 _MEMORY_NS = to_ns(10.0)
 _MOST_SAID = 3
+
+
+def mended_count(lack: Mended) -> str:
+    """The counter of odometry messages that lacked something."""
+    return f"odometry_{lack.name.lower()}"
 
 
 class Level(IntEnum):

@@ -3,7 +3,9 @@
 Stamps are integer nanoseconds of Unix time, on the sender's clock.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TypeVar
 
 import numpy as np
 
@@ -37,20 +39,33 @@ class FaceSighting:
     sigma: float
 
 
+class Mended(StrEnum):
+    """What a message lacked, and what was taken in its place, since its meaning is plain."""
+
+    UNSTAMPED = (
+        "without a stamp (0), taken at the time of recording or arrival: fill in header.stamp"
+    )
+    NOT_NORMALISED = "with a quaternion whose length is not 1, normalised"
+    NO_TWIST = "with a twist that is not finite, which nothing needs"
+
+
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """All faces found in one picture; stamp: middle of exposure; `frame_id`: <camera>/optical."""
+    """All faces found in one picture; stamp: middle of exposure; `frame_id`: <camera>/optical.
+    `mended`: what it lacked as it was read."""
 
     stamp_ns: int
     frame_id: str
     width: int
     height: int
     faces: tuple[FaceSighting, ...]
+    mended: tuple[Mended, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Pose of `child_frame_id` (<robot>/base) in `frame_id` (<robot>/odom), and the twist."""
+    """Pose of `child_frame_id` (<robot>/base) in `frame_id` (<robot>/odom), and the twist.
+    `mended`: what it lacked as it was read."""
 
     stamp_ns: int
     frame_id: str
@@ -58,6 +73,17 @@ class Odometry:
     pose: Pose
     linear: Array = field(default_factory=lambda: np.zeros(3))
     angular: Array = field(default_factory=lambda: np.zeros(3))
+    mended: tuple[Mended, ...] = ()
+
+
+_Stamped = TypeVar("_Stamped", bound=Sightings | Odometry)
+
+
+def stamped(message: _Stamped, recorded_ns: int) -> _Stamped:
+    """The message; one without a stamp is taken at the time of its recording, or arrival."""
+    if message.stamp_ns:
+        return message
+    return replace(message, stamp_ns=recorded_ns, mended=(*message.mended, Mended.UNSTAMPED))
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,6 +99,7 @@ class AlternativeRecord(Struct, frozen=True):
 class CameraRecord(Struct, frozen=True, omit_defaults=False):
     """One camera; pose and covariance only if it is located.
 
+    `undetermined`: what the data leave open, or why nothing that an unseen camera saw was used;
     `confirmed`: false if everything rests on one sighting; `alternatives`: if it is undetermined,
     the possible places, best first.
     """

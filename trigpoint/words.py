@@ -1,7 +1,9 @@
-"""Wording of messages: numbers with their nouns, suggestions of similar names."""
+"""Wording of messages: numbers with their nouns, suggestions of similar names, commands to run."""
 
 import difflib
 from collections.abc import Iterable, Sequence
+
+from . import __version__
 
 
 def counted(number: int, noun: str) -> str:
@@ -20,3 +22,10 @@ def listed(names: Sequence[str]) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def install_command(extra: str) -> str:
+    """How a part is installed here, as README has it: versions that were not tested together are
+    never mixed."""
+    wheel = f"file:///path/to/trigpoint-{__version__}-py3-none-any.whl"
+    return f"pip install -c constraints.txt 'trigpoint[{extra}] @ {wheel}'"

@@ -15,6 +15,7 @@ from trigpoint.geometry import CameraModel
 from trigpoint.messages import FaceSighting, Sightings
 from trigpoint.target import Target
 
+from .arrivals import OFFSET_SIGMAS
 from .left_out import LeftOut
 from .robot_identity import RobotIdentification
 from .standstills import Standstills
@@ -22,8 +23,6 @@ from .standstills import Standstills
 _MOST_WAITING = 4096
 _REMEMBERED = 4096
 _CLOCK_TOLERANCE_NS = to_ns(5.0)
-# A sighting may be later than its stamp by this many sigmas of its camera's time offset.
-_SIGMAS = 3.0
 
 
 @dataclass(order=True, slots=True)
@@ -66,12 +65,13 @@ class Intake:
         self._most_faces = sum(len(target.faces) for target in targets.values())
         # By how much true time may be ahead of a camera's stamp.
         self._ahead_ns = {
-            name: to_ns(_SIGMAS * camera.time_offset_sigma) for name, camera in site.cameras.items()
+            name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
+            for name, camera in site.cameras.items()
         }
 
     def learn(self, camera: str, offset_s: float, sigma_s: float) -> None:
         """Set what is known of a camera's time offset."""
-        self._ahead_ns[camera] = to_ns(_SIGMAS * sigma_s - offset_s)
+        self._ahead_ns[camera] = to_ns(OFFSET_SIGMAS * sigma_s - offset_s)
 
     @property
     def depth(self) -> int:

@@ -8,8 +8,6 @@ import binascii
 import struct
 from dataclasses import dataclass
 
-from cobs import cobs
-
 from trigpoint.robot.protocol import Damaged, DamageKind
 
 DELIMITER = b"\0"
@@ -42,22 +40,37 @@ def encode_frame(frame: Frame) -> bytes:
     if len(frame.payload) > MAXIMUM_PAYLOAD:
         raise ValueError(f"a payload of {len(frame.payload)} bytes; at most {MAXIMUM_PAYLOAD} fit")
     body = _HEADER.pack(frame.kind, frame.sequence) + frame.payload
-    return cobs.encode(body + _CRC.pack(crc16(body))) + DELIMITER
+    return _stuffed(body + _CRC.pack(crc16(body))) + DELIMITER
 
 
 def decode_frame(encoded: bytes) -> Frame | Damaged:
     """The frame in the bytes between two delimiters."""
-    try:
-        body = cobs.decode(encoded)
-    except cobs.DecodeError:
-        return Damaged(DamageKind.FRAMING)
-    if not _HEADER.size + _CRC.size <= len(body) <= MAXIMUM_FRAME:
+    body = _unstuffed(encoded)
+    if body is None or not _HEADER.size + _CRC.size <= len(body) <= MAXIMUM_FRAME:
         return Damaged(DamageKind.FRAMING)
     content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
     if crc16(content) != crc:
         return Damaged(DamageKind.CHECKSUM)
     kind, sequence = _HEADER.unpack_from(content)
     return Frame(kind, sequence, content[_HEADER.size :])
+
+
+def _stuffed(body: bytes) -> bytes:
+    """Each run between zeros, with the length to the next zero before it; 253 bytes at most, so
+    that no run needs a second length."""
+    return b"".join(bytes([len(run) + 1]) + run for run in body.split(DELIMITER))
+
+
+def _unstuffed(encoded: bytes) -> bytes | None:
+    """What was stuffed; None where a length points beyond the end, or to no run of ours."""
+    runs, at = [], 0
+    while at < len(encoded):
+        end = at + encoded[at]
+        if not at < end <= min(len(encoded), at + _MAXIMUM_ENCODED):
+            return None
+        runs.append(encoded[at + 1 : end])
+        at = end
+    return DELIMITER.join(runs)
 
 
 class FrameReader:

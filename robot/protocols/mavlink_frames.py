@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from trigpoint.errors import OperationError
+from trigpoint.words import install_command
 
 VERSION_1, VERSION_2 = 0xFE, 0xFD
 _HEADS = {VERSION_1: 6, VERSION_2: 10}
@@ -29,7 +30,7 @@ def dialect() -> ModuleType:
         from pymavlink.dialects.v20 import ardupilotmega
     except ImportError:
         raise OperationError(
-            "pymavlink is not installed; pip install 'trigpoint[robot,mavlink]'"
+            f"pymavlink is not installed; run: {install_command('robot,mavlink')}"
         ) from None
     return ardupilotmega
 

@@ -98,7 +98,7 @@ def _unconfirmed(results: CalibrationResults) -> str:
 
 def _why(results: CalibrationResults, name: str) -> str:
     camera = results.network.cameras[name]
-    if camera.status == "unseen":
+    if camera.status == "unseen" and not camera.undetermined:
         return "it never saw a robot's target; drive past where it looks"
     words = "; ".join(camera.undetermined)
     residuals = results.residuals.get(name)

@@ -28,7 +28,8 @@ def tiles(results: CalibrationResults) -> str:
 
 def _located(results: CalibrationResults) -> str:
     located, count = len(results.network.located), len(results.network.cameras)
-    unseen = sum(camera.status == "unseen" for camera in results.network.cameras.values())
+    cameras = results.network.cameras.values()
+    unseen = sum(camera.status == "unseen" and not camera.undetermined for camera in cameras)
     words = "cameras located"
     if unseen:
         words += f"; {unseen} never saw a robot"

@@ -74,6 +74,14 @@ class Running:
         assert not reply.error, reply.error
         return json.loads(reply.payload)
 
+    def keep(self, checkpoint: Path) -> None:
+        """Wait until all that was taken is on the disk."""
+        self.ask("fusion/map")  # answered between two turns
+        size = checkpoint.stat().st_size
+        self.clock.advance(0.6)
+        assert eventually(lambda: checkpoint.stat().st_size > size)
+        self.ask("fusion/map")  # a file grows before all of what is being written is there
+
     def listen(self, topic: Topic) -> Subscription:
         return self.bus.subscribe(topic, topic.expression("lab"))
 
@@ -157,10 +165,7 @@ def test_killed_fusion_resumes_its_map_and_ends_where_it_would_have(
         run.feed(charuco.messages[:middle])
         before = run.ask("fusion/map")
         assert eventually(lambda: corrections.depth > 0)
-        run.ask("fusion/network")  # answered between two turns: all that was taken is done
-        run.clock.advance(0.6)
-        size = (first / "checkpoint.bin").stat().st_size
-        assert eventually(lambda: (first / "checkpoint.bin").stat().st_size > size)
+        run.keep(first / "checkpoint.bin")
         last = max(decode_mark(mark).sequence for *_, mark in received(corrections))
         # What a killed process leaves is what is on the disk now.
         second.mkdir()
@@ -299,9 +304,7 @@ def test_checkpoint_of_a_standstill_is_bounded_and_gives_the_same_map(
     with running(standing.inputs, first) as run:
         run.feed(standing.messages[:middle])
         before = run.ask("fusion/map")
-        run.ask("fusion/network")  # answered between two turns: all that was taken is done
-        run.clock.advance(0.6)
-        assert eventually(lambda: len(list(read_checkpoint(first / "checkpoint.bin"))) > 1000)
+        run.keep(first / "checkpoint.bin")
         second.mkdir()
         shutil.copy(first / "checkpoint.bin", second)  # as a kill would leave it
     keys = [key for key, _ in read_checkpoint(second / "checkpoint.bin")]

@@ -7,7 +7,9 @@ import pytest
 from drives import EPOCH_NS, Session, pushed
 
 from trigpoint.clock import to_ns
+from trigpoint.fusion.diagnostics import Diagnostics
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.intake.admission import Admission
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.messages import Message, Odometry, Sightings
 
@@ -123,3 +125,19 @@ def test_wrong_pictures_leave_the_rest_as_it_is(charuco: Session, charuco_result
     found = pipeline.results()
     for name, record in charuco_results.network.cameras.items():
         assert found.network.cameras[name].map_from_camera == record.map_from_camera
+
+
+def test_live_two_clocks_are_said_for_as_long_as_the_camera_sees_the_target(
+    charuco: Session,
+) -> None:
+    pipeline, site = Pipeline(charuco.inputs), charuco.inputs.site
+    diagnostics, picture = Diagnostics(site, Admission(site)), first_picture(charuco)
+    for node, message in odometry_until(charuco, 2.0):
+        pipeline.push(node, message)
+    for second in range(10):
+        stamp_ns = EPOCH_NS - to_ns(3600.0 - second)
+        pipeline.push("c1", replace(picture, stamp_ns=stamp_ns))
+        troubles = diagnostics.now(pipeline, to_ns(second))
+    assert "camera c1: it saw a target in 10 pictures" in troubles["apart c1"]
+    assert "synchronise the clocks" in troubles["apart c1"]
+    assert "apart c1" not in diagnostics.now(pipeline, to_ns(20.0))

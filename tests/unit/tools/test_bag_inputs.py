@@ -214,10 +214,10 @@ def test_pictures_of_a_bag_become_sightings_with_the_lens_beside_them(
     )
     inputs = load_inputs(load_site(tmp_path / "site.toml"))
     roles = parse_roles(["c1=/front/image_raw", "r1=/odom"])
-    messages = dict.fromkeys(type(m) for _, m in bag_messages(bag, roles, inputs))
+    messages = dict.fromkeys(type(m) for _, m in bag_messages(bag, roles, inputs).in_order)
     assert set(messages) == {CameraInfo, Odometry, Sightings}
     ((name, sighting),) = [
-        (n, m) for n, m in bag_messages(bag, roles, inputs) if isinstance(m, Sightings)
+        (n, m) for n, m in bag_messages(bag, roles, inputs).in_order if isinstance(m, Sightings)
     ]
     assert name == "c1"
     assert len(sighting.faces) == 1

@@ -52,7 +52,7 @@ def test_missing_extra_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(EXTRAS, "robot", ("serial", "no_such_package"))
     finding = check_extra("robot")
     assert (finding.level, finding.message) == ("warning", "not installed (no_such_package)")
-    assert "pip install 'trigpoint[robot]'" in finding.remedy
+    assert "pip install -c constraints.txt 'trigpoint[robot] @ file:" in finding.remedy
 
 
 @pytest.mark.parametrize(("free", "level"), [(100e9, "ok"), (5e9, "warning"), (0.5e9, "error")])

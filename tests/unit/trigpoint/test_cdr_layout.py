@@ -101,12 +101,9 @@ def test_damaged_message_is_refused_or_read_as_by_its_definition(
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("field", range(3))
-def test_odometry_with_a_number_that_is_not_finite_is_refused(number: float, field: int) -> None:
-    vectors = [np.ones(3), np.ones(3), np.ones(3)]
-    vectors[field] = np.array([1.0, number, -number])
-    translation, linear, angular = vectors
-    message = Odometry(1, "r1/odom", "r1/base", Pose(np.eye(3), translation), linear, angular)
+def test_odometry_with_a_place_that_is_not_finite_is_refused(number: float) -> None:
+    translation = np.array([1.0, number, -number])
+    message = Odometry(1, "r1/odom", "r1/base", Pose(np.eye(3), translation))
     with pytest.raises(MessageError, match="not finite"):
         decode(type_name(message), encode(message))
 

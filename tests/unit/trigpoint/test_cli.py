@@ -163,7 +163,8 @@ def test_missing_extra_names_what_to_install(
     assert run(["edge"]) == 1
     assert capsys.readouterr().err == (
         f"trigpoint: `trigpoint edge` needs the package «{package}», which is not installed here; "
-        "run: pip install 'trigpoint[edge]'\n"
+        "run: pip install -c constraints.txt 'trigpoint[edge] @ "
+        f"file:///path/to/trigpoint-{trigpoint.__version__}-py3-none-any.whl'\n"
     )
 
 

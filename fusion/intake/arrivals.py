@@ -1,0 +1,131 @@
+"""What came of each camera and robot: why a camera of which much came may be unseen all the same.
+
+Pictures and odometry by two clocks show in times that never overlap. Pure: no bus, no clock.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from msgspec import structs
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.config import Site
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.messages import Mended, Message, Odometry, Sightings
+from trigpoint.network import Network
+from trigpoint.words import counted
+
+OFFSET_SIGMAS = 3.0
+"""A sighting may be later than its stamp by this many sigmas of its camera's time offset."""
+# No clock that was ever set shows a time before 1973: it counts from its own start.
+_NEVER_SET_NS = to_ns(1e8)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """From the first stamp to the last of `count` messages."""
+
+    first_ns: int
+    last_ns: int
+    count: int = 1
+
+    def __str__(self) -> str:
+        if self.counts_from_start:
+            return f"{to_seconds(self.first_ns):.1f} s to {to_seconds(self.last_ns):.1f} s"
+        first, last = (
+            datetime.fromtimestamp(stamp_ns // 10**9, UTC)
+            for stamp_ns in (self.first_ns, self.last_ns)
+        )
+        return f"{first:%Y-%m-%d %H:%M:%S} to {last:%Y-%m-%d %H:%M:%S} UTC"
+
+    @property
+    def counts_from_start(self) -> bool:
+        """Whether it is by a simulator's clock, or by one that counts from when it was started."""
+        return self.last_ns < _NEVER_SET_NS
+
+    def with_stamp(self, stamp_ns: int) -> "Span":
+        first_ns, last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
+        return Span(first_ns, last_ns, self.count + 1)
+
+    def apart_ns(self, other: "Span") -> int:
+        """How much lies between the two; 0 where they overlap."""
+        return max(self.first_ns - other.last_ns, other.first_ns - self.last_ns, 0)
+
+
+class Arrivals:
+    """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
+    camera -> when it saw a target."""
+
+    def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
+        self._tracks = tracks
+        self._tolerance_ns = {
+            name: to_ns(OFFSET_SIGMAS * camera.time_offset_sigma)
+            for name, camera in site.cameras.items()
+        }
+        self._mended = Counter[tuple[str, Mended]]()
+        self.seen: dict[str, Span] = {}
+
+    def add(self, node: str, message: Message) -> None:
+        """Note a message of a camera or robot."""
+        if isinstance(message, Odometry | Sightings):
+            self._mended.update((node, lack) for lack in message.mended)
+        if isinstance(message, Sightings) and message.faces and node in self._tolerance_ns:
+            span, stamp_ns = self.seen.get(node), message.stamp_ns
+            self.seen[node] = span.with_stamp(stamp_ns) if span else Span(stamp_ns, stamp_ns)
+
+    @property
+    def mended(self) -> list[str]:
+        """What messages lacked, and what was taken in its place."""
+        found = self._mended.items()
+        return [f"{node}: {counted(count, 'message')} {lack}" for (node, lack), count in found]
+
+    @property
+    def apart(self) -> dict[str, str]:
+        """Camera -> what is wrong and what to do, for those that saw targets only at times from
+        which there is no odometry of any robot."""
+        tracks = self._tracks.items()
+        odometry = {name: Span(t.first_ns, t.last_ns) for name, t in tracks if len(t)}
+        found = {}
+        for camera, seen in self.seen.items():
+            gaps_ns = {robot: seen.apart_ns(span) for robot, span in odometry.items()}
+            nearest = min(gaps_ns, key=lambda robot: gaps_ns[robot], default=None)
+            if nearest is not None and gaps_ns[nearest] > self._tolerance_ns[camera]:
+                found[camera] = _words(seen, nearest, odometry[nearest])
+        return found
+
+    def explained(self, network: Network) -> Network:
+        """The network with the reason why a camera is unseen that saw a target."""
+        cameras, apart = dict(network.cameras), self.apart
+        for name, seen in self.seen.items():
+            if cameras[name].status == "unseen":
+                why = apart.get(name, f"{_saw(seen)}, none of which could be used")
+                cameras[name] = structs.replace(cameras[name], undetermined=(why,))
+        return structs.replace(network, cameras=cameras)
+
+
+def _saw(seen: Span) -> str:
+    return f"it saw a target in {counted(seen.count, 'picture')}"
+
+
+def _words(seen: Span, robot: str, odometry: Span) -> str:
+    by_start = [
+        name
+        for name, span in (("pictures", seen), ("odometry", odometry))
+        if span.counts_from_start
+    ]
+    if len(by_start) == 1:
+        why = (
+            f"the clock of the {by_start[0]} counts from 0, as a simulator's does, or one that was "
+            "never set; stamp both by one clock (`use_sim_time` for all nodes or for none)"
+        )
+    else:
+        why = (
+            f"{to_seconds(seen.apart_ns(odometry)):.1f} s lie between them; synchronise the clocks "
+            "(chrony), and record both at once"
+        )
+    return (
+        f"{_saw(seen)}, stamped {seen}, and the odometry of {robot} is stamped {odometry}: the two "
+        f"never overlap, so no picture can be used; {why}"
+    )

@@ -1,0 +1,63 @@
+"""The messages of a session, or of anybody's bag, on their way to the estimator."""
+
+from collections import Counter
+
+from trigpoint import cdr, topics
+from trigpoint.errors import MessageError
+from trigpoint.messages import Message, Odometry, Sightings, stamped
+from trigpoint.recorder.recording import Recording
+from trigpoint.words import counted
+
+_TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
+
+
+class SessionMessages:
+    """What of a session can be used, and what cannot."""
+
+    def __init__(self) -> None:
+        self._found: list[tuple[int, int, int, str, Message]] = []
+        self._refused: Counter[tuple[str, str, str]] = Counter()
+
+    def add(self, node: str, message: Message, log_ns: int) -> None:
+        """Take a message of a camera or robot that was recorded at `log_ns`."""
+        stamp_ns = 0
+        if isinstance(message, Odometry | Sightings):
+            message = stamped(message, log_ns)
+            stamp_ns = message.stamp_ns
+        is_sightings = isinstance(message, Sightings)
+        self._found.append((stamp_ns, is_sightings, len(self._found), node, message))
+
+    def refuse(self, topic: str, type_name: str, reason: MessageError) -> None:
+        """Count a message that is not sound."""
+        self._refused[topic, type_name, str(reason)] += 1
+
+    @property
+    def in_order(self) -> list[tuple[str, Message]]:
+        """(camera or robot, message) in stamp order, lenses first."""
+        return [(node, message) for *_, node, message in sorted(self._found, key=lambda f: f[:3])]
+
+    @property
+    def robots(self) -> set[str]:
+        """Those of which there is odometry."""
+        return {node for *_, node, message in self._found if isinstance(message, Odometry)}
+
+    def unsound(self, type_name: str = "") -> list[str]:
+        """What was left out, of one type or all, by topic and what is wrong."""
+        return [
+            f"{counted(count, 'message')} of {topic}: {reason}"
+            for (topic, kind, reason), count in self._refused.items()
+            if type_name in ("", kind)
+        ]
+
+
+def messages_of(recording: Recording) -> SessionMessages:
+    """The messages of a recorded session."""
+    found = SessionMessages()
+    for sample in recording.samples(_TOPICS):
+        try:
+            message = cdr.decode(sample.topic.type_name, sample.payload)
+        except MessageError as reason:
+            found.refuse(sample.key, sample.topic.type_name, reason)
+            continue
+        found.add(topics.node_of(sample.key), message, sample.log_ns)
+    return found
