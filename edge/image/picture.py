@@ -37,7 +37,8 @@ def eight_bits(picture: np.ndarray) -> np.ndarray:
 
 def used_bits(picture: np.ndarray) -> int:
     """How many bits the values of a picture use, but for a few that glare: 8 or more. 1: fractions
-    of white, of which some overshoot."""
+    of white, of which some overshoot. Raises InputError like `eight_bits`."""
+    _check(picture)
     if picture.dtype.kind == "f" and _is_below(picture, 2):
         return 1
     return next((n for n in range(8, _MOST_BITS) if _is_below(picture, 1 << n)), _MOST_BITS)

@@ -1,4 +1,4 @@
-"""Fits planes and lenses to the corners of a face, by the compiled core (`native/src/registration`).
+"""Fits planes and lenses to the corners of a face, by the core (`native/src/registration`).
 
 A weak prior towards no lens, and towards one in the picture's middle, keeps noise from looking like
 one.

@@ -59,9 +59,9 @@ def test_lens_for_another_size_ends_the_node_with_one_line(desk: Desk) -> None:
 @pytest.mark.parametrize(
     ("picture", "said"),
     [
-        (np.zeros((480, 640), np.uint16), "values are uint16"),
-        (np.zeros((480, 640, 4), np.uint8), "has 4 channels"),
-        (np.zeros((0, 0), np.uint8), "pictures are 0 × 0"),
+        (np.zeros((480, 640), np.complex64), "values are complex64"),
+        (np.zeros((480, 640, 5), np.uint8), "has 5 channels"),
+        (np.zeros((0, 0), np.uint8), "is no picture"),
         (np.zeros((1, 1), np.uint8), "pictures are 1 × 1"),
     ],
 )

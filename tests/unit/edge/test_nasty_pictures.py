@@ -78,8 +78,8 @@ def test_corners_are_no_more_than_the_bound() -> None:
     [
         np.zeros((0, 10), np.uint8),
         np.zeros((10, 0, 3), np.uint8),
-        np.zeros((20, 20), np.uint16),
-        np.zeros((20, 20, 4), np.uint8),
+        np.zeros((20, 20), np.bool_),
+        np.zeros((20, 20, 5), np.uint8),
         np.zeros(20, np.uint8),
     ],
 )
