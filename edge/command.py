@@ -1,7 +1,6 @@
 """The command `edge`."""
 
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Annotated
 
 import cv2
@@ -12,6 +11,7 @@ from trigpoint.bus import Bus
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import Site, load_site
 from trigpoint.node import Node, stop_on_signals
+from trigpoint.site_option import SITE_FILE, SiteFile
 from trigpoint.watchdog import Watchdog
 
 from .node import KIND, EdgeNode, load_targets
@@ -21,10 +21,10 @@ _LOOK_S = 0.1
 
 
 def main(
-    site: Annotated[Path, typer.Option(help="The site file.")],
     camera: Annotated[
         list[str], typer.Option(help="A camera's name in the site file; may be given again.")
     ],
+    site: SiteFile = SITE_FILE,
 ) -> None:
     """The agent of one or several cameras: finds the robots' targets in their pictures."""
     loaded = load_site(site)

@@ -15,6 +15,7 @@ from trigpoint.clock import SteadyClock
 from trigpoint.config import load_site
 from trigpoint.errors import OperationError
 from trigpoint.node import Node, stopped_by_signals
+from trigpoint.site_option import SITE_FILE, SiteFile
 
 from .inputs import load_inputs
 from .live.memory import return_large_arrays
@@ -27,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def main(
-    site: Annotated[Path, typer.Option(help="The site file.")],
+    site: SiteFile = SITE_FILE,
     out: Annotated[
         Path | None,
         typer.Option(

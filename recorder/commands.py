@@ -18,6 +18,7 @@ from trigpoint.clock import SystemClock, to_seconds
 from trigpoint.config import Site, load_site, parse_site
 from trigpoint.errors import InputError, OperationError
 from trigpoint.node import Node, stopped_by_signals
+from trigpoint.site_option import SITE_FILE, SiteFile
 from trigpoint.target import load_target
 from trigpoint.topics import command_key
 
@@ -31,7 +32,6 @@ from .viewer_page import LOOPBACK
 if TYPE_CHECKING:
     import rerun as rr  # half a second to import, which `record` and `replay` need not wait
 
-SiteFile = Annotated[Path, typer.Option(help="The site file.")]
 OtherSite = Annotated[
     Path | None, typer.Option(help="The site file, if not the one in the session.")
 ]
@@ -58,7 +58,7 @@ _LOOK_PERIOD_S = 0.2
 
 
 def record(
-    site: SiteFile,
+    site: SiteFile = SITE_FILE,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -131,7 +131,9 @@ def _seconds(text: str, option: str) -> float:
     return float(match[1]) * (60.0 if match[2] == "min" else 1.0)
 
 
-def view(site: SiteFile, web: Web = False, port: Port = WEB_PORT, host: Host = LOOPBACK) -> None:
+def view(
+    site: SiteFile = SITE_FILE, web: Web = False, port: Port = WEB_PORT, host: Host = LOOPBACK
+) -> None:
     """Show the live site in rerun until stopped (Ctrl-C) or until its window is closed."""
     from .view import KIND, LiveView
 

@@ -1,6 +1,5 @@
 """The command `robot`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,6 +8,7 @@ from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
 from trigpoint.config import ROS2_PROTOCOL, load_site
 from trigpoint.node import Node, stopped_by_signals
+from trigpoint.site_option import SITE_FILE, SiteFile
 
 from .dry_run import look
 from .node import KIND, RobotNode
@@ -20,8 +20,8 @@ _LOOK_S = 1.0
 
 
 def main(
-    site: Annotated[Path, typer.Option(help="The site file.")],
     robot: Annotated[str, typer.Option(help="The robot's name in the site file.")],
+    site: SiteFile = SITE_FILE,
     dry_run: Annotated[
         bool,
         typer.Option(

@@ -18,6 +18,7 @@ from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.messages import ODOMETRY, Odometry
 from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
+from trigpoint.site_option import site_here
 from trigpoint.terminal import Progress, table, waiting
 from trigpoint.tools.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.calibration_report import REPORT, write_report
@@ -142,6 +143,7 @@ def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipelin
 
 
 def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
+    site = site or site_here()
     if site is None:
         raise InputError("--topic: a bag has no site file; give it with --site")
     return load_inputs(load_site(site), network=network)

@@ -2,6 +2,9 @@
 
 import importlib
 import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +14,9 @@ import typer
 from trigpoint.checks import Check
 from trigpoint.config import CameraConfig, Site, load_site, parse_site
 from trigpoint.errors import InputError, TargetError
+from trigpoint.site_option import site_here
 from trigpoint.target import load_target
+from trigpoint.terminal import waiting
 from trigpoint.words import counted
 
 from .clock_checks import check_time_service
@@ -39,7 +44,10 @@ robots.r1.port = "/dev/ttyUSB0"
 
 
 def main(
-    site: Annotated[Path | None, typer.Option(help="Look at this site's files too.")] = None,
+    site: Annotated[
+        Path | None,
+        typer.Option(help="Look at this site's files too; by default ./site.toml, if there."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="A JSON list of findings.")] = False,
     fix: Annotated[
         bool,
@@ -47,13 +55,16 @@ def main(
     ] = False,
 ) -> None:
     """Say what is missing or wrong on this machine and what to do; exit 1 if something is wrong."""
+    site = site or site_here()
     loaded = load_site(site) if site else None
     mended = _mend(loaded) if fix else []
-    findings = [*mended, *examine(loaded)]
+    findings = []
+    for finding in chain(mended, examine(loaded)):
+        findings.append(finding)
+        if not json:
+            typer.echo(_line(finding))
     if json:
         typer.echo(msgspec.json.encode(findings).decode())
-    else:
-        typer.echo("\n".join(_line(finding) for finding in findings))
     if any(finding.level == "error" for finding in findings):
         raise typer.Exit(1)
 
@@ -65,24 +76,32 @@ def _mend(site: Site | None) -> list[Check]:
     return [apply(one) for one in needed(site, user=user, clock=check_clock())]
 
 
-def examine(site: Site | None) -> list[Check]:
-    """All findings: this machine's, each installed part's, and the site's if one is given."""
+def examine(site: Site | None) -> Iterator[Check]:
+    """All findings, each as it is made: this machine's, each installed part's, and the site's if
+    one is given. A terminal shows what is being looked at."""
     some_site = site or parse_site(_NO_SITE, directory=Path())
-    findings = [check_python(), check_clock(), check_time_service(site)]
-    findings.append(check_disk(site.path(site.recorder.directory) if site else Path()))
-    findings.append(check_loopback(some_site))
+    yield from (check_python(), check_clock(), check_time_service(site))
+    yield check_disk(site.path(site.recorder.directory) if site else Path())
+    yield from _looking("the loopback", lambda: [check_loopback(some_site)])
     for extra in EXTRAS:
-        findings.append(check_extra(extra))
+        yield check_extra(extra)
         if not missing_packages(extra):
-            findings += _part_checks(extra)
-    if site:
-        findings.append(check_site_bus(site))
-        findings += _check_security(site)
-        findings += [_check_target(site, robot) for robot in site.robots]
-        findings += [finding for name in site.cameras for finding in _check_camera(site, name)]
-        findings += [finding for name in site.robots for finding in _check_port(site, name)]
-        findings += check_ros2(site)
-    return findings
+            yield from _looking(f"part {extra}", partial(_part_checks, extra))
+    if site is None:
+        return
+    yield from _looking("the bus", lambda: [check_site_bus(site)])
+    yield from _check_security(site)
+    yield from (_check_target(site, robot) for robot in site.robots)
+    for name in site.cameras:
+        yield from _looking(f"camera {name}", partial(_check_camera, site, name))
+    for name in site.robots:
+        yield from _check_port(site, name)
+    yield from _looking("the ROS 2 robots", lambda: check_ros2(site))
+
+
+def _looking(at: str, look: Callable[[], list[Check]]) -> list[Check]:
+    with waiting(f"looks at {at}"):
+        return look()
 
 
 def _check_security(site: Site) -> list[Check]:

@@ -11,6 +11,7 @@ from trigpoint.config import load_site
 from trigpoint.edge.lens.calibration import Calibration, calibrate
 from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
 from trigpoint.errors import InputError, OperationError
+from trigpoint.site_option import site_here
 from trigpoint.target import Target, load_target
 
 from .detect import check_all
@@ -70,11 +71,13 @@ def main(
 
 
 def _targets(target: Path | None, site: Path | None) -> list[Target]:
-    if (target is None) == (site is None):
-        raise InputError("no target is given, or two; give --target FILE, or --site FILE")
+    if target is not None and site is not None:
+        raise InputError("two targets are given; give --target FILE, or --site FILE")
     if target is not None:
         return [load_target(target)]
-    assert site is not None
+    site = site or site_here()
+    if site is None:
+        raise InputError("no target is given; give --target FILE, or --site FILE")
     loaded = load_site(site)
     names = dict.fromkeys(loaded.target_name(robot) for robot in loaded.robots)
     return [load_target(loaded.path(name)) for name in names]

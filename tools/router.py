@@ -13,6 +13,7 @@ from trigpoint.bus_zenoh import open_router
 from trigpoint.config import Site, check_name, load_site
 from trigpoint.errors import InputError
 from trigpoint.node import Node, stop_on_signals
+from trigpoint.site_option import SITE_FILE, site_here
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +32,7 @@ def main(
     When the file that says who may come in changes, it is opened anew, which ends every link.
     """
     check_name(Kind.ROUTER, name)
-    first, *others = [load_site(path) for path in site or [Path("site.toml")]]
+    first, *others = [load_site(path) for path in site or [site_here() or SITE_FILE]]
     for other in others:
         if (other.bus.tls is None) != (first.bus.tls is None):
             raise InputError(f"sites {first.name} and {other.name}: only one of them has [bus.tls]")

@@ -12,10 +12,10 @@ from trigpoint.bus_settings import router_settings
 from trigpoint.config import Site, TlsConfig, check_name, load_site
 from trigpoint.errors import InputError, writing
 from trigpoint.security import CORRECTIONS, TRUST, WARNING, door
+from trigpoint.site_option import SITE_FILE, SiteFile
 
 from .authority import Authority, Listed, addresses_of
 
-SiteFile = Annotated[Path, typer.Option(help="The site file.")]
 Folder = Annotated[
     Path | None,
     typer.Option("--authority", help="The authority's folder; beside the site file if not given."),
@@ -30,7 +30,7 @@ Days = Annotated[int, typer.Option(help="How long the certificate is good.", min
 _YEAR = 365
 
 
-def init(site: SiteFile = Path("site.toml"), authority: Folder = None) -> None:
+def init(site: SiteFile = SITE_FILE, authority: Folder = None) -> None:
     """Make the site's authority. Its folder stays with whoever admits nodes, off the network."""
     loaded = load_site(site)
     _authority(loaded, authority).create()
@@ -46,7 +46,7 @@ def init(site: SiteFile = Path("site.toml"), authority: Folder = None) -> None:
 def node(
     kind: KindOf,
     name: NameOf,
-    site: SiteFile = Path("site.toml"),
+    site: SiteFile = SITE_FILE,
     authority: Folder = None,
     days: Days = _YEAR,
     address: Addresses = None,
@@ -66,7 +66,7 @@ def node(
 def renew(
     kind: KindOf,
     name: NameOf,
-    site: SiteFile = Path("site.toml"),
+    site: SiteFile = SITE_FILE,
     authority: Folder = None,
     days: Days = _YEAR,
     address: Addresses = None,
@@ -83,7 +83,7 @@ def renew(
 
 
 def revoke(
-    kind: KindOf, name: NameOf, site: SiteFile = Path("site.toml"), authority: Folder = None
+    kind: KindOf, name: NameOf, site: SiteFile = SITE_FILE, authority: Folder = None
 ) -> None:
     """End a node's certificate before its time."""
     loaded = load_site(site)
@@ -95,7 +95,7 @@ def revoke(
 
 def admit(
     anchor: Annotated[Path, typer.Argument(help="The router's anchor, from its authority.")],
-    site: SiteFile = Path("site.toml"),
+    site: SiteFile = SITE_FILE,
     authority: Folder = None,
 ) -> None:
     """Trust another site's router to hand this site's keys on."""
@@ -106,7 +106,7 @@ def admit(
 
 
 def list_nodes(
-    site: SiteFile = Path("site.toml"),
+    site: SiteFile = SITE_FILE,
     authority: Folder = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON list.")] = False,
 ) -> None:
@@ -131,7 +131,7 @@ def list_nodes(
 
 
 def router(
-    site: SiteFile = Path("site.toml"),
+    site: SiteFile = SITE_FILE,
     out: Annotated[Path, typer.Option(help="Where to write it.")] = Path("router.json5"),
 ) -> None:
     """Write the configuration with which the stock `zenohd` is this site's router."""

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -18,6 +17,7 @@ from trigpoint.config import Site, load_site
 from trigpoint.errors import MessageError
 from trigpoint.messages import Diagnostics, DiagnosticStatus
 from trigpoint.node import stop_on_signals
+from trigpoint.site_option import SITE_FILE, SiteFile
 from trigpoint.topics import DIAGNOSTICS, alive_key
 
 from .site_status import SiteStatus, summarise, table
@@ -30,7 +30,7 @@ _CLEAR = "\x1b[2J\x1b[H"
 
 
 def main(
-    site: Annotated[Path, typer.Option(help="The site file.")],
+    site: SiteFile = SITE_FILE,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Look until interrupted.")] = False,
 ) -> None:

@@ -80,12 +80,15 @@ def writing(path: Path) -> Iterator[None]:
         ) from None
 
 
-def read_text(path: Path, kind: str, error: type[InputError]) -> str:
-    """Return the file's text; raise `error` with a one-line message if that fails."""
+def read_text(
+    path: Path, kind: str, error: type[InputError], *, remedy: str = "check the path"
+) -> str:
+    """Return the file's text; raise `error` with a one-line message if that fails. `remedy`: what
+    to do where there is no such file."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise error(f"{path}: there is no such {kind}; check the path") from None
+        raise error(f"{path}: there is no such {kind}; {remedy}") from None
     except UnicodeDecodeError:
         raise error(f"{path}: this is not text, so it is no {kind}; check the path") from None
     except OSError as reason:

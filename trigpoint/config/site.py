@@ -102,7 +102,8 @@ class Site(Struct, frozen=True):
 
 def load_site(path: Path) -> Site:
     """Read site.toml; raise a ConfigError that names file, line and key."""
-    text = read_text(path, "site file", ConfigError)
+    remedy = "give --site FILE, or set TRIGPOINT_SITE"
+    text = read_text(path, "site file", ConfigError, remedy=remedy)
     return parse_site(text, directory=path.parent, file=str(path))
 
 

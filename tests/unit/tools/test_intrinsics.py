@@ -74,8 +74,7 @@ def test_json_tells_the_same_with_sigmas(folder: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["shots"], "no target is given"),
-        (["shots", "--target", "target.toml", "--site", "site.toml"], "no target is given, or two"),
+        (["shots", "--target", "target.toml", "--site", "site.toml"], "two targets are given"),
         (["none", "--target", "target.toml"], "none: there is no such picture"),
         (["shots", "--target", "target.toml", "--out", "lens.txt"], "end the name in .yaml"),
         (["shots", "other.png", "--target", "target.toml"], "1 of 30 × 20 (other.png); give"),

@@ -121,7 +121,7 @@ def test_chosen_command_is_read_off_the_line(arguments: str, expected: str) -> N
 
 
 @pytest.mark.parametrize(
-    "arguments", [["nonsense"], ["--nonsense"], ["status"], ["target"], ["status", "--site"]]
+    "arguments", [["nonsense"], ["--nonsense"], ["target"], ["status", "--site"]]
 )
 def test_bad_use_is_one_line_and_exits_2(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
@@ -130,6 +130,17 @@ def test_bad_use_is_one_line_and_exits_2(
     captured = capsys.readouterr()
     assert captured.out == ""
     assert re.fullmatch(r"trigpoint: .+; see `trigpoint.*--help`\n", captured.err)
+
+
+def test_a_site_file_is_the_one_of_this_folder_or_of_the_environment(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["status"]) == 2
+    assert "site.toml: there is no such site file; give --site FILE" in capsys.readouterr().err
+    monkeypatch.setenv("TRIGPOINT_SITE", "hall.toml")
+    assert run(["status"]) == 2
+    assert "hall.toml: there is no such site file" in capsys.readouterr().err
 
 
 def test_no_command_at_all_shows_the_help_and_exits_2(capsys: pytest.CaptureFixture[str]) -> None:

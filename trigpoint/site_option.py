@@ -1,0 +1,21 @@
+"""The option `--site` of the commands that run a site: else $TRIGPOINT_SITE, else ./site.toml."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+VARIABLE = "TRIGPOINT_SITE"
+SITE_FILE = Path("site.toml")
+
+SiteFile = Annotated[Path, typer.Option(help="The site file.", envvar=VARIABLE)]
+"""To be used with the default `SITE_FILE`."""
+
+
+def site_here() -> Path | None:
+    """The site file where none is given, for commands that can do without; None where none is."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        return Path(named)
+    return SITE_FILE if SITE_FILE.exists() else None
