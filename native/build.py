@@ -63,7 +63,18 @@ def built(*, target: str | None = None, strict: bool = False, library: Path = LI
             f'const char tp_digest[] = "{digest}";\n'
         )
         fresh = Path(folder) / library.name
-        _run([*compiler, "-shared", "-fPIC", *map(str, objects), str(stamp), "-o", str(fresh)])
+        _run(
+            [
+                *compiler,
+                "-shared",
+                "-fPIC",
+                "-Wl,-z,defs",
+                *map(str, objects),
+                str(stamp),
+                "-o",
+                str(fresh),
+            ]
+        )
         # A program that has the old one loaded keeps it.
         shutil.copy(fresh, library.with_suffix(".new"))
         library.with_suffix(".new").replace(library)

@@ -18,9 +18,9 @@ from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.image.workspace import Workspace
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located, in_view, measured, placed_again
-from trigpoint.edge.registration.patches import CornerPattern
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
@@ -82,11 +82,11 @@ class CheckerboardDetector(FaceFinder):
         if not is_in_view(grey, face, fit):
             return None
         place = placed_again(grey, pattern, fit, reach_px=reach_px)
-        if place is None or not is_in_view(grey, face, place[0]):
+        if place is None or is_over() or not is_in_view(grey, face, place[0]):
             return None
         there, is_rough = place
         blur = last.found.blur
-        found = measured(grey, pattern, there, blur=blur, is_rough=is_rough, is_over=is_over)
+        found = measured(grey, pattern, there, blur=blur, is_rough=is_rough)
         if found is None:
             return None
         size = (grey.shape[1], grey.shape[0])
@@ -217,7 +217,7 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
     fit = settled_fit(points, pixels, size, TUNING.enough_px)
     if fit is None:
         return None
-    found = measured(grey, CornerPattern.of(face), fit, starts=starts, is_over=is_over)
+    found = measured(grey, CornerPattern.of(face), fit, starts=starts)
     if found is None or len(found.corners) < TUNING.least_share * face.corner_count:
         return None
     if not keeps_its_place(board.look, found.corners, found.pixels, found.fit, size):

@@ -24,7 +24,7 @@ def refined(
     """A board as the picture shows it: with corner squares known where they are seen."""
     if board.finer is None or is_over() or not shows_corner_squares(grey, board.face, found.fit):
         return board, found
-    again = measured(grey, board.finer.pattern, found.fit, blur=found.blur, is_over=is_over)
+    again = measured(grey, board.finer.pattern, found.fit, blur=found.blur)
     if again is None or len(again.corners) < len(found.corners):
         return board, found
     return board.finer, again

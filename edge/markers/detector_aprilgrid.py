@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from trigpoint.edge.registration.appearance import Appearance
-from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 
 from .marked_board import MarkedBoard
 from .marked_search import MarkedSearch

@@ -6,8 +6,8 @@ import numpy as np
 
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.measurement import LEAST_CORNERS, Measured, measured, placed_again
-from trigpoint.edge.registration.patches import CornerPattern
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
@@ -60,11 +60,11 @@ class MarkedBoard:
         size = (grey.shape[1], grey.shape[0])
         layout = self.layout[group.numbers].reshape(-1, 2)
         fit = settled_fit(layout, group.corners.reshape(-1, 2), size, ENOUGH_PX)
-        if fit is None:
+        if fit is None or is_over():
             return None
-        found = measured(grey, self.pattern, fit, is_rough=True, is_over=is_over)
+        found = measured(grey, self.pattern, fit, is_rough=True)
         if found is not None and found.sigma > MOST_SCATTER_PX and not is_over():
-            found = measured(grey, self.pattern, found.fit, is_rough=True, is_over=is_over)
+            found = measured(grey, self.pattern, found.fit, is_rough=True)
         if found is None or len(found.corners) < self._least_corners(len(group.numbers)):
             return None
         own = self._agreement(grey, found.fit, group.numbers, reader).mean()
@@ -102,12 +102,10 @@ class MarkedBoard:
     ) -> Measured | None:
         """The corners of a board that lies about where `fit` has it."""
         place = placed_again(grey, self.pattern, fit, reach_px=reach_px)
-        if place is None:
+        if place is None or is_over():
             return None
         there, is_rough = place
-        found = measured(
-            grey, self.pattern, there, blur=last.blur, is_rough=is_rough, is_over=is_over
-        )
+        found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
         if found is None:
             return None
         numbers = np.flatnonzero(self._is_inside(grey, found))

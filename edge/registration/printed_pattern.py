@@ -37,7 +37,9 @@ class PrintedPattern:
 
 def printed_pattern_of(face: Face, square_px: float) -> PrintedPattern:
     """The pattern whose texels are about a pixel where a square takes `square_px` pixels."""
-    return _patterns(face)[min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)]
+    return printed_patterns(face)[
+        min(int(np.searchsorted(LEVELS, 0.8 * square_px)), len(LEVELS) - 1)
+    ]
 
 
 def charuco_layout(face: Face) -> Array:
@@ -55,7 +57,7 @@ def charuco_layout(face: Face) -> Array:
 
 
 @cache
-def _patterns(face: Face) -> tuple[PrintedPattern, ...]:
+def printed_patterns(face: Face) -> tuple[PrintedPattern, ...]:
     """The pattern at every level; inverted boards as they are in the picture's negative."""
     if face.pattern is Pattern.APRILGRID:
         levels = [_fitting_tags(level, face) for level in LEVELS]

@@ -8,7 +8,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .patches import CornerPattern
+from .corner_pattern import CornerPattern
 from .planar_fit import PlanarFit
 from .plane_fitting import fit_plane
 from .printed_pattern import printed_pattern_of

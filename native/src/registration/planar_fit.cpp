@@ -114,12 +114,12 @@ Eigen::Vector2d PlanarFit::project(const Eigen::Vector2d& point) const {
 }
 
 Unprojection::Unprojection(const PlanarFit& fit, const Eigen::Matrix3d& then)
-    : fit_(fit), inverse_(fit.homography.inverse()), moved_(then * inverse_) {}
+    : fit_(&fit), inverse_(fit.homography.inverse()), moved_(then * inverse_) {}
 
 Eigen::Vector3d Unprojection::ray(const Eigen::Vector2d& pixel) const {
-    const Eigen::Vector2d flat = (pixel - fit_.centre) / fit_.scale - fit_.aside;
+    const Eigen::Vector2d flat = (pixel - fit_->centre) / fit_->scale - fit_->aside;
     const double squared = flat.squaredNorm();
-    return {flat.x(), flat.y(), 1 + squared * (fit_.radial.x() + squared * fit_.radial.y())};
+    return {flat.x(), flat.y(), 1 + squared * (fit_->radial.x() + squared * fit_->radial.y())};
 }
 
 Eigen::Vector2d Unprojection::through(const Eigen::Matrix3d& map, const Eigen::Vector3d& ray) {
@@ -129,10 +129,10 @@ Eigen::Vector2d Unprojection::through(const Eigen::Matrix3d& map, const Eigen::V
 }
 
 Eigen::Vector2d Unprojection::operator()(const Eigen::Vector2d& pixel) const {
-    if (fit_.bend.degree == 0) return through(moved_, ray(pixel));
+    if (fit_->bend.degree == 0) return through(moved_, ray(pixel));
     // The bend is small and smooth: where it moves a point to is where it would move that too.
     const Eigen::Vector2d about = through(inverse_, ray(pixel));
-    return through(moved_, ray(pixel - fit_.bend.at(about)));
+    return through(moved_, ray(pixel - fit_->bend.at(about)));
 }
 
 double share_of(const Eigen::Vector3d& ray, const Eigen::Vector2d& radial) {

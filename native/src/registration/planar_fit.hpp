@@ -72,7 +72,7 @@ private:
     static Eigen::Vector2d through(const Eigen::Matrix3d& map, const Eigen::Vector3d& ray);
     Eigen::Vector3d ray(const Eigen::Vector2d& pixel) const;
 
-    const PlanarFit& fit_;
+    const PlanarFit* fit_;
     Eigen::Matrix3d inverse_, moved_;
 };
 

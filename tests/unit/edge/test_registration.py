@@ -6,8 +6,8 @@ import pytest
 from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
 
 from trigpoint.edge.registration import registration
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.measurement import Measured, measured
-from trigpoint.edge.registration.patches import CornerPattern
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import fit_plane
 from trigpoint.edge.registration.registration import registered

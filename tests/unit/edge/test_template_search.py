@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from boards import aprilgrid, charuco, checkerboard, picture_of, placed, plain_picture, true_pixels
 
-from trigpoint.edge.registration.patches import CornerPattern
+from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import fit_plane
 from trigpoint.edge.registration.template_search import found_by_template

@@ -1,0 +1,54 @@
+"""What a face has around its corners, as it is printed; for the core to measure them by."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import Handle, In, Kernel
+from trigpoint.target import Face, Pattern
+
+from .printed_pattern import printed_patterns
+
+_POINTS = In(np.float64, ("n", 2))
+_SET = Kernel("tp_pattern_set", Handle, _POINTS, _POINTS, float, float)
+_PRINT = Kernel("tp_pattern_print", Handle, In(np.uint8, ("h", "w")), float, float, float)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerPattern:
+    """What a face has around its corners. `points`: (n, 2) corners in the face frame; `reach`: how
+    far from a corner along both axes is looked at, metres; `outward`: (n, 2) signs of the axes'
+    directions of a sector that may be printed or not (Kalibr has squares there), 0 without one;
+    `core`: the same with its prints, for the core."""
+
+    face: Face
+    points: Array
+    reach: float
+    outward: Array
+    core: Handle
+
+    @classmethod
+    @cache
+    def of(cls, face: Face) -> "CornerPattern":
+        """The pattern of any face."""
+        points = face.corners[:, :2]
+        outward = np.zeros_like(points)
+        reach = 0.5 * face.square
+        if face.pattern is Pattern.APRILGRID:
+            if not face.corner_squares:
+                outward = np.tile(
+                    [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], (len(points) // 4, 1)
+                )
+            reach = min(0.5 * (face.marker or 0.0), face.square - (face.marker or 0.0))
+        return cls(face, points, reach, outward, _core(face, points, outward, reach))
+
+
+def _core(face: Face, points: Array, outward: Array, reach: float) -> Handle:
+    """The same for the core, with what is printed at every level."""
+    pattern = Handle("tp_pattern")
+    _SET(pattern, np.ascontiguousarray(points), outward, reach, face.square)
+    for printed in printed_patterns(face):
+        _PRINT(pattern, printed.texels, printed.scale, *printed.offset.tolist())
+    return pattern

@@ -1,0 +1,78 @@
+#include "registration/blur.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+namespace trigpoint {
+namespace {
+
+// As far as a drawing is softened at least; what is less is made up by second derivatives.
+constexpr double LEAST_GAUSSIAN = 0.2;
+constexpr double MOST_RESPONSE = 1.0;
+// How far one change is trusted.
+const Eigen::Vector4d MOST_CHANGE(1.0, 1.0, 1.0, 0.5);
+// Of a kernel, in its standard deviations and in lattice steps.
+constexpr double REACH_SIGMAS = 2.6;
+constexpr int LEAST_RADIUS = 2;
+
+// Closed form of a symmetric matrix's eigenvalues, rising, and its axes.
+struct Principal {
+    Eigen::Vector2d values;
+    Eigen::Matrix2d axes;
+
+    explicit Principal(const Eigen::Vector3d& v) {
+        const double middle = (v(0) + v(1)) / 2, apart = (v(0) - v(1)) / 2;
+        const double half = std::hypot(apart, v(2));
+        values = {middle - half, middle + half};
+        const double angle = 0.5 * std::atan2(v(2), apart);  // of the upper one's axis
+        axes << -std::sin(angle), std::cos(angle), std::cos(angle), std::sin(angle);
+    }
+};
+
+}  // namespace
+
+Blur Blur::changed(const Eigen::Vector4d& change, double least) const {
+    const Eigen::Vector4d step = change.cwiseMin(MOST_CHANGE).cwiseMax(-MOST_CHANGE);
+    Blur better{variances + step.head<3>(),
+                std::clamp(response + step(3), -MOST_RESPONSE, MOST_RESPONSE)};
+    const Principal principal(better.variances);
+    if (principal.values(0) < least || principal.values(1) > MOST_VARIANCE) {
+        const Eigen::Vector2d values = principal.values.cwiseMax(least).cwiseMin(MOST_VARIANCE);
+        const Eigen::Matrix2d matrix =
+            principal.axes * values.asDiagonal() * principal.axes.transpose();
+        better.variances = {matrix(0, 0), matrix(1, 1), matrix(0, 1)};
+    }
+    return better;
+}
+
+Blur Blur::softened(double variance) const {
+    return {variances + Eigen::Vector3d(variance, variance, 0), response};
+}
+
+Kernel Blur::kernel(int step) const {
+    const Principal principal(double(step * step) * variances);
+    const double least = step * step * LEAST_GAUSSIAN;
+    const double reach = REACH_SIGMAS * std::sqrt(std::max(principal.values(1), least));
+    Kernel kernel;
+    kernel.radius =
+        std::clamp(static_cast<int>(std::ceil(std::min(reach, 1e3))), LEAST_RADIUS, MOST_RADIUS);
+    const Eigen::Vector2d spread = principal.values.cwiseMax(least);
+    const Eigen::Vector2d lacking = (principal.values - spread).cwiseQuotient(spread);
+    std::array<double, (2 * MOST_RADIUS + 1) * (2 * MOST_RADIUS + 1)> shares;
+    std::size_t count = 0;
+    double sum = 0;
+    for (int y = -kernel.radius; y <= kernel.radius; ++y) {
+        for (int x = -kernel.radius; x <= kernel.radius; ++x) {
+            const Eigen::Vector2d along = principal.axes.transpose() * Eigen::Vector2d(x, y);
+            const Eigen::Vector2d squares = along.cwiseAbs2().cwiseQuotient(spread);
+            const double taken = 1 + 0.5 * (squares - Eigen::Vector2d::Ones()).dot(lacking);
+            shares[count] = std::exp(-0.5 * squares.sum()) * taken;
+            sum += shares[count++];
+        }
+    }
+    for (std::size_t i = 0; i < count; ++i) kernel.shares[i] = static_cast<float>(shares[i] / sum);
+    return kernel;
+}
+
+}  // namespace trigpoint

@@ -1,0 +1,90 @@
+// The picture about each corner of a face, and what is printed there, drawn as the camera sees it.
+//
+// The drawing is on a lattice of half pixels, so that its derivatives are those of the picture.
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "image/picture.hpp"
+#include "registration/blur.hpp"
+#include "registration/planar_fit.hpp"
+
+namespace trigpoint {
+
+constexpr int LEAST_HALF_PX = 3, MOST_HALF_PX = 6;
+constexpr int LATTICE = 2;                  // points a pixel
+constexpr int SIDE = 2 * MOST_HALF_PX + 1;  // of a patch, pixels
+constexpr int MOST_PIXELS = SIDE * SIDE;
+
+// A face as it is printed, so many texels a square; the face point (x, y) lies at texel
+// (x, y) · scale + offset.
+struct Print {
+    std::vector<std::uint8_t> texels;
+    std::int64_t height = 0, width = 0;
+    double scale = 1;
+    Eigen::Vector2d offset = Eigen::Vector2d::Zero();
+
+    Grey grey() const { return {texels.data(), height, width}; }
+};
+
+// What a face has around its corners. `points`: in the face frame; `outward`: signs of the axes'
+// directions of a sector that may be printed or not (Kalibr has squares there), 0 without one;
+// `reach`: how far from a corner along both axes is looked at, metres; `square`: of a square,
+// metres; `prints`: the finer the later; `is_balanced`: whether dark and light lie alike around
+// every corner. Where they do not, ink that runs looks like corners that lie elsewhere.
+struct CornerPattern {
+    Points points, outward;
+    double reach = 0, square = 1;
+    std::vector<Print> prints;
+    bool is_balanced = true;
+
+    // The print whose texels are about a pixel where a square takes so many.
+    const Print& print_for(double square_px) const;
+};
+
+// A part of a picture that begins at (left, top).
+struct PartOfPicture {
+    Grey grey;
+    std::int64_t left = 0, top = 0;
+};
+
+// Of each pixel of a patch, what explains it: the derivative by the corner's place, the drawing's
+// value, even light and how that rises along x and along y; what each number of the blur changes;
+// what is seen, from middle grey. 0 where a pixel does not count.
+enum Row { BY_X, BY_Y, VALUE, ONE, RISE_X, RISE_Y, XX, YY, XY, BUMP, SEEN, ROWS, STRIDE };
+constexpr int OWN = XX, SHARED = SEEN - XX;  // numbers of a corner, and of the face's blur
+
+struct Patch {
+    int count;     // of its pixels
+    double total;  // of these, how many show what is known
+    alignas(32) std::array<std::array<float, STRIDE>, MOST_PIXELS> rows;
+};
+
+// Draws patches about corners that lie about where a fit has them.
+class Drawer {
+public:
+    // `ids`: of the pattern's corners.
+    Drawer(const PartOfPicture& part, const CornerPattern& pattern, const PlanarFit& fit,
+           const std::vector<int>& ids, const Blur& blur);
+
+    // The patch of a corner about the whole pixel `nearest`, the pattern moved from where the fit
+    // has it so that the corner lies at `pixel`; `is_light_even`: without a rise of the light.
+    void draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& nearest,
+              bool is_light_even, Patch& patch) const;
+
+private:
+    struct Quadratic;
+
+    const PartOfPicture& part_;
+    const CornerPattern& pattern_;
+    const PlanarFit& fit_;
+    const Print* print_;
+    Unprojection texel_from_pixel_;
+    Kernel kernel_;
+    float response_;
+    int half_;
+};
+
+}  // namespace trigpoint
