@@ -66,6 +66,23 @@ struct Drawer::Quadratic {
     Eigen::Vector2d at(double dx, double dy) const {
         return constant + dx * (x + dx * xx + dy * xy) + dy * (y + dy * yy);
     }
+
+    // The places of a row: `count` from `from` on, `step` apart; 0 where one is no number.
+    void row(double dy, double from, double step, int count, float* __restrict to_x,
+             float* __restrict to_y) const {
+        const Eigen::Vector2d begin = at(from, dy), slope = step * (x + dy * xy + 2 * from * xx),
+                              bend = step * step * xx;
+        const bool is_known = begin.allFinite() && slope.allFinite() && bend.allFinite();
+        const Eigen::Vector2f a = is_known ? Eigen::Vector2f(begin.cast<float>())
+                                           : Eigen::Vector2f(Eigen::Vector2f::Zero()),
+                              b = is_known ? Eigen::Vector2f(slope.cast<float>()) : a,
+                              c = is_known ? Eigen::Vector2f(bend.cast<float>()) : a;
+        for (int i = 0; i < count; ++i) {
+            const auto t = static_cast<float>(i);
+            to_x[i] = a.x() + t * (b.x() + t * c.x());
+            to_y[i] = a.y() + t * (b.y() + t * c.y());
+        }
+    }
 };
 
 const Print& CornerPattern::print_for(double square_px) const {
@@ -111,14 +128,12 @@ void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& n
     std::array<float, MOST_SHARP * MOST_SHARP> sharp;
     const Grey print = print_->grey();
     const int first = -(LATTICE * half_ + EDGE + kernel_.radius);
+    std::array<float, MOST_SHARP> texel_x, texel_y;
     for (int j = 0; j < sharp_side; ++j) {
-        const double dy = double(first + j) / LATTICE;
-        for (int i = 0; i < sharp_side; ++i) {
-            const Eigen::Vector2d texel = texels.at(double(first + i) / LATTICE, dy);
-            const bool is_known = std::isfinite(texel.x()) && std::isfinite(texel.y());
-            sharp[j * sharp_side + i] =
-                is_known ? print.at(float(texel.x()), float(texel.y())) / WHITE : 0.5F;
-        }
+        texels.row(double(first + j) / LATTICE, double(first) / LATTICE, 1.0 / LATTICE, sharp_side,
+                   texel_x.data(), texel_y.data());
+        float* to = sharp.data() + j * sharp_side;
+        for (int i = 0; i < sharp_side; ++i) to[i] = print.at(texel_x[i], texel_y[i]) * (1 / WHITE);
     }
     std::array<float, MOST_SOFT * MOST_SOFT> soft;
     soften(sharp.data(), kernel_.shares.data(), kernel_.radius, soft_side, soft.data());

@@ -156,12 +156,11 @@ struct State {
         for (Eigen::Index i = 0; i < problem.count(); ++i) {
             const Linearised made = linearised(numbers, homography, problem.point(i));
             const Eigen::Vector2d error = problem.target(i) - made.place - aside;
-            normal.selfadjointView<Eigen::Lower>().rankUpdate(made.jacobian.transpose());
+            normal += made.jacobian.transpose().lazyProduct(made.jacobian);
             right += made.jacobian.transpose() * error;
             cost += error.squaredNorm();
             steepest = std::max(steepest, made.jacobian.cwiseAbs().maxCoeff());
         }
-        normal = normal.selfadjointView<Eigen::Lower>();
         cost += weights.dot(numbers.cwiseProduct(numbers));
         right -= weights.cwiseProduct(numbers);
         normal.diagonal() += weights;
