@@ -22,6 +22,7 @@ from .limits import Motion, MotionLimits
 from .odometry import OdometryStream, Stamped
 from .protocol import (
     Acknowledged,
+    Advice,
     ClockExchange,
     Connected,
     Damaged,
@@ -118,7 +119,7 @@ class Bridge:
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
         self._number = number
-        self._refused_for = ""
+        self._refused_for = self._complaint = ""
         self._vitals = Vitals(0, 0)
         self._answer_ms = 0.0
 
@@ -146,6 +147,11 @@ class Bridge:
     def connected(self) -> Connected | None:
         """Who is at the port; None until it identifies itself."""
         return self._connected
+
+    @property
+    def complaint(self) -> str:
+        """What was wrong with what came since the last good reading; "" if nothing was."""
+        return self._complaint
 
     @property
     def answer_ms(self) -> float:
@@ -260,6 +266,7 @@ class Bridge:
         assert odometry is not None  # its stamp was checked above
         assert self._stream.last is not None
         self._gate.add_odometry(self._stream.last)
+        self._complaint = ""
         self._health.count("odometry")
         return odometry
 
@@ -270,7 +277,7 @@ class Bridge:
             return True
         if motion is Motion.IMPOSSIBLE:
             self._health.lose("odometry_impossible")
-            self._health.fail(
+            self._complain(
                 f"odometry of robot {self._robot} is refused: it moves further than max_speed or "
                 "max_turn in the site file allow"
             )
@@ -315,15 +322,23 @@ class Bridge:
         match event:
             case Damaged():
                 self._health.lose(f"serial_{event.kind.value}_errors")
+                if event.text:
+                    self._complain(event.text)
+            case Advice():
+                _log.warning("%s", event.text)
             case Missing():
                 self._health.lose("serial_frames_missing", event.frames)
             case Unanswered():
                 self._health.lose("corrections_unanswered")
             case Mismatched():
                 self._connected = None
-                self._health.fail(event.text)
+                self._complain(event.text)
             case Silent():
-                self._health.fail(f"robot {self._robot} is silent; is it on, and is `baud` right?")
+                self._complain(f"robot {self._robot} is silent; is it on, and is `baud` right?")
+
+    def _complain(self, text: str) -> None:
+        self._complaint = text
+        self._health.fail(text)
 
     def _refuse_by(self, refused: Refused) -> None:
         if refused.reason is Refusal.WAITING:
