@@ -169,6 +169,12 @@ class Bridge:
         with self._lock:
             return self._gate.state
 
+    def place(self) -> tuple[Pose, Array] | None:
+        """The robot's pose in the map now and its (6, 6) covariance; None if it is unknown."""
+        with self._lock:
+            believed = self._gate.believed()
+            return None if believed is None else believed[1:]
+
     def unix_ns(self, elapsed_ns: int) -> int:
         """Unix time on the time scale of the odometry's stamps."""
         return self._stamps.unix_ns(elapsed_ns)

@@ -162,6 +162,10 @@ site = "lab"
 target = "target.toml"          # default for every robot
 """
 
+_EXPECT = """\
+# expect = ["fusion"]           # and "recorder": what must run; none: what was ever seen alive
+"""
+
 
 _FIRST_KEYS = ("source", "width", "height", "rate", "intrinsics", "horizontal_fov")
 
@@ -193,7 +197,7 @@ def full_site_text() -> str:
         _commented(_table("map", MapConfig)),
         _commented(_table("map.points.c1", PointConfig)),
     ]
-    return "\n".join([_HEAD, *tables])
+    return "\n".join([_HEAD + _EXPECT, *tables])
 
 
 def _commented(table: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 
 from trigpoint.messages import DiagnosticStatus
+from trigpoint.peers import MET
 from trigpoint.topics import topic_of
 
 _NO_GAUGES = (
@@ -17,6 +18,7 @@ _NO_GAUGES = (
     "started",
     "uptime",
     "last_error",
+    MET,
 )
 STATES = ("ok", "warning", "error", "stale")
 
@@ -71,10 +73,12 @@ def summarise(
     tokens: Iterable[str],
     statuses: Iterable[DiagnosticStatus],
     wanted: Iterable[str] = (),
+    expect: Iterable[str] | None = None,
     time: str = "",
 ) -> SiteStatus:
     """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
-    the site file."""
+    the site file; `expect`: the kinds of node needed beside them, by default those that another
+    node has heard since it started."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
@@ -84,8 +88,25 @@ def summarise(
     nodes += [
         NodeStatus(name, "missing", "named in the site file; not running") for name in missing
     ]
+    nodes += _absent(expect, {name.partition("/")[0] for name in alive | spoken}, latest.values())
     nodes.sort(key=lambda node: node.name)
     return SiteStatus(site, peers, nodes, _versions(nodes), time)
+
+
+def _absent(
+    expect: Iterable[str] | None, present: set[str], statuses: Iterable[DiagnosticStatus]
+) -> list[NodeStatus]:
+    """The kinds of node that are expected, but of which none is there."""
+    if expect is not None:
+        kinds, why = set(expect), "expected by the site file (`expect`); not running"
+    else:
+        heard = (status.values.get(MET, "") for status in statuses)
+        kinds = {kind for text in heard for kind in text.split(", ") if kind}
+        why = (
+            "was running, and is not any more; where the site does not need it, write `expect` at "
+            "the top of the site file"
+        )
+    return [NodeStatus(kind, "missing", why) for kind in kinds - present]
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:

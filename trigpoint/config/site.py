@@ -1,7 +1,7 @@
 """site.toml: one frozen configuration for a whole site; each node reads its own part."""
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from msgspec import Struct
 
@@ -18,6 +18,8 @@ from .recorder import RecorderConfig
 from .robot import RobotConfig
 
 _Item = TypeVar("_Item")
+Server = Literal["fusion", "recorder"]
+"""What a site may need beside its cameras' agents and its robots' bridges."""
 
 
 class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -25,6 +27,7 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     cameras: dict[str, CameraConfig]
     robots: dict[str, RobotConfig]
     target: str | None = None
+    expect: tuple[Server, ...] | None = None
     bus: BusConfig = BusConfig()
     fusion: FusionConfig = FusionConfig()
     recorder: RecorderConfig = RecorderConfig()
@@ -62,7 +65,8 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Site(Struct, frozen=True):
-    """A whole site. `directory`: the folder to which the file's paths are relative."""
+    """A whole site. `directory`: the folder to which the file's paths are relative; `expect`: what
+    runs beside agents and bridges, None if that is whatever was seen alive."""
 
     name: str
     cameras: dict[str, CameraConfig]
@@ -73,6 +77,7 @@ class Site(Struct, frozen=True):
     directory: Path
     text: str
     default_target: str | None = None
+    expect: tuple[Server, ...] | None = None
     router: RouterConfig = RouterConfig()
     map: MapConfig | None = None
 
@@ -123,6 +128,7 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
         directory=directory,
         text=text,
         default_target=file.target,
+        expect=file.expect,
         router=file.router,
         map=file.map,
     )

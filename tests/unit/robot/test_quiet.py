@@ -9,7 +9,7 @@ from trigpoint.config import RobotConfig
 from trigpoint.health import Health
 from trigpoint.robot.bridge import Bridge
 from trigpoint.robot.protocol import Connected, Damaged, DamageKind, Event
-from trigpoint.robot.quiet import OdometryWatch, why_nothing
+from trigpoint.robot.quiet import CorrectionWatch, OdometryWatch, why_nothing
 from trigpoint.robot.stamps import Offset
 
 
@@ -60,3 +60,39 @@ def test_port_without_odometry_is_said_every_five_seconds() -> None:
     health.fail("")
     watch.look(to_ns(30.0))
     assert health.last_error == ""
+
+
+@dataclass
+class Listener:
+    """A node that heard fusion so long ago."""
+
+    health: Health
+    fusion_away_s: float | None = None
+
+    def silent_s(self, server: str) -> float | None:
+        assert server == "fusion"
+        return self.fusion_away_s
+
+
+def test_missing_corrections_are_an_error_only_where_fusion_went_away() -> None:
+    health = Health(ManualClock())
+    node = Listener(health, 0.5)
+    watch = CorrectionWatch("r1", bridge(health), node)
+    watch.look(to_ns(1.0))
+    health.count("corrections")
+    watch.look(to_ns(2.0))
+    watch.look(to_ns(11.0))
+    assert (health.held, words(health)) == ({}, "")
+    watch.look(to_ns(14.0))
+    assert health.held == {}
+    assert "no corrections for 12 s: no located camera sees" in words(health)
+    node.fusion_away_s = 6.0
+    watch.look(to_ns(15.0))
+    assert "no corrections for 13 s: fusion is not running" in health.held["corrections"]
+    health.count("corrections")
+    watch.look(to_ns(16.0))
+    assert (health.held, words(health)) == ({}, "")
+
+
+def words(health: Health) -> str:
+    return health.report().values["uncorrected"]
