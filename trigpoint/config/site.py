@@ -25,7 +25,7 @@ Server = Literal["fusion", "recorder"]
 class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     site: str
     cameras: dict[str, CameraConfig]
-    robots: dict[str, RobotConfig]
+    robots: dict[str, RobotConfig] = {}
     target: str | None = None
     expect: tuple[Server, ...] | None = None
     bus: BusConfig = BusConfig()
@@ -41,8 +41,8 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
             *(("robot", name) for name in self.robots),
         ]:
             validate_name(what, name)
-        if not self.cameras or not self.robots:
-            raise ValueError("a site needs at least one camera and one robot; add them")
+        if not self.cameras:
+            raise ValueError("a site needs at least one camera; add it")
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
                 raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
@@ -95,13 +95,27 @@ class Site(Struct, frozen=True):
         assert name is not None  # guaranteed by the file's check
         return name
 
+    @property
+    def target_names(self) -> list[str]:
+        """The paths of the target files that cameras look for: every robot's, or the site's own
+        where there is no robot yet."""
+        if not self.robots and self.default_target is not None:
+            return [self.default_target]
+        return [self.target_name(robot) for robot in self.robots]
+
     def path(self, relative: str) -> Path:
         """A path from the file, made absolute or relative to the working folder."""
         return self.directory / relative
 
     @property
     def first_robot(self) -> str:
-        """The robot whose odometry frame is the map's origin."""
+        """The robot whose odometry frame is the map's origin; raise ConfigError where the site has
+        none, so that nothing can be located."""
+        if not self.robots:
+            raise ConfigError(
+                f"site {self.name} has no robot, and cameras are located by one that drives past "
+                "them; add [robots.r1] to the site file (cameras alone: edge, record, view, status)"
+            )
         return next(iter(self.robots))
 
 
@@ -136,6 +150,6 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
 
 def _pick(items: dict[str, _Item], name: str, kind: str) -> _Item:
     if name not in items:
-        known = ", ".join(items)
+        known = ", ".join(items) or "none"
         raise ConfigError(f"there is no {kind} «{name}» in the site file; it has {known}")
     return items[name]

@@ -138,6 +138,13 @@ def test_a_picture_read_out_from_below_takes_as_long() -> None:
     assert camera.readout_s == pytest.approx(0.0144)
 
 
+def test_site_of_cameras_alone_is_read_and_locates_nothing() -> None:
+    site = make_site(robots=0)
+    assert site.target_names == ["target.toml"]
+    with pytest.raises(ConfigError, match=r"has no robot.*add \[robots.r1\]"):
+        _ = site.first_robot
+
+
 def test_expected_server_is_one_that_there_is() -> None:
     text = site_text()
     assert parse_site(text, directory=Path()).expect is None
