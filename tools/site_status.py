@@ -1,13 +1,15 @@
 """Summarises what a site's nodes report about themselves."""
 
+import re
 import textwrap
 from collections.abc import Iterable
 
 from msgspec import Struct
 
+from trigpoint.health import LOST_SO_FAR
 from trigpoint.messages import DiagnosticStatus
 from trigpoint.peers import MET
-from trigpoint.topics import topic_of
+from trigpoint.topics import SIGHTINGS, topic_of
 
 _NO_GAUGES = (
     "version",
@@ -20,6 +22,7 @@ _NO_GAUGES = (
     "last_error",
     MET,
 )
+_FACES = "faces"
 STATES = ("ok", "warning", "error", "stale")
 
 
@@ -201,12 +204,14 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
 
 def _notes(node: NodeStatus) -> list[str]:
     """Remarks on a node, one per line; none for an idle one."""
-    rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
+    told = _by_topic(node.rates).items()
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in told if rate or name == _FACES)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
     notes = [rates, words, losses and f"lost: {losses}"]
-    notes += ["" if node.message == "running" else node.message]
-    if node.last_error != node.message:
+    is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
+    notes += ["" if is_told else node.message]
+    if _without_numbers(node.last_error) != _without_numbers(node.message):
         notes += [node.last_error and f"last error: {node.last_error}"]
     return [note for note in notes if note]
 
@@ -214,7 +219,7 @@ def _notes(node: NodeStatus) -> list[str]:
 def _by_topic(rates: dict[str, float]) -> dict[str, float]:
     """Rates of counters like «sent lab/camera/c1/sightings», summed over the cameras or robots, and
     those others that add information: «sightings» is merely the queue of what was received or
-    recorded."""
+    recorded, and their messages, most of them empty, say less than the faces in them."""
     sums: dict[str, float] = {}
     for name, rate in rates.items():
         verb, _, key = name.partition(" ")
@@ -222,4 +227,11 @@ def _by_topic(rates: dict[str, float]) -> dict[str, float]:
         short = f"{verb} {topic.name}" if topic is not None else name
         sums[short] = round(sums.get(short, 0.0) + rate, 1)
     told = {name.partition(" ")[2] for name in sums if name.startswith(("received ", "recorded "))}
+    if _FACES in sums:
+        told |= {name for name in sums if name.endswith(f" {SIGHTINGS.name}")}
     return {name: rate for name, rate in sums.items() if name not in told}
+
+
+def _without_numbers(text: str) -> str:
+    """A text as it is however long its trouble has lasted."""
+    return re.sub(r"\d+", "", text)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+import msgspec
 import pytest
 from builders import site_text
 
@@ -178,3 +179,15 @@ def test_what_was_seen_alive_or_is_expected_is_missing_where_nobody_runs_it() ->
     assert (name, "expected by the site file" in why) == ("fusion", True)
     unmet = DiagnosticStatus(0, "robot/r1", "running", "", {"met": ""})
     assert missing(None, unmet, silent) == []
+
+
+def test_faces_are_told_instead_of_messages_and_each_trouble_once() -> None:
+    rates = {"pictures": 5.0, "sent lab/camera/c1/sightings": 5.0, "faces": 0.0}
+    agent = NodeStatus("edge/c1", "warning", "lost so far: 2 pictures", rates=rates)
+    agent = msgspec.structs.replace(agent, losses={"pictures": 2})
+    text = table(SiteStatus("lab", 0, [agent]))
+    assert "pictures 5, faces 0" in text
+    assert (text.count("sightings"), text.count("2 pictures")) == (0, 1)
+    error, last = (f"no corrections for {seconds} s: fusion" for seconds in (21, 11))
+    bridge = NodeStatus("robot/r1", "error", error, last_error=last)
+    assert "last error" not in table(SiteStatus("lab", 0, [bridge]))
