@@ -138,7 +138,7 @@ def test_a_drawn_length_or_velocity_is_read_and_what_it_lacked_remembered(
     length: float, velocities: list[float], covariance: float
 ) -> None:
     sound = Odometry(5, "odom", "base", Pose.planar(1.0, 2.0, 0.7))
-    found = store().deserialize_cdr(cdr.encode(sound), ODOMETRY)
+    found: Any = store().deserialize_cdr(cdr.encode(sound), ODOMETRY)
     turn, twist = found.pose.pose.orientation, found.twist.twist
     turn.x, turn.y, turn.z, turn.w = (length * q for q in (turn.x, turn.y, turn.z, turn.w))
     for axis, v, w in zip("xyz", velocities[:3], velocities[3:], strict=True):
