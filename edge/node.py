@@ -245,5 +245,5 @@ class EdgeNode:
 
 
 def load_targets(site: Site) -> list[Target]:
-    """Every robot's target, one per robot; raises TargetError."""
-    return [load_target(site.path(site.target_name(robot))) for robot in site.robots]
+    """Every robot's target, one per robot, or the site's own; raises TargetError."""
+    return [load_target(site.path(name)) for name in site.target_names]

@@ -95,4 +95,6 @@ class Inbox:
             return None
         self._diagnostics.heard(sample.key, at_ns)
         self._node.health.count(f"received {sample.key}")
+        if isinstance(message, Sightings):
+            self._node.health.count("faces", len(message.faces))
         return sample, message

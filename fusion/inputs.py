@@ -29,6 +29,7 @@ def make_inputs(
 ) -> Inputs:
     """Inputs from targets and lenses that are loaded already."""
     check_estimator(site)
+    _ = site.first_robot  # refuses a site without one, before anything is opened
     known = KnownCameras.none() if network is None else load_known(network, site)
     for name in known.poses:
         lenses.setdefault(name, _lens_in(network, name))

@@ -26,6 +26,7 @@ from .intake.admission import Admission
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage
+from .output import CameraAccuracy
 from .pipeline import Inputs, Output, Pipeline
 from .solver.snapshot import GuidanceWorld
 
@@ -78,6 +79,7 @@ class FusionNode:
         self._pipeline = Pipeline(inputs, is_live=False, solver=self._solver)
         self._announced: dict[str, bytes] = {}
         self._located_count = 0
+        self._accuracy = CameraAccuracy(list(inputs.site.cameras))
         self._longest_s = 0.0
         self._path = out / "checkpoint.bin"
         self._storage: MapStorage | None = None
@@ -231,6 +233,8 @@ class FusionNode:
             attachment = self._signer.sign(key, payload, attachment)
         self._publishers[key].put(payload, attachment=attachment)
         self._node.health.count(f"sent {key}")
+        if words := self._accuracy.words_after(output):
+            self._node.health.describe("cameras", words)
 
     def _guidance_world(self) -> GuidanceWorld | None:
         with self._lock:
@@ -365,6 +369,7 @@ class FusionNode:
                 self._solver = self._make_solver()
             self._pipeline = Pipeline(self._inputs, solver=self._solver)
             self._diagnostics.restart()
+            self._node.health.describe("cameras", "")
             for key, payload in self._announced.items():  # a camera says it once
                 message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
                 self._open_storage.store(key, payload, message)

@@ -1,8 +1,10 @@
-"""The messages that fusion sends."""
+"""The messages that fusion sends, and what they say to people."""
 
+import math
 from dataclasses import dataclass
 
-from trigpoint.messages import Message
+from trigpoint import topics
+from trigpoint.messages import Message, PoseEstimate, Transforms
 from trigpoint.topics import Topic
 
 
@@ -14,3 +16,27 @@ class Output:
     node: str
     message: Message
     attachment: bytes = b""
+
+
+class CameraAccuracy:
+    """Which cameras are located, and how well, from what is sent about them."""
+
+    def __init__(self, cameras: list[str]) -> None:
+        self._cameras = cameras
+        self._sigmas_m: dict[str, float] = {}
+
+    def words_after(self, output: Output) -> str:
+        """«c1 ± 0.8 cm, c2 not located», the largest sigma of the three axes; "" where this output
+        is not the one that names all located cameras."""
+        message = output.message
+        if output.topic is topics.CAMERA_POSE and isinstance(message, PoseEstimate):
+            self._sigmas_m[output.node] = math.sqrt(message.covariance.diagonal()[:3].max())
+        if output.topic is not topics.TF_STATIC or not isinstance(message, Transforms):
+            return ""
+        located = {one.child.partition("/")[0] for one in message.transforms}
+        return ", ".join(self._of(name, is_located=name in located) for name in self._cameras)
+
+    def _of(self, camera: str, *, is_located: bool) -> str:
+        if not is_located:
+            return f"{camera} not located"
+        return f"{camera} ± {100 * self._sigmas_m[camera]:.1f} cm"

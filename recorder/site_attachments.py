@@ -28,7 +28,7 @@ def site_files(site: Site) -> list[tuple[str, bytes, str]]:
     Raises ConfigError or TargetError where a file is missing or wrong.
     """
     files = [(SITE_ATTACHMENT, without_passwords(site.text).encode(), _TOML)]
-    for name in dict.fromkeys(site.target_name(robot) for robot in site.robots):
+    for name in dict.fromkeys(site.target_names):
         path = site.path(name)
         text = read_text(path, "target file", TargetError)
         parse_target(text, file=str(path))

@@ -22,6 +22,7 @@ from .limits import Motion, MotionLimits
 from .odometry import OdometryStream, Stamped
 from .protocol import (
     Acknowledged,
+    Advice,
     ClockExchange,
     Connected,
     Damaged,
@@ -118,7 +119,7 @@ class Bridge:
         self._gate = SafetyGate(config)
         self._connected: Connected | None = None
         self._number = number
-        self._refused_for = ""
+        self._refused_for = self._complaint = ""
         self._vitals = Vitals(0, 0)
         self._answer_ms = 0.0
 
@@ -148,6 +149,11 @@ class Bridge:
         return self._connected
 
     @property
+    def complaint(self) -> str:
+        """What was wrong with what came since the last good reading; "" if nothing was."""
+        return self._complaint
+
+    @property
     def answer_ms(self) -> float:
         """How long the robot took to acknowledge the last correction, milliseconds."""
         return self._answer_ms
@@ -162,6 +168,12 @@ class Bridge:
         """Whether the robot's pose is known, in words for people."""
         with self._lock:
             return self._gate.state
+
+    def place(self) -> tuple[Pose, Array] | None:
+        """The robot's pose in the map now and its (6, 6) covariance; None if it is unknown."""
+        with self._lock:
+            believed = self._gate.believed()
+            return None if believed is None else believed[1:]
 
     def unix_ns(self, elapsed_ns: int) -> int:
         """Unix time on the time scale of the odometry's stamps."""
@@ -260,6 +272,7 @@ class Bridge:
         assert odometry is not None  # its stamp was checked above
         assert self._stream.last is not None
         self._gate.add_odometry(self._stream.last)
+        self._complaint = ""
         self._health.count("odometry")
         return odometry
 
@@ -270,7 +283,7 @@ class Bridge:
             return True
         if motion is Motion.IMPOSSIBLE:
             self._health.lose("odometry_impossible")
-            self._health.fail(
+            self._complain(
                 f"odometry of robot {self._robot} is refused: it moves further than max_speed or "
                 "max_turn in the site file allow"
             )
@@ -315,15 +328,23 @@ class Bridge:
         match event:
             case Damaged():
                 self._health.lose(f"serial_{event.kind.value}_errors")
+                if event.text:
+                    self._complain(event.text)
+            case Advice():
+                _log.warning("%s", event.text)
             case Missing():
                 self._health.lose("serial_frames_missing", event.frames)
             case Unanswered():
                 self._health.lose("corrections_unanswered")
             case Mismatched():
                 self._connected = None
-                self._health.fail(event.text)
+                self._complain(event.text)
             case Silent():
-                self._health.fail(f"robot {self._robot} is silent; is it on, and is `baud` right?")
+                self._complain(f"robot {self._robot} is silent; is it on, and is `baud` right?")
+
+    def _complain(self, text: str) -> None:
+        self._complaint = text
+        self._health.fail(text)
 
     def _refuse_by(self, refused: Refused) -> None:
         if refused.reason is Refusal.WAITING:

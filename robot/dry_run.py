@@ -25,6 +25,7 @@ from .line import Line
 from .node import port_url, protocol_setup
 from .port import PortOpener
 from .protocol import Event, Mismatched, RobotCorrection, Takes, Traits, make_protocol
+from .quiet import why_nothing
 from .relocation import ask_for_map
 from .ros2 import FOREIGN, TRAITS, foreign_keys, reading_of, ros_topic
 from .stamps import measured_offset
@@ -68,7 +69,8 @@ class _Session:
         self.stopping = threading.Event()
         self.trouble = ""
         self.pose = (0.0, 0.0, 0.0)
-        self._line: Line | None = None
+        self.line: Line | None = None
+        self._said = ""
         traits = TRAITS
         if self.config.protocol_name != ROS2_PROTOCOL:
             traits = self._open_line()
@@ -81,14 +83,14 @@ class _Session:
         opener = PortOpener(url, self.config.baud)
         opener.open().close()  # raises at once if it cannot be opened
         protocol = make_protocol(protocol_setup(self.site, self.robot, self.clock))
-        self._line = Line(
+        self.line = Line(
             opener.open, protocol, clock=self.clock, handle=self.handle, failed=self._fail
         )
         return protocol.traits
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        runs = (self._line.read_until, self._line.write_until) if self._line else ()
+        runs = (self.line.read_until, self.line.write_until) if self.line else ()
         threads = [threading.Thread(target=run, args=(self.stopping,)) for run in runs]
         for thread in threads:
             thread.start()
@@ -106,6 +108,11 @@ class _Session:
         if odometry is not None:
             x, y, _ = (float(value) for value in odometry.pose.translation)
             self.pose = (x, y, float(odometry.pose.heading))
+
+    def news(self) -> str:
+        """What the live bridge would report as wrong; "" where it was said before."""
+        before, self._said = self._said, self.health.last_error
+        return self._said if self._said != before else ""
 
     def _fail(self, text: str) -> None:
         self.trouble = self.trouble or text
@@ -228,6 +235,8 @@ def _say_second(session: _Session, say: Say, before: int) -> int:
         sum(health.lost(name) for name in _TROUBLE),
     )
     say(str(glance))
+    if news := session.news():
+        say(f"     {news}")
     if health.total("corrections"):
         say(f"     corrections: {health.total('corrections')} came; place {session.bridge.state}")
     return total
@@ -260,8 +269,5 @@ def _why_nothing(session: _Session) -> str:
             f"no odometry of robot {robot} comes on the bus; does its bridge run as a client of "
             "this site (docs/ros2.md), and is `topic` right?"
         )
-    if session.bridge.connected is not None:
-        return f"robot {robot} answers but sends no odometry; look at its firmware"
-    if sum(session.health.lost(name) for name in _TROUBLE):
-        return f"only garbage comes from robot {robot}; compare `baud` with the firmware's"
-    return f"nothing comes from robot {robot}; is it on, and is `port` the right one?"
+    assert session.line is not None  # every other robot is at a port
+    return why_nothing(robot, session.config.protocol_name, session.line, session.bridge)

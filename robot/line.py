@@ -13,7 +13,7 @@ from typing import Protocol as Interface
 from trigpoint.clock import Clock, to_ns, to_seconds
 from trigpoint.errors import PortError
 
-from .protocol import Event, LocatedPose, Protocol, RobotCorrection
+from .protocol import Event, LocatedPose, Protocol, RobotCorrection, readable
 
 _log = logging.getLogger(__name__)
 
@@ -23,6 +23,8 @@ LONGEST_PAUSE_S = 1.0
 # A port that never opens is probably misspelt; one that once opened will come back.
 PATIENCE_S = 5.0
 _LONGEST_WAIT_S = 0.25
+# A line of text, or a frame or two.
+_TAIL = 80
 
 
 Beat = Callable[[], object]
@@ -67,12 +69,19 @@ class Line:
         self._writing = threading.Lock()
         # When the writer next looks by itself: anything due earlier must wake it.
         self._wakes_ns = 0
+        self._tail = b""
         self.opened = 0
 
     @property
     def is_open(self) -> bool:
         """Whether the port is open now."""
         return self._port is not None
+
+    @property
+    def last_line(self) -> str:
+        """The last line that came, what is not printable escaped; "" if no byte came."""
+        lines = self._tail.splitlines()
+        return next((readable(line) for line in reversed(lines) if line.strip()), "")
 
     def correct(self, correction: RobotCorrection) -> None:
         """Send a correction now: handing it to the writer would take longer than writing it. Any
@@ -121,7 +130,10 @@ class Line:
         while not stopping.is_set():
             beat()
             with self._changed:
-                self._changed.wait_for(self._is_due, self._wait_s())
+                # One wait a turn: `wait_for` would go on with a time-out that is out of date when
+                # what comes makes the next question due earlier.
+                if not self._is_due():
+                    self._changed.wait(self._wait_s())
                 events = self._protocol.elapse(self._clock.elapsed_ns())
             self._give_out(events)
             self._write_due()
@@ -157,6 +169,7 @@ class Line:
             beat()
             data, received_ns = port.read()
             if data:
+                self._tail = (self._tail + data)[-_TAIL:]
                 with self._changed:
                     events = self._protocol.receive(data, received_ns)
                     self._wake_writer()

@@ -19,6 +19,7 @@ from .line import Line
 from .places import Places
 from .port import PortOpener, is_device, lasting_name
 from .protocol import Event, RobotCorrection, Setup, Takes, make_protocol
+from .quiet import CorrectionWatch, OdometryWatch
 from .relocation import MapQuestion
 from .stamps import measured_offset
 
@@ -49,6 +50,10 @@ class RobotNode:
             handle=self._handle,
             failed=node.health.fail,
         )
+        self._odometry_watch = OdometryWatch(
+            robot, config.protocol_name, self._line, self._bridge, node.health
+        )
+        self._correction_watch = CorrectionWatch(robot, self._bridge, node)
         self._clock_watch = ClockWatch(
             bus,
             node,
@@ -104,8 +109,10 @@ class RobotNode:
 
     def _firmware_clock_s(self) -> float:
         """The firmware clock's reading, 0 if unknown. It is called once a second, so it also lets
-        the bridge follow this machine's clock if that was set."""
+        the bridge follow this machine's clock if that was set, and notices what does not come."""
         self._bridge.follow(self._clock)
+        self._odometry_watch.look(self._clock.elapsed_ns())
+        self._correction_watch.look(self._clock.elapsed_ns())
         zero_ns = self._bridge.clock.machine_ns(0)
         return 0.0 if zero_ns is None else to_seconds(self._clock.elapsed_ns() - zero_ns)
 

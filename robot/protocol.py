@@ -145,9 +145,11 @@ class DamageKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """Received bytes that were discarded."""
+    """Received bytes that were discarded. `text`: what they were and what to do, where more than
+    noise on the line must be wrong."""
 
     kind: DamageKind
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +164,16 @@ class Silent:
     """Nothing arrived for a while; the protocol asks again who is there."""
 
 
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What is used as it comes, but had better be written in the site file."""
+
+    text: str
+
+
 Event = (
     Connected
+    | Advice
     | Mismatched
     | Reading
     | ClockExchange
@@ -267,3 +277,9 @@ def protocol_class(name: str) -> Callable[[Setup], Protocol]:
         return point.load()
     known = ", ".join(known_protocols())
     raise ConfigError(f"there is no robot protocol «{name}»; site.toml may name {known}")
+
+
+def readable(line: bytes) -> str:
+    """A line for people, without blanks around it; what is not printable is escaped."""
+    text = line.decode("ascii", "backslashreplace").replace("\t", " ").strip()
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)

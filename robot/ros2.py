@@ -25,6 +25,7 @@ from .bridge import Bridge
 from .corrections import Corrections, subscribed
 from .places import Places
 from .protocol import Connected, Event, Reading, RobotCorrection, StampClock, Takes, Traits
+from .quiet import CorrectionWatch
 from .relocation import MapQuestion
 from .stamps import measured_offset
 
@@ -61,6 +62,7 @@ class RosRobotNode:
         offset = measured_offset(self._clock)
         self._bridge = Bridge(robot, config, node.health, offset, TRAITS)
         self._corrections = Corrections(site, self._bridge, node.health, self._clock, self._hand_on)
+        self._correction_watch = CorrectionWatch(robot, self._bridge, node)
         self._publisher: Publisher | None = None
         self._places: Places | None = None
 
@@ -83,8 +85,9 @@ class RosRobotNode:
 
     def _odometry_ahead_ms(self) -> float:
         """How far the robot's clock is ahead. It is called once a second, so it also lets the
-        bridge follow this machine's clock if that was set."""
+        bridge follow this machine's clock if that was set, and notices missing corrections."""
         self._bridge.follow(self._clock)
+        self._correction_watch.look(self._clock.elapsed_ns())
         return 1e3 * self._bridge.odometry_ahead_s
 
     def _reader(self, samples: Subscription) -> Callable[[Pulse], None]:

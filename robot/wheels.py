@@ -61,8 +61,8 @@ class WheelOdometry:
         self._stamp_ns = stamp_ns
         if before is None:
             return self.add_way(0.0, 0.0, geometry.track_m, 0.0)
-        left_m = geometry.left_m * _nearest(left - before[0], geometry.bits)
-        right_m = geometry.right_m * _nearest(right - before[1], geometry.bits)
+        left_m = geometry.left_m * nearest(left - before[0], geometry.bits)
+        right_m = geometry.right_m * nearest(right - before[1], geometry.bits)
         return self.add_way(left_m, right_m, geometry.track_m, elapsed_s)
 
     def add_way(
@@ -82,7 +82,7 @@ class WheelOdometry:
         return Pose.planar(self._x, self._y, self._heading), linear, angular
 
 
-def _nearest(difference: int, bits: int) -> int:
+def nearest(difference: float, bits: int) -> float:
     """The difference nearest to zero of two counters that wrap."""
     half = 1 << (bits - 1)
     return (difference + half) % (1 << bits) - half

@@ -22,7 +22,7 @@ def check_boards(site: Site, camera: str) -> list[Check]:
         return []
     path = site.path(place.partition("?")[0])
     try:
-        targets = [load_target(site.path(site.target_name(robot))) for robot in site.robots]
+        targets = [load_target(site.path(name)) for name in site.target_names]
         detector = detector_for(targets)
         account = PictureAccount()
         for still in islice(stills([path], account=account), _PICTURES):

@@ -36,7 +36,8 @@ def check_time_service(site: Site | None, ask: Ask | None = None) -> Check:
             "neither chrony nor systemd-timesyncd says how far this machine's clock is off",
             "install chrony, with the same server on every machine of the site",
         )
-    noises = [robot.odometry for robot in site.robots.values()] if site else [OdometryNoise()]
+    robots = site.robots.values() if site else ()
+    noises = [robot.odometry for robot in robots] or [OdometryNoise()]
     limit_s = min(noise.bearable_clock_offset_s for noise in noises)
     text = f"{service.name}: {1e3 * service.offset_s:+.3f} ms off"
     if abs(service.offset_s) <= limit_s:

@@ -79,8 +79,7 @@ def _targets(target: Path | None, site: Path | None) -> list[Target]:
     if site is None:
         raise InputError("no target is given; give --target FILE, or --site FILE")
     loaded = load_site(site)
-    names = dict.fromkeys(loaded.target_name(robot) for robot in loaded.robots)
-    return [load_target(loaded.path(name)) for name in names]
+    return [load_target(loaded.path(name)) for name in dict.fromkeys(loaded.target_names)]
 
 
 def _write(out: Path, found: Calibration, count: int) -> list[Path]:

@@ -65,6 +65,8 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
     (WheelConfig, "ticks"): "counts a turn of a wheel",
     (WheelConfig, "left_scale"): "the left wheel's diameter by the one above; below 0: reversed",
     (WheelConfig, "right_scale"): "the same of the right wheel",
+    (WheelConfig, "bits"): "ros_arduino_bridge: at how many bits its counts wrap, 32 or 16",
+    (WheelConfig, "order"): 'which count is of which side, like "lrlr"; -: of none',
     (MavlinkConfig, "system"): "the bridge's system id: the vehicle's own",
     (MavlinkConfig, "component"): "the bridge's component id (197: visual inertial odometry)",
     (MavlinkConfig, "send"): "the message that tells a pose: odometry or vision",
@@ -129,6 +131,7 @@ _EXAMPLES = {
     (CameraConfig, "source"): "v4l2:///dev/video0",
     (RobotConfig, "target"): "target.toml",
     (RouterConfig, "picture_rate"): 2.0,
+    (WheelConfig, "bits"): 16,
     (RobotConfig, "topic"): "/r1/odom",
     (MavlinkConfig, "key"): "mavlink.key",
     (MapConfig, "origin"): (0.0, 0.0, 0.0),
@@ -157,6 +160,10 @@ _HEAD = """\
 # `trigpoint doctor --site site.toml` says whether it fits this machine.
 site = "lab"
 target = "target.toml"          # default for every robot
+"""
+
+_EXPECT = """\
+# expect = ["fusion"]           # and "recorder": what must run; none: what was ever seen alive
 """
 
 
@@ -190,7 +197,7 @@ def full_site_text() -> str:
         _commented(_table("map", MapConfig)),
         _commented(_table("map.points.c1", PointConfig)),
     ]
-    return "\n".join([_HEAD, *tables])
+    return "\n".join([_HEAD + _EXPECT, *tables])
 
 
 def _commented(table: str) -> str:

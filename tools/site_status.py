@@ -1,12 +1,15 @@
 """Summarises what a site's nodes report about themselves."""
 
+import re
 import textwrap
 from collections.abc import Iterable
 
 from msgspec import Struct
 
+from trigpoint.health import LOST_SO_FAR
 from trigpoint.messages import DiagnosticStatus
-from trigpoint.topics import topic_of
+from trigpoint.peers import MET
+from trigpoint.topics import SIGHTINGS, topic_of
 
 _NO_GAUGES = (
     "version",
@@ -17,7 +20,9 @@ _NO_GAUGES = (
     "started",
     "uptime",
     "last_error",
+    MET,
 )
+_FACES = "faces"
 STATES = ("ok", "warning", "error", "stale")
 
 
@@ -71,10 +76,12 @@ def summarise(
     tokens: Iterable[str],
     statuses: Iterable[DiagnosticStatus],
     wanted: Iterable[str] = (),
+    expect: Iterable[str] | None = None,
     time: str = "",
 ) -> SiteStatus:
     """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
-    the site file."""
+    the site file; `expect`: the kinds of node needed beside them, by default those that another
+    node has heard since it started."""
     alive = {token.partition("/alive/")[2] for token in tokens}
     latest = {(status.name, status.values.get("node", "")): status for status in statuses}
     nodes = [_node(status, status.name in alive) for status in latest.values()]
@@ -84,8 +91,25 @@ def summarise(
     nodes += [
         NodeStatus(name, "missing", "named in the site file; not running") for name in missing
     ]
+    nodes += _absent(expect, {name.partition("/")[0] for name in alive | spoken}, latest.values())
     nodes.sort(key=lambda node: node.name)
     return SiteStatus(site, peers, nodes, _versions(nodes), time)
+
+
+def _absent(
+    expect: Iterable[str] | None, present: set[str], statuses: Iterable[DiagnosticStatus]
+) -> list[NodeStatus]:
+    """The kinds of node that are expected, but of which none is there."""
+    if expect is not None:
+        kinds, why = set(expect), "expected by the site file (`expect`); not running"
+    else:
+        heard = (status.values.get(MET, "") for status in statuses)
+        kinds = {kind for text in heard for kind in text.split(", ") if kind}
+        why = (
+            "was running, and is not any more; where the site does not need it, write `expect` at "
+            "the top of the site file"
+        )
+    return [NodeStatus(kind, "missing", why) for kind in kinds - present]
 
 
 def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
@@ -180,12 +204,14 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
 
 def _notes(node: NodeStatus) -> list[str]:
     """Remarks on a node, one per line; none for an idle one."""
-    rates = ", ".join(f"{name} {rate:g}" for name, rate in _by_topic(node.rates).items() if rate)
+    told = _by_topic(node.rates).items()
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in told if rate or name == _FACES)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
     notes = [rates, words, losses and f"lost: {losses}"]
-    notes += ["" if node.message == "running" else node.message]
-    if node.last_error != node.message:
+    is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
+    notes += ["" if is_told else node.message]
+    if _without_numbers(node.last_error) != _without_numbers(node.message):
         notes += [node.last_error and f"last error: {node.last_error}"]
     return [note for note in notes if note]
 
@@ -193,7 +219,7 @@ def _notes(node: NodeStatus) -> list[str]:
 def _by_topic(rates: dict[str, float]) -> dict[str, float]:
     """Rates of counters like «sent lab/camera/c1/sightings», summed over the cameras or robots, and
     those others that add information: «sightings» is merely the queue of what was received or
-    recorded."""
+    recorded, and their messages, most of them empty, say less than the faces in them."""
     sums: dict[str, float] = {}
     for name, rate in rates.items():
         verb, _, key = name.partition(" ")
@@ -201,4 +227,11 @@ def _by_topic(rates: dict[str, float]) -> dict[str, float]:
         short = f"{verb} {topic.name}" if topic is not None else name
         sums[short] = round(sums.get(short, 0.0) + rate, 1)
     told = {name.partition(" ")[2] for name in sums if name.startswith(("received ", "recorded "))}
+    if _FACES in sums:
+        told |= {name for name in sums if name.endswith(f" {SIGHTINGS.name}")}
     return {name: rate for name, rate in sums.items() if name not in told}
+
+
+def _without_numbers(text: str) -> str:
+    """A text as it is however long its trouble has lasted."""
+    return re.sub(r"\d+", "", text)

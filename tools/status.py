@@ -34,8 +34,8 @@ def main(
     json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Look until interrupted.")] = False,
 ) -> None:
-    """Show the live site: who is alive, rates, losses and last errors; exit 1 where something that
-    the site file names is missing, or anything is in error."""
+    """Show the live site: who is alive, rates, losses and last errors; exit 1 where anything is in
+    error or missing: what the site file names or expects (`expect`), or what was seen alive."""
     configuration = load_site(site)
     watcher = Watcher()
     width = shutil.get_terminal_size().columns
@@ -44,7 +44,11 @@ def main(
             stop_on_signals([watcher])
         while not watcher.stopping.is_set():
             status = look(
-                bus, configuration.name, watcher.stopping, wanted=wanted_of(configuration)
+                bus,
+                configuration.name,
+                watcher.stopping,
+                wanted=wanted_of(configuration),
+                expect=configuration.expect,
             )
             if json:
                 typer.echo(msgspec.json.encode(status).decode())
@@ -76,6 +80,7 @@ def look(
     stopping: threading.Event,
     *,
     wanted: Sequence[str] = (),
+    expect: Sequence[str] | None = None,
     listen_s: float = LISTEN_S,
 ) -> SiteStatus:
     """Listen for a while and report who is there."""
@@ -93,6 +98,7 @@ def look(
         tokens=tokens,
         statuses=statuses,
         wanted=wanted,
+        expect=expect,
         time=datetime.now().astimezone().isoformat(timespec="milliseconds"),
     )
 

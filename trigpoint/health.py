@@ -11,6 +11,8 @@ from .clock import Clock, SystemClock, to_ns, to_seconds
 from .errors import MessageError
 from .messages import Mended
 
+LOST_SO_FAR = "lost so far: "
+"""How the message of a node begins that lost something lately."""
 _MEMORY_NS = to_ns(10.0)
 _MOST_SAID = 3
 
@@ -178,7 +180,7 @@ class Health:
             return Level.ERROR, self._last_error
         if self._lost_ns is not None and now_ns - self._lost_ns < _MEMORY_NS:
             lost = ", ".join(f"{count} {name}" for name, count in losses.items() if count)
-            return Level.WARN, f"lost so far: {lost}"
+            return Level.WARN, f"{LOST_SO_FAR}{lost}"
         return Level.OK, "running"
 
 

@@ -26,7 +26,7 @@ from .ending import ENDING
 from .errors import BusError, MessageError, OperationError
 from .health import Health, Level
 from .messages import Diagnostics, DiagnosticStatus
-from .peers import CLOCK_SET_BY, Peers
+from .peers import CLOCK_SET_BY, MET, Peers
 from .topics import DIAGNOSTICS, alive_key
 from .watchdog import Pulse, Watchdog
 
@@ -239,6 +239,10 @@ class Node:
         """Names of the nodes whose clocks were set and are not yet followed."""
         return self._peers.doubted_names
 
+    def silent_s(self, server: str) -> float | None:
+        """How long nothing has been heard of `fusion` or `recorder`; None if it never was."""
+        return self._peers.silent_s(server)
+
     def diagnostics(self) -> Diagnostics:
         """The node's current diagnostics. Called on the diagnostics thread."""
         if (more := self._bus.unsent - self.health.lost("unsent")) > 0:
@@ -258,7 +262,7 @@ class Node:
         values = (
             self._identity()
             | self._clock_values()
-            | {"peers": str(len(self._bus.peers))}
+            | {"peers": str(len(self._bus.peers)), MET: self._peers.met}
             | report.values
         )
         status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)

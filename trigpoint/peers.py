@@ -11,6 +11,9 @@ _log = logging.getLogger(__name__)
 _MEMORY_S = 5.0
 _MOST_DOUBTED = 1000
 _MOST_COMPLAINTS = 20
+MET = "met"
+"""Diagnostics value: which servers of the site a node has heard since it started."""
+SERVERS = ("fusion", "recorder")
 CLOCK_SET_BY = "clock_set_by"
 """Diagnostics value of a node whose machine's clock was set: by how many seconds."""
 
@@ -22,6 +25,7 @@ class Peers:
         self._label, self._unique, self._born_ns = label, unique, born_ns
         self._complaints: dict[str, float] = {}
         self._doubted: dict[str, float] = {}
+        self._servers_s: dict[str, float] = {}
 
     def meet(self, status: DiagnosticStatus) -> bool:
         """Take note of another node; return whether it has this node's name and is older.
@@ -31,6 +35,8 @@ class Peers:
         unique = status.values.get("node", "")
         if not unique or unique == self._unique:
             return False
+        if (kind := status.name.partition("/")[0]) in SERVERS:
+            self._servers_s[kind] = time.monotonic()
         if CLOCK_SET_BY in status.values and len(self._doubted) < _MOST_DOUBTED:
             self._doubted[status.name] = time.monotonic()
         else:
@@ -43,6 +49,16 @@ class Peers:
             return False
         self._complain(f"a second {where} is on the site; stop one of the two")
         return (_number(status.values.get("started", "")), unique) < (self._born_ns, self._unique)
+
+    @property
+    def met(self) -> str:
+        """The servers heard so far, as the diagnostics tell them."""
+        return ", ".join(sorted(self._servers_s))
+
+    def silent_s(self, server: str) -> float | None:
+        """How long nothing has been heard of a server; None if it never was. Any thread."""
+        heard_s = self._servers_s.get(server)
+        return None if heard_s is None else time.monotonic() - heard_s
 
     @property
     def doubted_names(self) -> frozenset[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trigpoint.camera_info import write_camera_info
 from trigpoint.clock import to_ns
-from trigpoint.config import BusConfig, OdometryNoise
+from trigpoint.config import BusConfig, OdometryNoise, WheelConfig
 from trigpoint.geometry import Pose
 from trigpoint.network import encode_tum
 
@@ -62,7 +62,7 @@ def write_site(
         spoken = {"protocol": protocol} if protocol != "trigpoint" else {}
         lines += _table(f"robots.{name}", {"port": port, **spoken, "target": targets[name]})
         if protocol in WHEELS:
-            lines += _table(f"robots.{name}.wheels", msgspec.structs.asdict(WHEELS[protocol]))
+            lines += _table(f"robots.{name}.wheels", _stated(WHEELS[protocol]))
         lines += _table(f"robots.{name}.odometry", _changed(robot.noise))
     lines += _table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"
@@ -99,6 +99,12 @@ def _write_targets(world: World, directory: Path) -> dict[str, str]:
     for robot, name in names.items():
         (directory / name).write_text(target_text(targets[robot]), encoding="utf-8")
     return names
+
+
+def _stated(wheels: WheelConfig) -> dict[str, object]:
+    """The values that are not the defaults."""
+    values, usual = msgspec.structs.asdict(wheels), msgspec.structs.asdict(WheelConfig())
+    return {key: value for key, value in values.items() if value != usual[key]}
 
 
 def _changed(noise: OdometryNoise) -> dict[str, object]:

@@ -7,6 +7,8 @@ from msgspec import Meta, Struct
 from .number_types import Count, NotNegative, Positive
 
 ROS2_PROTOCOL = "ros2"
+# Protocols that say how wide their counters are and which is which, or that send none.
+_COUNTS_ARE_STATED = ("trigpoint", "create2", "mavlink", ROS2_PROTOCOL)
 # NTP keeps clocks on a local network this close (chrony's documentation: well below 1 ms).
 _NTP_S = 1e-3
 
@@ -51,6 +53,15 @@ class WheelConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ticks: NotNegative = 0.0
     left_scale: float = 1.0
     right_scale: float = 1.0
+    bits: Annotated[int, Meta(ge=8, le=32)] | None = None
+    order: Annotated[str, Meta(pattern="^[lr-]+$")] = "lr"
+
+    def __post_init__(self) -> None:
+        if not {"l", "r"} <= set(self.order):
+            raise ValueError(
+                "`order` says which count is of which wheel, like "
+                '"lrlr"; it needs an l and an r (and - for a number that is no count)'
+            )
 
 
 class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -86,6 +97,13 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(
                 f"protocol «{self.protocol}» needs a port; write one like "
                 'port = "/dev/serial/by-id/…"'
+            )
+        if self.protocol_name in _COUNTS_ARE_STATED and (
+            self.wheels.bits is not None or self.wheels.order != WheelConfig().order
+        ):
+            raise ValueError(
+                f"`wheels.bits` and `wheels.order` are not for protocol «{self.protocol_name}», "
+                "which has its own; take them away"
             )
         if self.topic is not None and not is_ros:
             raise ValueError("`topic` is for a robot on the bus; take it or `port` away")

@@ -1,7 +1,7 @@
 """site.toml: one frozen configuration for a whole site; each node reads its own part."""
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from msgspec import Struct
 
@@ -18,13 +18,16 @@ from .recorder import RecorderConfig
 from .robot import RobotConfig
 
 _Item = TypeVar("_Item")
+Server = Literal["fusion", "recorder"]
+"""What a site may need beside its cameras' agents and its robots' bridges."""
 
 
 class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     site: str
     cameras: dict[str, CameraConfig]
-    robots: dict[str, RobotConfig]
+    robots: dict[str, RobotConfig] = {}
     target: str | None = None
+    expect: tuple[Server, ...] | None = None
     bus: BusConfig = BusConfig()
     fusion: FusionConfig = FusionConfig()
     recorder: RecorderConfig = RecorderConfig()
@@ -38,8 +41,8 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
             *(("robot", name) for name in self.robots),
         ]:
             validate_name(what, name)
-        if not self.cameras or not self.robots:
-            raise ValueError("a site needs at least one camera and one robot; add them")
+        if not self.cameras:
+            raise ValueError("a site needs at least one camera; add it")
         for name, robot in self.robots.items():
             if robot.target is None and self.target is None:
                 raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
@@ -62,7 +65,8 @@ class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Site(Struct, frozen=True):
-    """A whole site. `directory`: the folder to which the file's paths are relative."""
+    """A whole site. `directory`: the folder to which the file's paths are relative; `expect`: what
+    runs beside agents and bridges, None if that is whatever was seen alive."""
 
     name: str
     cameras: dict[str, CameraConfig]
@@ -73,6 +77,7 @@ class Site(Struct, frozen=True):
     directory: Path
     text: str
     default_target: str | None = None
+    expect: tuple[Server, ...] | None = None
     router: RouterConfig = RouterConfig()
     map: MapConfig | None = None
 
@@ -90,13 +95,27 @@ class Site(Struct, frozen=True):
         assert name is not None  # guaranteed by the file's check
         return name
 
+    @property
+    def target_names(self) -> list[str]:
+        """The paths of the target files that cameras look for: every robot's, or the site's own
+        where there is no robot yet."""
+        if not self.robots and self.default_target is not None:
+            return [self.default_target]
+        return [self.target_name(robot) for robot in self.robots]
+
     def path(self, relative: str) -> Path:
         """A path from the file, made absolute or relative to the working folder."""
         return self.directory / relative
 
     @property
     def first_robot(self) -> str:
-        """The robot whose odometry frame is the map's origin."""
+        """The robot whose odometry frame is the map's origin; raise ConfigError where the site has
+        none, so that nothing can be located."""
+        if not self.robots:
+            raise ConfigError(
+                f"site {self.name} has no robot, and cameras are located by one that drives past "
+                "them; add [robots.r1] to the site file (cameras alone: edge, record, view, status)"
+            )
         return next(iter(self.robots))
 
 
@@ -123,6 +142,7 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
         directory=directory,
         text=text,
         default_target=file.target,
+        expect=file.expect,
         router=file.router,
         map=file.map,
     )
@@ -130,6 +150,6 @@ def _site(file: _SiteFile, directory: Path, text: str) -> Site:
 
 def _pick(items: dict[str, _Item], name: str, kind: str) -> _Item:
     if name not in items:
-        known = ", ".join(items)
+        known = ", ".join(items) or "none"
         raise ConfigError(f"there is no {kind} «{name}» in the site file; it has {known}")
     return items[name]

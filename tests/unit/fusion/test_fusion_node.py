@@ -1,6 +1,7 @@
 """The estimator on a bus: what it takes, what it says, what it answers, and its second life."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -135,6 +136,8 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         map_id = run.ask("fusion/map")["map_id"]
         assert run.node.health.total("rejected") == 0
         assert eventually(lambda: run.node.health.report().values["cameras_located"] == "3")
+        told = run.node.health.report().values["cameras"]
+        assert re.fullmatch(r"c1 ± [0-9.]+ cm, c2 ± [0-9.]+ cm, c3 ± [0-9.]+ cm", told)
         answered = run.ask("fusion/network")
     run.fusion.finish()
     network = load_network(tmp_path)

@@ -132,6 +132,7 @@ def test_live_two_clocks_are_said_for_as_long_as_the_camera_sees_the_target(
 ) -> None:
     pipeline, site = Pipeline(charuco.inputs), charuco.inputs.site
     diagnostics, picture = Diagnostics(site, Admission(site)), first_picture(charuco)
+    troubles: dict[str, str] = {}
     for node, message in odometry_until(charuco, 2.0):
         pipeline.push(node, message)
     for second in range(10):

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from trigpoint.clock import SystemClock
-from trigpoint.config import RobotConfig
+from trigpoint.config import RobotConfig, WheelConfig
 from trigpoint.errors import PortError
 from trigpoint.geometry import Pose
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.line import Line
 from trigpoint.robot.protocol import Connected, Event, RobotCorrection, Setup
+from trigpoint.robot.protocols.ros_arduino_bridge import RosArduinoBridge
 from trigpoint.robot.protocols.trigpoint_serial import TrigpointSerial
 
 
@@ -149,3 +150,37 @@ def test_port_that_never_opens_ends_the_line_with_its_reason() -> None:
     desk.failing = 10**9
     with pytest.raises(PortError, match="does not exist"):
         desk.line(patience_s=0.0).read_until(threading.Event())
+
+
+class QuickBoard(FakePort):
+    """ros_arduino_bridge's sketch: answers at once, and counts the questions."""
+
+    def __init__(self) -> None:
+        super().__init__(FirmwareEndpoint(name="", program="", boot=1))
+        self.questions = 0
+
+    def write(self, data: bytes) -> None:
+        with self._ready:
+            self.questions += data.count(b"e")
+            self._bytes += b"7 7\r\n" * data.count(b"e")
+            self._ready.notify()
+
+
+def test_board_that_answers_at_once_is_asked_at_its_rate() -> None:
+    """Its answer makes the next question due earlier than the writer meant to look."""
+    board, events = QuickBoard(), list[Event]()
+    wheels = WheelConfig(0.1, 0.3, 1000)
+    config = RobotConfig(port="x", protocol="ros_arduino_bridge", wheels=wheels)
+    line = Line(
+        lambda: board,
+        RosArduinoBridge(Setup("r1", config, 1)),
+        clock=SystemClock(),
+        handle=events.append,
+        failed=pytest.fail,
+    )
+    started_s = time.monotonic()
+    with running(line):
+        assert until(lambda: board.questions >= 10)
+        # At 30 a second this takes 0.3 s; by the answers' time-out of 0.1 s it took 0.9 s.
+        assert time.monotonic() - started_s < 0.7
+    assert line.last_line == "7 7"

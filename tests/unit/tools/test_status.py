@@ -5,6 +5,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+import msgspec
 import pytest
 from builders import site_text
 
@@ -158,3 +159,35 @@ def test_states_in_words_stay_words() -> None:
     assert site.nodes[0].gauges == {"delay_ms": 12.5}
     assert not site.is_well
     assert "source: lost" in table(site)
+
+
+def test_what_was_seen_alive_or_is_expected_is_missing_where_nobody_runs_it() -> None:
+    bridge = DiagnosticStatus(0, "robot/r1", "running", "", {"met": "fusion, recorder"})
+    tokens = ["lab/alive/robot/r1", "lab/alive/recorder/recorder"]
+
+    def missing(expect: list[str] | None, *heard: DiagnosticStatus) -> list[tuple[str, str]]:
+        site = summarise("lab", peers=1, tokens=tokens, statuses=[*heard], expect=expect)
+        assert site.is_well == all(node.state == "ok" for node in site.nodes)
+        return [(node.name, node.message) for node in site.nodes if node.state == "missing"]
+
+    silent = DiagnosticStatus(0, "recorder/recorder", "running", "", {})
+    [(name, why)] = missing(None, bridge, silent)
+    assert (name, "was running" in why) == ("fusion", True)
+    assert missing([], bridge, silent) == []
+    assert missing(["recorder"], bridge, silent) == []
+    [(name, why)] = missing(["fusion"], bridge, silent)
+    assert (name, "expected by the site file" in why) == ("fusion", True)
+    unmet = DiagnosticStatus(0, "robot/r1", "running", "", {"met": ""})
+    assert missing(None, unmet, silent) == []
+
+
+def test_faces_are_told_instead_of_messages_and_each_trouble_once() -> None:
+    rates = {"pictures": 5.0, "sent lab/camera/c1/sightings": 5.0, "faces": 0.0}
+    agent = NodeStatus("edge/c1", "warning", "lost so far: 2 pictures", rates=rates)
+    agent = msgspec.structs.replace(agent, losses={"pictures": 2})
+    text = table(SiteStatus("lab", 0, [agent]))
+    assert "pictures 5, faces 0" in text
+    assert (text.count("sightings"), text.count("2 pictures")) == (0, 1)
+    error, last = (f"no corrections for {seconds} s: fusion" for seconds in (21, 11))
+    bridge = NodeStatus("robot/r1", "error", error, last_error=last)
+    assert "last error" not in table(SiteStatus("lab", 0, [bridge]))

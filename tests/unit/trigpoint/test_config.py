@@ -136,3 +136,18 @@ def test_a_picture_read_out_from_below_takes_as_long() -> None:
     more = '[cameras.c9]\nsource = "a://b"\nheight = 481\nline_delay = -30e-6'
     camera = parse_site(site_text(more=more), directory=Path()).camera("c9")
     assert camera.readout_s == pytest.approx(0.0144)
+
+
+def test_site_of_cameras_alone_is_read_and_locates_nothing() -> None:
+    site = make_site(robots=0)
+    assert site.target_names == ["target.toml"]
+    with pytest.raises(ConfigError, match=r"has no robot.*add \[robots.r1\]"):
+        _ = site.first_robot
+
+
+def test_expected_server_is_one_that_there_is() -> None:
+    text = site_text()
+    assert parse_site(text, directory=Path()).expect is None
+    expecting = f'expect = ["fusion"]\n{text}'
+    assert parse_site(expecting, directory=Path()).expect == ("fusion",)
+    assert "expect" in refusal(f'expect = ["fusoin"]\n{text}')

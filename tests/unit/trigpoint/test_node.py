@@ -213,3 +213,13 @@ def test_stop_is_logged(bus: MemoryBus, caplog: pytest.LogCaptureFixture) -> Non
     with make_node(bus):
         time.sleep(PERIOD_S)
     assert "edge/c1 stopped" in caplog.text
+
+
+def test_node_tells_which_servers_it_has_heard(bus: MemoryBus) -> None:
+    with make_node(bus) as node:
+        assert node.silent_s("fusion") is None
+        bus.publisher(DIAGNOSTICS, KEY).put(foreign_diagnostics("fusion/fusion"))
+        assert eventually(lambda: next_status(bus).values["met"] == "fusion")
+        heard_s = node.silent_s("fusion")
+        assert heard_s is not None
+        assert heard_s < 10.0

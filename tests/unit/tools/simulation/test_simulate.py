@@ -18,6 +18,7 @@ from trigpoint.recorder.recording import open_recording
 from trigpoint.target import load_target, parse_target
 from trigpoint.tools.simulation.session import EPOCH_NS, write_session
 from trigpoint.tools.simulation.site_files import write_site
+from trigpoint.tools.simulation.speakers import WHEELS
 from trigpoint.tools.simulation.world import World, load_world
 
 
@@ -152,3 +153,9 @@ def test_the_command_writes_a_folder_and_says_so(
     assert cli.run(["simulate", "moon", "--out", str(tmp_path / "y")]) == 2
     assert "no world «moon»" in capsys.readouterr().err
     assert not (tmp_path / "y").exists()
+
+
+@pytest.mark.parametrize("protocol", sorted(WHEELS))
+def test_site_of_a_robot_with_wheels_is_read(world: World, tmp_path: Path, protocol: str) -> None:
+    site = load_site(write_site(world, tmp_path, protocol=protocol))
+    assert site.robot("r1").wheels == WHEELS[protocol]

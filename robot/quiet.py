@@ -1,0 +1,124 @@
+"""What a bridge says of things that do not come: odometry, in the same words live and in a dry run,
+and corrections."""
+
+import logging
+import math
+from typing import Protocol
+
+from trigpoint.clock import to_ns, to_seconds
+from trigpoint.health import Health
+
+from .bridge import Bridge
+
+_log = logging.getLogger(__name__)
+
+_PATIENCE_NS = to_ns(5.0)
+# Longer than a robot takes from one camera to the next in a building where they are worth hanging.
+_UNCORRECTED_NS = to_ns(10.0)
+# Fusion's diagnostics come once a second.
+_FUSION_AWAY_S = 5.0
+
+
+class Heard(Protocol):
+    """What is looked at of a port; `Line` implements it."""
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def last_line(self) -> str: ...
+
+
+def why_nothing(robot: str, protocol: str, line: Heard, bridge: Bridge) -> str:
+    """What is wrong where the port is open but no odometry comes, and what to do."""
+    if bridge.complaint:
+        return bridge.complaint
+    if bridge.connected is not None:
+        return f"robot {robot} answers but sends no odometry; look at its firmware"
+    if line.last_line:
+        return (
+            f"what comes from robot {robot} is not understood as «{protocol}»; the last that came: "
+            f"«{line.last_line}»; compare `protocol` and `baud` with the firmware's"
+        )
+    return f"nothing comes from robot {robot}; is it on, and is `port` the right one?"
+
+
+class Listening(Protocol):
+    """What is needed of a node; `Node` implements it."""
+
+    health: Health
+
+    def silent_s(self, server: str) -> float | None: ...
+
+
+class OdometryWatch:
+    """Says now and then in the health that an open port brings no odometry. One thread."""
+
+    def __init__(
+        self, robot: str, protocol: str, line: Heard, bridge: Bridge, health: Health
+    ) -> None:
+        self._robot, self._protocol = robot, protocol
+        self._line, self._bridge, self._health = line, bridge, health
+        self._readings, self._since_ns = 0, 0
+
+    def look(self, now_ns: int) -> None:
+        """Call it once a second."""
+        readings = self._health.total("odometry")
+        if readings != self._readings or not self._line.is_open or not self._since_ns:
+            self._readings, self._since_ns = readings, now_ns
+        elif now_ns - self._since_ns >= _PATIENCE_NS:
+            self._since_ns = now_ns
+            why = why_nothing(self._robot, self._protocol, self._line, self._bridge)
+            self._health.fail(why)
+
+
+class CorrectionWatch:
+    """Puts into a bridge's health where the robot is, and that no corrections come. One thread."""
+
+    def __init__(self, robot: str, bridge: Bridge, node: Listening) -> None:
+        self._robot, self._bridge, self._node = robot, bridge, node
+        self._corrections, self._since_ns = 0, 0
+        self._is_told = False
+
+    def look(self, now_ns: int) -> None:
+        """Call it once a second."""
+        corrections = self._node.health.total("corrections")
+        if corrections != self._corrections or not self._since_ns:
+            self._corrections, self._since_ns = corrections, now_ns
+        self._tell(now_ns - self._since_ns)
+        self._show_place(now_ns - self._since_ns)
+
+    def _tell(self, age_ns: int) -> None:
+        health = self._node.health
+        if age_ns < _UNCORRECTED_NS:
+            self._is_told = False
+            health.release("corrections")
+            health.describe("uncorrected", "")
+            return
+        away_s = self._node.silent_s("fusion")
+        told = f"no corrections for {to_seconds(age_ns):.0f} s: "
+        alone = f"robot {self._robot} goes on by its own odometry alone, whose error grows"
+        if away_s is not None and away_s > _FUSION_AWAY_S:
+            health.describe("uncorrected", "")
+            health.hold("corrections", f"{told}fusion is not running any more; {alone}")
+            return
+        health.release("corrections")
+        why = "no located camera sees it" if away_s is not None else "fusion was never heard"
+        health.describe("uncorrected", f"{told}{why}; {alone}")
+        if not self._is_told:
+            self._is_told = True
+            _log.info("%s%s; %s", told, why, alone)
+
+    def _show_place(self, age_ns: int) -> None:
+        place = self._bridge.place()
+        words = ""
+        if place is not None:
+            pose, covariance = place
+            x, y, _ = pose.translation
+            sigma_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+            words = (
+                f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(pose.heading):.0f}°, "
+                f"± {100 * sigma_m:.1f} cm, ± {math.degrees(math.sqrt(covariance[5, 5])):.1f}°; "
+                f"corrected {to_seconds(age_ns):.0f} s ago"
+            )
+        self._node.health.describe("place", words)

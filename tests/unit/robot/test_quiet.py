@@ -1,0 +1,98 @@
+"""Why no odometry comes, live and in a dry run."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from trigpoint.clock import ManualClock, to_ns
+from trigpoint.config import RobotConfig
+from trigpoint.health import Health
+from trigpoint.robot.bridge import Bridge
+from trigpoint.robot.protocol import Connected, Damaged, DamageKind, Event
+from trigpoint.robot.quiet import CorrectionWatch, OdometryWatch, why_nothing
+from trigpoint.robot.stamps import Offset
+
+
+@dataclass
+class Port:
+    """The line, as far as it is looked at."""
+
+    last_line: str = ""
+    is_open: bool = True
+
+
+def bridge(health: Health, *events: Event) -> Bridge:
+    made = Bridge("r1", RobotConfig(port="x"), health, Offset(0))
+    for event in events:
+        made.on_event(event)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("line", "events", "words"),
+    [
+        ("", [], "nothing comes from robot r1"),
+        ("Invalid Command", [], "the last that came: «Invalid Command»"),
+        ("1 2", [Connected("r1", "test", 1)], "answers but sends no odometry"),
+        ("x", [Damaged(DamageKind.CONTENT, "«x» is no count")], "«x» is no count"),
+    ],
+)
+def test_reason_is_what_came(line: str, events: list[Event], words: str) -> None:
+    assert words in why_nothing("r1", "create2", Port(line), bridge(Health(), *events))
+
+
+def test_port_without_odometry_is_said_every_five_seconds() -> None:
+    health, port = Health(ManualClock()), Port("Hello")
+    watch = OdometryWatch("r1", "create2", port, bridge(health), health)
+    said = []
+    for second in range(1, 15):
+        if second == 8:
+            port.last_line = "Bye"
+        watch.look(to_ns(float(second)))
+        said.append(health.last_error)
+    assert said[:5] == [""] * 5
+    assert [text.count("«Hello»") + 2 * text.count("«Bye»") for text in said[5:]] == (
+        [1] * 5 + [2] * 4
+    )
+    health.count("odometry")
+    watch.look(to_ns(15.0))
+    port.is_open = False
+    health.fail("")
+    watch.look(to_ns(30.0))
+    assert health.last_error == ""
+
+
+@dataclass
+class Listener:
+    """A node that heard fusion so long ago."""
+
+    health: Health
+    fusion_away_s: float | None = None
+
+    def silent_s(self, server: str) -> float | None:
+        assert server == "fusion"
+        return self.fusion_away_s
+
+
+def test_missing_corrections_are_an_error_only_where_fusion_went_away() -> None:
+    health = Health(ManualClock())
+    node = Listener(health, 0.5)
+    watch = CorrectionWatch("r1", bridge(health), node)
+    watch.look(to_ns(1.0))
+    health.count("corrections")
+    watch.look(to_ns(2.0))
+    watch.look(to_ns(11.0))
+    assert (health.held, words(health)) == ({}, "")
+    watch.look(to_ns(14.0))
+    assert health.held == {}
+    assert "no corrections for 12 s: no located camera sees" in words(health)
+    node.fusion_away_s = 6.0
+    watch.look(to_ns(15.0))
+    assert "no corrections for 13 s: fusion is not running" in health.held["corrections"]
+    health.count("corrections")
+    watch.look(to_ns(16.0))
+    assert (health.held, words(health)) == ({}, "")
+
+
+def words(health: Health) -> str:
+    return health.report().values["uncorrected"]
