@@ -2,15 +2,13 @@
 
 import cv2
 import numpy as np
-import pytest
 from boards import CAMERA, charuco, fine_picture_of, placed, true_pixels
 
-from trigpoint.edge.registration import registration
+from trigpoint.edge.registration.blur import SHARP, Blur
 from trigpoint.edge.registration.corner_pattern import CornerPattern
 from trigpoint.edge.registration.measurement import Measured, measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import fit_plane
-from trigpoint.edge.registration.registration import registered
 
 BOARD = charuco(5, 4)
 SIZE = (CAMERA.width, CAMERA.height)
@@ -24,9 +22,9 @@ def plane(off_px: float = 0.0) -> PlanarFit:
     return fit
 
 
-def measured_from(picture: np.ndarray) -> Measured:
+def measured_from(picture: np.ndarray, off_px: float = 0.4, blur: Blur = SHARP) -> Measured:
     """What is measured of BOARD from nearly where it is."""
-    found = measured(picture, CornerPattern.of(BOARD), plane(0.4))
+    found = measured(picture, CornerPattern.of(BOARD), plane(off_px), blur=blur)
     assert found is not None
     return found
 
@@ -86,33 +84,21 @@ def test_a_corner_of_a_board_that_curls_is_found_off_the_plane() -> None:
     far = (columns - np.float32(x)) ** 2 + (rows - np.float32(y)) ** 2
     curl = 2.5 * np.exp(-far / (2 * 40**2))
     curled = cv2.remap(picture, columns - curl, rows + curl, cv2.INTER_CUBIC)
-    found = registered(curled, CornerPattern.of(BOARD), plane(), np.arange(BOARD.corner_count))
-    assert found is not None
-    assert found.is_clear.all()
-    assert np.allclose(found.pixels[0] - true_pixels(VIEW)[0], [2.5, -2.5], atol=0.1)
+    found = measured_from(curled, 0.0)
+    assert len(found.corners) == BOARD.corner_count
+    assert np.allclose(errors(found)[0], [2.5, -2.5], atol=0.1)
+    off_plane = found.fit.project(CornerPattern.of(BOARD).points) - found.pixels
+    assert found.sigma > 0.8 * np.sqrt(np.mean(off_plane**2))
 
 
-def test_one_step_leads_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Derivatives that are too low by a twentieth would leave as much of the way."""
+def test_one_step_leads_there() -> None:
+    """No other is taken from so near: derivatives that are too low by a twentieth would leave as
+    much of the way."""
     picture = fine_picture_of([VIEW], noise=0.0, blur_px=0.6)
-    pattern, ids = CornerPattern.of(BOARD), np.arange(BOARD.corner_count)
-    settled = registered(picture, pattern, plane(), ids)
-    assert settled is not None
-    monkeypatch.setattr(registration, "ROUNDS", 1)
-    monkeypatch.setattr(registration, "LATE_ROUNDS", 0)
-    there = registered(picture, pattern, plane(), ids, blur=settled.blur)
-    beside = registered(picture, pattern, plane(0.1), ids, blur=settled.blur)
-    assert there is not None
-    assert beside is not None
+    blur = measured_from(picture).blur
+    there, beside = (measured_from(picture, off_px, blur) for off_px in (0.0, 0.08))
     assert np.abs((beside.pixels - there.pixels).mean(axis=0)).max() < 0.002
 
 
-def test_registration_whose_time_is_over_is_given_up() -> None:
-    """Between two rounds; what settles in the first one is not asked for time."""
-    picture, ids = fine_picture_of([VIEW], noise=1.0), np.arange(BOARD.corner_count)
-    pattern = CornerPattern.of(BOARD)
-    assert registered(picture, pattern, plane(0.5), ids, is_over=lambda: True) is None
-    assert (
-        registered(picture, pattern, plane(0.5), ids, is_rough=True, is_over=lambda: True) is None
-    )
-    assert measured(picture, pattern, plane(0.5), is_over=lambda: True) is None
+def test_no_corner_is_called_truer_than_it_can_be_drawn() -> None:
+    assert measured_from(fine_picture_of([VIEW], noise=0.0)).sigma >= 0.003
