@@ -9,7 +9,7 @@ import numpy as np
 from trigpoint.edge.image.median import median
 from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.image.time_limit import IsOver
-from trigpoint.edge.registration.dictionaries import predefined_dictionary
+from trigpoint.edge.registration.dictionaries import dictionary_of
 from trigpoint.edge.registration.measurement import Measured, measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
@@ -35,7 +35,7 @@ def shows_corner_squares(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:
     whether those places are as dark as the tags' borders or as light as what lies between tags."""
     marker = face.marker or 0.0
     gap = face.square - marker
-    cells = predefined_dictionary(face.dictionary or "").markerSize + 2 * face.border_bits
+    cells = dictionary_of(face).markerSize + 2 * face.border_bits
     border = 0.5 * face.border_bits * marker / cells
     tags = face.corners[:, :2].reshape(-1, 4, 2)[:, 0]
     square, light, dark = (

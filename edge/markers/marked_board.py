@@ -7,7 +7,13 @@ import numpy as np
 from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.corner_pattern import CornerPattern
-from trigpoint.edge.registration.measurement import LEAST_CORNERS, Measured, measured, placed_again
+from trigpoint.edge.registration.measurement import (
+    LEAST_CORNERS,
+    Measured,
+    in_view,
+    measured,
+    placed_again,
+)
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
@@ -19,6 +25,9 @@ from .markers import MarkerReader
 # A board's markers, looked at where its corners put them, must match so well on the mean; one, two
 # or three alone must do better, since foreign markers match by chance.
 LEAST_AGREEMENT = 0.5
+# Of the corners that were seen last and are in view, how many must be seen again: where fewer look
+# as printed the fit has gone astray, and a search finds the board anew.
+LEAST_AGAIN = 0.5
 # Those that led to a board match better still where its measured corners put them: of moving boards
 # 0.9; tags with a border of one cell, read as such of two, 0.66.
 LEAST_OWN_AGREEMENT = 0.75
@@ -107,6 +116,10 @@ class MarkedBoard:
         there, is_rough = place
         found = measured(grey, self.pattern, there, blur=last.blur, is_rough=is_rough)
         if found is None:
+            return None
+        size = (grey.shape[1], grey.shape[0])
+        still = in_view(found.fit, self.pattern.points[last.corners], size)
+        if len(found.corners) < LEAST_AGAIN * len(still):
             return None
         numbers = np.flatnonzero(self._is_inside(grey, found))
         if len(numbers) == 0 or len(found.corners) < self._least_corners(len(numbers)):

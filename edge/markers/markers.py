@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from trigpoint.edge.image.sampling import sampled
-from trigpoint.edge.registration.dictionaries import predefined_dictionary
-from trigpoint.errors import TargetError
+from trigpoint.edge.registration.dictionaries import dictionary_of, predefined_dictionary
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face
 
@@ -95,7 +94,7 @@ def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
     """One reader for each dictionary and border among marked faces; raises TargetError."""
     ids: dict[tuple[str, int], set[int]] = {}
     for face in faces:
-        _check_size(face)
+        dictionary_of(face)
         own = range(face.first_marker, face.first_marker + face.marker_count)
         ids.setdefault(reader_key(face), set()).update(own)
     return {key: MarkerReader(*key, own) for key, own in ids.items()}
@@ -104,16 +103,6 @@ def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
 def reader_key(face: Face) -> tuple[str, int]:
     """The key of a face's reader in `readers_for`."""
     return face.dictionary or "", face.border_bits
-
-
-def _check_size(face: Face) -> None:
-    size = len(predefined_dictionary(face.dictionary or "").bytesList)
-    last = face.first_marker + face.marker_count - 1
-    if last >= size:
-        raise TargetError(
-            f"face {face.id} needs markers {face.first_marker} to {last}, but {face.dictionary} "
-            f"has {size}; use a larger dictionary"
-        )
 
 
 def _cells_of(

@@ -3,6 +3,7 @@
 import cv2
 
 from trigpoint.errors import TargetError
+from trigpoint.target import Face
 
 
 def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
@@ -11,3 +12,16 @@ def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:
     if name not in known:
         raise TargetError(f"the dictionary «{name}» is not known; use one of {', '.join(known)}")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def dictionary_of(face: Face) -> cv2.aruco.Dictionary:
+    """The dictionary of a marked face; raise TargetError where it is unknown or has not all of the
+    face's markers."""
+    dictionary = predefined_dictionary(face.dictionary or "")
+    last, size = face.first_marker + face.marker_count - 1, len(dictionary.bytesList)
+    if last >= size:
+        raise TargetError(
+            f"face {face.id} needs markers {face.first_marker} to {last}, but {face.dictionary} "
+            f"has {size}; use a larger dictionary"
+        )
+    return dictionary

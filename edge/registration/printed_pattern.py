@@ -9,7 +9,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.target import Face, Pattern
 
-from .dictionaries import predefined_dictionary
+from .dictionaries import dictionary_of
 
 # Texels a square; the edges of squares lie between texels at every level.
 LEVELS = (12, 24, 48)
@@ -48,7 +48,7 @@ def charuco_layout(face: Face) -> Array:
         (face.columns, face.rows),
         face.square,
         face.marker or 0.0,
-        predefined_dictionary(face.dictionary or ""),
+        dictionary_of(face),
     )
     board.setLegacyPattern(face.legacy)
     corners = np.array(board.getObjPoints(), dtype=float).reshape(-1, 4, 3)
@@ -153,7 +153,7 @@ def _draw_marker(
     texels: np.ndarray, face: Face, number: int, quad: Array, x: Array, y: Array
 ) -> None:
     """The cells of one marker; lengths in squares."""
-    dictionary = predefined_dictionary(face.dictionary or "")
+    dictionary = dictionary_of(face)
     side = dictionary.markerSize + 2 * face.border_bits
     marker = face.first_marker + number
     cells = cv2.aruco.generateImageMarker(dictionary, marker, side, borderBits=face.border_bits)
