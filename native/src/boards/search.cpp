@@ -2,7 +2,10 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "boards/evidence.hpp"
 #include "boards/growth.hpp"
+#include "boards/placement.hpp"
+#include "registration/plane_fitting.hpp"
 
 using namespace trigpoint;
 
@@ -40,6 +43,27 @@ Eigen::Index put(const Grid& grid, Rows rows, Eigen::Index first) {
         rows.row(row++) << corner.x, corner.y, corner.pixel.x, corner.pixel.y, corner.is_dark;
     }
     return row - first;
+}
+
+constexpr double MOST_SIDE = 1000;  // of a board, corners
+
+BoardShape shape_of(double columns, double rows, double is_inverted) {
+    if (!(columns >= 1 && rows >= 1 && columns <= MOST_SIDE && rows <= MOST_SIDE))
+        throw std::invalid_argument("a board has 1 to 1000 corners each way");
+    return {static_cast<int>(columns), static_cast<int>(rows), is_inverted != 0};
+}
+
+// Through a grid's corners, from their places to the picture.
+std::optional<PlanarFit> fit_of_places(const Grid& grid, double width, double height,
+                                       double enough_px) {
+    const auto count = static_cast<Eigen::Index>(grid.size());
+    Points places(count, 2), pixels(count, 2);
+    for (Eigen::Index i = 0; i < count; ++i) {
+        const GridCorner& corner = grid[static_cast<std::size_t>(i)];
+        places.row(i) << corner.x, corner.y;
+        pixels.row(i) << corner.pixel.x, corner.pixel.y;
+    }
+    return settled_fit(places, pixels, PlanarFit::of_size(width, height), false, enough_px);
 }
 
 }  // namespace
@@ -80,4 +104,63 @@ TRIGPOINT_KERNEL(tp_grown) {
     const auto longest = static_cast<int>(std::clamp<std::int64_t>(arguments[2].whole, 0, 1000));
     const Grid whole = grown(grid_of(arguments[1].array), curvature, longest);
     return put(whole, arguments[3].array.rows<5>(), 0);
+}
+
+// (grid (n, 5), shapes (k, 3): columns, rows and whether inverted, width, height, fit of places,
+// has fit, least share, enough px, ids (n,), which (2): shape and score): of these boards the one
+// that lies best on the grid; how many of its corners the grid has, 0 where none does.
+TRIGPOINT_KERNEL(tp_placed) {
+    const Grid grid = grid_of(arguments[0].array);
+    if (grid.empty()) return 0;
+    const auto shapes = arguments[1].array.rows<3>();
+    const double width = arguments[2].number, height = arguments[3].number;
+    const bool has_fit = arguments[5].whole != 0;
+    std::optional<PlanarFit> fit;
+    bool is_fitted = has_fit;
+    if (has_fit) fit = PlanarFit::unpacked(arguments[4].array.as<double>());
+    const FitOfPlaces fit_of = [&] {
+        if (!is_fitted) fit = fit_of_places(grid, width, height, arguments[7].number);
+        is_fitted = true;
+        return fit;
+    };
+    auto ids = arguments[8].array.rows<1>();
+    auto which = arguments[9].array.rows<1>();
+    std::int64_t count = 0;
+    which(1) = -1e9;
+    for (Eigen::Index i = 0; i < shapes.rows(); ++i) {
+        const BoardShape shape = shape_of(shapes(i, 0), shapes(i, 1), shapes(i, 2));
+        const auto found = placed(grid, shape, width, height, arguments[6].number, fit_of);
+        if (!found || found->score <= which(1)) continue;
+        which << static_cast<double>(i), found->score;
+        for (Eigen::Index k = 0; k < ids.size(); ++k)
+            ids(k) = found->ids[static_cast<std::size_t>(k)];
+        count = (ids.array() >= 0).count();
+    }
+    return count;
+}
+
+// (grey (h, w), columns, rows, fit of places, ids (n,), pixels (n, 2), evidence (5): of the board,
+// and of its ends): 1 where no doubt is left that it is there.
+TRIGPOINT_KERNEL(tp_weighed) {
+    const Grey grey = Grey::of(arguments[0].array);
+    if (grey.width < 1 || grey.height < 1) return 0;
+    const BoardShape shape = shape_of(static_cast<double>(arguments[1].whole),
+                                      static_cast<double>(arguments[2].whole), 0);
+    const PlanarFit fit = PlanarFit::unpacked(arguments[3].array.as<double>());
+    const auto numbers = arguments[4].array.rows<1>();
+    const auto rows = arguments[5].array.rows<2>();
+    std::vector<int> ids;
+    std::vector<Eigen::Vector2d> pixels;
+    for (Eigen::Index i = 0; i < numbers.size(); ++i) {
+        if (!(numbers(i) >= 0 && numbers(i) < shape.count()))
+            throw std::invalid_argument("a corner is none of the board's");
+        ids.push_back(static_cast<int>(numbers(i)));
+        pixels.emplace_back(rows.row(i));
+    }
+    const Evidence found = weighed(grey, shape, fit, ids, pixels);
+    auto told = arguments[6].array.rows<1>();
+    told(0) = found.board;
+    for (int side = 0; side < 4; ++side)
+        told(side + 1) = found.ends[static_cast<std::size_t>(side)];
+    return found.is_board();
 }
