@@ -10,11 +10,13 @@ from trigpoint.edge.image.time_limit import IsOver, never
 from trigpoint.edge.registration.finder import FaceFinder
 from trigpoint.edge.registration.measurement import Located
 from trigpoint.edge.registration.planar_fit import PlanarFit
+from trigpoint.geometry.rotation import Array
 
+from .contradictions import contradictions
 from .corner_squares import refined
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
-from .markers import reader_key, readers_for
+from .markers import reader_key, readers_for, whole_reader
 from .quads import QuadFinder
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
@@ -31,6 +33,7 @@ class MarkedSearch(FaceFinder):
         TargetError for an unknown or too small dictionary."""
         self._boards = tuple(boards)
         self._readers = readers_for([board.look.face for board in boards])
+        self._whole = {key: whole_reader(*key) for key in self._readers}
         self._finder = QuadFinder(parts_touching=parts_touching)
 
     def locate(
@@ -86,12 +89,17 @@ class MarkedSearch(FaceFinder):
             groups = group_markers(markers, board.layout, is_over)
             enough = max(least, board.least_markers)
             claims += [(group, board) for group in groups if len(group.numbers) >= enough]
-        return self._settled(grey, claims, is_over)
+        return self._settled(grey, claims, quads, is_over)
 
     def _settled(
-        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, MarkedBoard]], is_over: IsOver
+        self,
+        grey: np.ndarray,
+        claims: list[tuple[MarkerGroup, MarkedBoard]],
+        quads: Array,
+        is_over: IsOver,
     ) -> list[Located]:
-        """The claims that hold, heaviest first.
+        """The claims that hold, heaviest first, and that no other of the quadrilaterals (n, 4, 2)
+        contradicts.
 
         A quadrilateral belongs to one board, and a look that is one face's alone is seen once.
         """
@@ -106,6 +114,11 @@ class MarkedSearch(FaceFinder):
             measured = board.locate(grey, group, reader, is_over)
             if measured is None:
                 refused += 1
+            elif contradictions(
+                grey, board, measured, quads, self._whole[reader_key(board.face)]
+            ).are_plain:
+                self.contradicted = board.look
+                taken.update(group.quads.tolist())
             else:
                 board, measured = refined(grey, board, measured, is_over)
                 found.append(Located(board.look, measured, board.variant))

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver
 
+from .appearance import Appearance
 from .measurement import Located
 from .planar_fit import PlanarFit
 
@@ -15,10 +16,12 @@ class FaceFinder(Protocol):
     """Finds the faces of one pattern in grey pictures, (height, width) uint8.
 
     `misdescribed`: what was seen so far that the target file describes wrongly, each once, a line
-    with what to write.
+    with what to write. `contradicted`: the last look that a picture contradicted, which was then
+    not taken for found.
     """
 
     misdescribed: tuple[str, ...] = ()
+    contradicted: Appearance | None = None
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
