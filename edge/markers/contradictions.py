@@ -1,9 +1,9 @@
 """What a picture shows of a board with markers that could not be, were the target file true.
 
 A board of another layout agrees with the file in most of its markers, moved by a square: legacy
-ChArUco boards do. So everything that lies on the board's own grid is read, and held against what the
-file has there: another marker, or one beyond the board's edge, says that the file is wrong; nothing
-at all says little, since a hand hides markers too.
+ChArUco boards do. So everything that lies on the board's own grid is read, and held against what
+the file has there: another marker, or one beyond the board's edge, says that the file is wrong;
+nothing at all says little, since a hand hides markers too.
 """
 
 from dataclasses import dataclass

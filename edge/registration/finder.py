@@ -7,7 +7,6 @@ import numpy as np
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver
 
-from .appearance import Appearance
 from .measurement import Located
 from .planar_fit import PlanarFit
 
@@ -16,12 +15,10 @@ class FaceFinder(Protocol):
     """Finds the faces of one pattern in grey pictures, (height, width) uint8.
 
     `misdescribed`: what was seen so far that the target file describes wrongly, each once, a line
-    with what to write. `contradicted`: the last look that a picture contradicted, which was then
-    not taken for found.
+    with what to write.
     """
 
     misdescribed: tuple[str, ...] = ()
-    contradicted: Appearance | None = None
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
