@@ -52,7 +52,7 @@ def others(looks: Sequence[Appearance]) -> Iterator[Other]:
 
 
 def _changes(face: Face) -> Iterator[dict[str, object]]:
-    exchanged = {"columns": face.rows, "rows": face.columns}
+    exchanged: dict[str, object] = {"columns": face.rows, "rows": face.columns}
     if face.pattern is Pattern.CHARUCO:
         yield {"legacy": not face.legacy}
         yield exchanged
