@@ -46,6 +46,7 @@ class MisdescribedBoards:
         self._looks, self._finder = looks, finder
         self._waiting: list[Other] | None = None
         self._pictures = 0
+        self._named = set[Appearance]()
         self._denials: dict[Appearance, int] = {}
         self.lines: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
@@ -64,15 +65,16 @@ class MisdescribedBoards:
         tried, self._waiting = self._waiting[:count], self._waiting[count:]
         scene = _Scene(grey, self._finder)
         for other in tried:
-            if other.look not in self.refused and self._is_seen(other, scene):
+            if other.look not in self._named and self._is_seen(other, scene):
                 self.lines[other.look] = other.remedy
-        self._waiting += [other for other in tried if self.lines.get(other.look) != other.remedy]
+                self._named.add(other.look)  # by the simplest change: others may print the same
+        self._waiting += [other for other in tried if other.look not in self._named]
         for look in denied:
             self._deny(look)
 
     def _deny(self, look: Appearance) -> None:
         self._denials[look] = self._denials.get(look, 0) + 1
-        if look in self.lines:
+        if look in self._named:
             self.refused.add(look)
         elif self._denials[look] == _OFTEN:
             self.lines[look] = (
