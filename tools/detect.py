@@ -27,8 +27,10 @@ from trigpoint.target import load_target
 from trigpoint.words import counted
 
 from .detect_drawing import draw_faces
-from .detect_hints import LEAST_PICTURES, Hints
 from .picture_account import PictureAccount
+
+LEAST_PICTURES = 10
+"""So many pictures with nothing in them are worth a word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +69,8 @@ def main(
     if draw is not None:
         _make_folder(draw)
     first: Still | None = None
-    said = 0
-    total, account = _Sum(Hints(wanted)), PictureAccount()
+    said: set[str] = set()
+    total, account = _Sum(), PictureAccount()
     for still in stills(pictures, topic, account):
         first = first or still
         if sequence and still.picture.shape != first.picture.shape:
@@ -76,40 +78,42 @@ def main(
         began_s = time.perf_counter()
         faces = detector.detect(still.picture)
         milliseconds = (time.perf_counter() - began_s) * 1e3
-        total.add(still, faces)
+        total.add(faces)
         typer.echo((_json if json_lines else _text)(still, faces, milliseconds))
-        for line in detector.misdescribed[said:]:
-            typer.echo(f"{target}: {line}", err=True)
-        said = len(detector.misdescribed)
+        for line in detector.misdescribed:
+            if line not in said:
+                typer.echo(f"{target}: {line}", err=True)
+        said.update(detector.misdescribed)
         if draw is not None:
             file = draw / f"{still.stem}.png"
             cv2.imwrite(str(file), draw_faces(still.picture, faces))
-    for line in (*account.lines(), *total.lines()):
+    for line in (*account.lines(), *total.lines(is_explained=bool(said))):
         typer.echo(line, err=True)
 
 
 class _Sum:
     """Totals over all pictures."""
 
-    def __init__(self, hints: Hints) -> None:
-        self._hints = hints
+    def __init__(self) -> None:
         self._pictures = self._with_faces = self._faces = 0
 
-    def add(self, still: Still, faces: tuple[FaceSighting, ...]) -> None:
+    def add(self, faces: tuple[FaceSighting, ...]) -> None:
         self._pictures += 1
         self._with_faces += bool(faces)
         self._faces += len(faces)
-        if not faces:
-            self._hints.keep(still.picture)
 
-    def lines(self) -> Iterator[str]:
-        """The totals, and what to do if nothing was found in many pictures."""
+    def lines(self, *, is_explained: bool) -> Iterator[str]:
+        """The totals, and what to do if nothing was found in many pictures and nothing said why."""
         yield (
             f"{counted(self._pictures, 'picture')}: {counted(self._faces, 'face')} in "
             f"{self._with_faces} of them"
         )
-        if not self._faces and self._pictures >= LEAST_PICTURES:
-            yield self._hints.text()
+        if not self._faces and not is_explained and self._pictures >= LEAST_PICTURES:
+            yield (
+                "no board near to the target file's is in them either; compare its columns, rows "
+                "and dictionary with the print, and see that the board is sharp, whole, and large "
+                "enough"
+            )
 
 
 def stills(

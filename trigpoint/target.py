@@ -18,6 +18,9 @@ from .geometry import Pose
 from .geometry.rotation import Array
 from .toml_file import load_toml, parse_toml
 
+# No robot carries larger squares, or any so far from its base, and no camera sees smaller ones.
+_SMALLEST_SQUARE_M, _LARGEST_SQUARE_M, _FARTHEST_M = 2e-4, 2.0, 50.0
+
 
 class Pattern(StrEnum):
     """The kind of pattern printed on a face."""
@@ -60,6 +63,7 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
     tags_turned: bool | None = None
 
     def __post_init__(self) -> None:
+        self._check_lengths()
         length = float(np.linalg.norm(self.quaternion))
         if abs(length - 1) > 1e-3:
             raise ValueError(f"the quaternion's length is {length:.4f}; it must be 1")
@@ -67,6 +71,27 @@ class Face(Struct, frozen=True, forbid_unknown_fields=True):
             self._check_checkerboard()
         else:
             self._check_marked()
+
+    def _check_lengths(self) -> None:
+        """Raise ValueError for lengths that are in other units than metres."""
+        if self.square > _LARGEST_SQUARE_M:
+            keys = [key for key in ("square", "marker") if getattr(self, key) is not None]
+            written = " and ".join(f"{key} = {getattr(self, key) / 1000:g}" for key in keys)
+            raise ValueError(
+                f"squares of {self.square:g} m are no board's; lengths are in metres: write "
+                f"{written} if they were millimetres"
+            )
+        if self.square < _SMALLEST_SQUARE_M:
+            raise ValueError(
+                f"squares of {self.square:g} m are too small to be seen; lengths are in metres"
+            )
+        away = float(np.linalg.norm(self.translation))
+        if away > _FARTHEST_M:
+            metres = ", ".join(f"{value / 1000:g}" for value in self.translation)
+            raise ValueError(
+                f"the face is {away:g} m from its robot's base; lengths are in metres: write "
+                f"translation = [{metres}] if they were millimetres"
+            )
 
     def _check_checkerboard(self) -> None:
         if min(self.columns, self.rows) < 3:

@@ -28,7 +28,7 @@ from trigpoint.target import Face
 
 from .evidence import weighed
 from .grid import Grid, GridSearch
-from .misdescribed import other_colours, remedy, turned
+from .misdescribed import unexpected
 from .placement import Placement, keeps_its_place, placed
 from .tuning import TUNING
 
@@ -38,7 +38,7 @@ class CheckerboardDetector(FaceFinder):
 
     def __init__(self, looks: Sequence[Appearance]) -> None:
         self._looks = tuple(looks)
-        self._unexpected = _unexpected(looks)
+        self._unexpected = unexpected(looks)
         extents = [(look.face.columns - 1, look.face.rows - 1) for look in looks]
         self._longest = max(max(extent) for extent in extents)
         self._least = min(TUNING.least_share * width * height for width, height in extents)
@@ -120,7 +120,7 @@ class CheckerboardDetector(FaceFinder):
             sighting = _measured(board, source, is_over)
             if sighting and not any(_same_place(sighting, other) for other in found):
                 found.append(sighting)
-                self._unexpected[sighting.look] = None  # it is described as it is
+                self._expect_no_other(sighting.look)  # it is described as it is
         return found
 
     def _board_of(
@@ -157,19 +157,23 @@ class CheckerboardDetector(FaceFinder):
         return max((board for board in boards if board), key=lambda b: b.score, default=None)
 
     def _look_for_unexpected(self, grid: Grid, source: "_Source", is_over: IsOver) -> None:
-        """Note where a grid is a board whose black and white squares are exchanged; each look is
-        noted once, and then not asked for any more."""
-        looks = [look for look in self._unexpected.values() if look]
+        """Note where a grid is a board that may be meant by one of the looks; each look is noted
+        once, and then not asked for any more."""
+        looks = list(self._unexpected)
         if len(grid) < TUNING.least_seed or not looks or is_over():
             return
         board = self._placed(grid.cleaned(), source, looks)
         if board is None or _measured(board, source, is_over) is None:
             return
-        for described, other in self._unexpected.items():
-            if other is board.look:
-                self.misdescribed = (*self.misdescribed, remedy(described))
-                self._unexpected[described] = None
-                break
+        described, line = self._unexpected[board.look]
+        self.misdescribed = (*self.misdescribed, line)
+        self._expect_no_other(described)
+
+    def _expect_no_other(self, described: Appearance) -> None:
+        """Look no more for what may be meant by a look."""
+        self._unexpected = {
+            other: meant for other, meant in self._unexpected.items() if meant[0] != described
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,18 +233,6 @@ def _measured(board: Placement, source: "_Source", is_over: IsOver) -> Located |
 def _shown(grey: np.ndarray, face: Face) -> np.ndarray:
     """The picture in which a face is as it is when it is not inverted."""
     return cv2.bitwise_not(grey) if face.inverted else grey
-
-
-def _unexpected(looks: Sequence[Appearance]) -> dict[Appearance, Appearance | None]:
-    """The look of each board with black and white exchanged, None where there is none, or another
-    face looks like that."""
-    known = {look.face.appearance for look in looks}
-    known |= {turned(face).appearance for look in looks if (face := look.face)}
-    others = {look: other_colours(look) for look in looks}
-    return {
-        look: other if other and other.face.appearance not in known else None
-        for look, other in others.items()
-    }
 
 
 def is_in_view(grey: np.ndarray, face: Face, fit: PlanarFit) -> bool:

@@ -1,9 +1,11 @@
-"""A checkerboard that the target file describes the wrong way round.
+"""A checkerboard that the target file describes the wrong way round, or by its inner corners.
 
 Which square is black at the top left says how corners are numbered. A board whose columns and rows
 were exchanged, or whose corner squares are white, has all of its corners and not its colours: it is
 not found, and whoever wrote the file must be told why. Nothing is guessed: it stays not found.
 """
+
+from collections.abc import Sequence
 
 from msgspec.structs import replace
 
@@ -40,9 +42,35 @@ def remedy(look: Appearance) -> str:
             f"write columns = {face.rows} and rows = {face.columns}, as it is when turned by a "
             f"quarter, or {inverted}"
         )
-    where = f"face {face.id} of target «{look.target}»" if look.target else f"face {face.id}"
     return (
-        f"{where}: a checkerboard of {face.columns} × {face.rows} squares is seen, but the square "
-        f"at its top left is {top_left} where the target file has it "
+        f"{look.words}: a checkerboard of {face.columns} × {face.rows} squares is seen, but the "
+        f"square at its top left is {top_left} where the target file has it "
         f"{'white' if face.inverted else 'black'}, so it is not used; {lines}"
+    )
+
+
+def unexpected(looks: Sequence[Appearance]) -> dict[Appearance, tuple[Appearance, str]]:
+    """Looks of boards that none of `looks` is, but one may be meant by: which, and what to write
+    where it is seen."""
+    known = {look.face.appearance for look in looks}
+    known |= {turned(look.face).appearance for look in looks}
+    meant = [(other, look, remedy(look)) for look in looks if (other := other_colours(look))]
+    meant += [(one_more(look), look, more_remedy(look)) for look in looks]
+    return {
+        other: (look, line) for other, look, line in meant if other.face.appearance not in known
+    }
+
+
+def one_more(look: Appearance) -> Appearance:
+    """A look of the board that has as many inner corners as the file gives squares."""
+    more = replace(look.face, columns=look.face.columns + 1, rows=look.face.rows + 1)
+    return Appearance(more, look.target, look.face_id)
+
+
+def more_remedy(look: Appearance) -> str:
+    """What to write for a board that was described by its inner corners, in one line."""
+    columns, rows = look.face.columns, look.face.rows
+    return (
+        f"{look.words}: these pictures show {columns} × {rows} inner corners, but the target file "
+        f"counts squares, so it is not used; write columns = {columns + 1} and rows = {rows + 1}"
     )

@@ -1,7 +1,8 @@
 """A camera's intrinsics from views of the target: which views, which model, how well known.
 
 1. A start from views that differ in place, size and slant.
-2. Views that this lens does not explain at all are rejected; all others are used.
+2. Views that this lens does not explain at all are rejected, and of a board that is in two places
+   of one picture the one that it explains less; all others are used.
 3. The model is chosen by its error on views that were left out.
 4. What the views leave open is said by name.
 """
@@ -21,6 +22,7 @@ from .calibration_fit import Fit, Placed, place
 from .calibration_information import most_informative, view_information
 from .calibration_knowledge import Knowledge, knowledge
 from .calibration_looks import looks_of
+from .calibration_places import losers_of, off_px, rivals_of
 from .calibration_start import equidistant_start
 from .calibration_views import View
 
@@ -36,10 +38,12 @@ _LEAST_RMS_PX = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A view that the lens does not explain; `rms_px`: of its corners' distances."""
+    """A view that the lens does not explain; `rms_px`: of its corners' distances; `is_double`: the
+    board is in another place of that picture too, which the lens explains better."""
 
     name: str
     rms_px: float
+    is_double: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,9 +89,8 @@ def calibrate(
     lead to no lens at all. Deterministic; some seconds for 60 views."""
     if len(views) < FEWEST_VIEWS:
         raise OperationError(_too_few(len(views), len(views)))
-    start = _start(views, size)
-    placed = [place(start, view) for view in views]
-    good = _are_good(placed)
+    start, placed, losers = _begun(views, size)
+    good = _are_good(placed, losers)
     if good.sum() < FEWEST_VIEWS:
         raise OperationError(_too_few(len(views), int(good.sum())))
     taken = _selected(start, views, placed, good, most)
@@ -103,7 +106,7 @@ def calibrate(
         used=tuple(used),
         spare=int(good.sum()) - len(used),
         rejected=tuple(
-            Rejected(views[i].name, one.rms_px if (one := placed[i]) else np.inf)
+            Rejected(views[i].name, one.rms_px if (one := placed[i]) else np.inf, i in losers)
             for i in np.flatnonzero(~good).tolist()
         ),
         tried=tried,
@@ -165,12 +168,28 @@ def outer_pixels(view: View) -> Array:
     return view.pixels[[int(np.argmin(way)) for way in (x + y, y - x, -x - y, x - y)]]
 
 
-def _are_good(placed: Sequence[Placed | None]) -> np.ndarray:
-    """Which views' median corners are not far beyond those of the median view, (views,) bool."""
-    off = np.array(
-        [np.inf if one is None else np.median(np.linalg.norm(one.error, axis=1)) for one in placed]
-    )
-    usual = max(float(np.median(off)), _LEAST_RMS_PX)
+def _begun(
+    views: Sequence[View], size: tuple[int, int]
+) -> tuple[CameraModel, list[Placed | None], set[int]]:
+    """A first lens, all views under it, and which of them show a board that is elsewhere in the
+    same picture: at first the smaller ones, then those that the lens explains less."""
+    rivals = rivals_of(views)
+    losers = {i for same in rivals for i in same[1:]}
+    while True:
+        start = _start([view for i, view in enumerate(views) if i not in losers], size)
+        placed = [place(start, view) for view in views]
+        better = losers_of(rivals, placed)
+        if better == losers or not rivals:
+            return start, placed, losers
+        losers, rivals = better, []
+
+
+def _are_good(placed: Sequence[Placed | None], losers: set[int]) -> np.ndarray:
+    """Which views' median corners are not far beyond those of the median view, (views,) bool;
+    those that lose against another place of the same board are not."""
+    off = np.array([np.inf if i in losers else off_px(one) for i, one in enumerate(placed)])
+    counted = [one for i, one in enumerate(off.tolist()) if i not in losers]
+    usual = max(float(np.median(counted)), _LEAST_RMS_PX)
     return np.isfinite(off) & (off <= _BAD_FACTOR * usual)
 
 

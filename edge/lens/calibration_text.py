@@ -5,7 +5,7 @@ import math
 from trigpoint.camera_info import format_camera_info
 from trigpoint.geometry.camera import LensModel
 
-from .calibration import Calibration
+from .calibration import Calibration, Rejected
 from .calibration_choice import Candidate
 
 COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
@@ -45,7 +45,7 @@ def calibration_text(found: Calibration) -> str:
     lines = [
         f"{len(found.used)} views used, {found.looks} of them different, {len(found.rejected)} "
         f"rejected{_spare(found)}",
-        *(f"  rejected {bad.name}: {bad.rms_px:.2f} px" for bad in found.rejected),
+        *(f"  rejected {bad.name}: {bad.rms_px:.2f} px{_why(bad)}" for bad in found.rejected),
         f"model {camera.model.value}; error on views left out, by model: {_held_out(found)}",
         f"residuals {found.fit.rms_px:.3f} px a corner, {coordinate_px:.3f} px a coordinate; "
         f"{100 * covered_share(found):.0f} % of the picture covered; "
@@ -60,6 +60,15 @@ def calibration_text(found: Calibration) -> str:
     if not found.doubts and (advised := advice(found)):
         lines.append(f"for a better one: {advised}")
     return "\n".join(lines)
+
+
+def _why(bad: Rejected) -> str:
+    if not bad.is_double:
+        return ""
+    return (
+        " (the board is in two places of this picture, and the other one agrees with the rest: is "
+        "this one on a monitor or in a mirror?)"
+    )
 
 
 def calibration_record(found: Calibration, *, name: str = "camera") -> dict[str, object]:

@@ -18,14 +18,16 @@ class View:
     """One face in one picture.
 
     `points`: (n, 3) in the face's frame, metres, z = 0; `pixels`: (n, 2) float64, raw; `sigma`: of
-    one coordinate as the detector says, pixels. The face's pose on the robot is not used, so a
-    target that was put together carelessly spoils nothing.
+    one coordinate as the detector says, pixels; `board`: which one it is, where there is only one
+    such. The face's pose on the robot is not used, so a target that was put together carelessly
+    spoils nothing.
     """
 
     name: str
     points: Array
     pixels: Array
     sigma: float
+    board: tuple[str, int] | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -40,7 +42,10 @@ def views_of(name: str, faces: Sequence[FaceSighting], targets: Sequence[Target]
 
 def _view(name: str, sighting: FaceSighting, face: Face) -> View:
     points = face.corners[sighting.corners.astype(int)]
-    return View(name, points, sighting.pixels.astype(float), sighting.sigma)
+    board = (sighting.target, sighting.face)
+    is_only = sighting.target != "" and sighting.face >= 0
+    pixels = sighting.pixels.astype(float)
+    return View(name, points, pixels, sighting.sigma, board if is_only else None)
 
 
 def _face_of(sighting: FaceSighting, targets: Sequence[Target]) -> Face | None:

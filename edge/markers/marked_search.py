@@ -7,14 +7,18 @@ import numpy as np
 
 from trigpoint.edge.image.region import Region
 from trigpoint.edge.image.time_limit import IsOver, never
+from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.finder import FaceFinder
-from trigpoint.edge.registration.measurement import Located
+from trigpoint.edge.registration.measurement import Located, Measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
+from trigpoint.geometry.rotation import Array
 
+from .contradictions import contradictions
 from .corner_squares import refined
 from .marked_board import MarkedBoard
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
-from .markers import reader_key, readers_for
+from .markers import reader_key, readers_for, whole_reader
+from .misdescribed import MisdescribedBoards
 from .quads import QuadFinder
 
 # After so many groups of markers that the picture denied, the lighter ones are no boards either.
@@ -31,20 +35,29 @@ class MarkedSearch(FaceFinder):
         TargetError for an unknown or too small dictionary."""
         self._boards = tuple(boards)
         self._readers = readers_for([board.look.face for board in boards])
+        self._whole = {key: whole_reader(*key) for key in self._readers}
         self._finder = QuadFinder(parts_touching=parts_touching)
+        looks = tuple(dict.fromkeys(board.look for board in boards))
+        self._wrong = MisdescribedBoards(looks, self._finder)
+        self._denied = set[Appearance]()
+        self._compared: dict[Appearance, set[int]] = {}
 
     def locate(
         self, grey: np.ndarray, is_over: IsOver, within: Region | None = None
     ) -> list[Located]:
         """The boards in a grey picture, or those of some markers in a part of it; inverted ones
         are looked for in its negative."""
+        self._denied.clear()
         found: list[Located] = []
         for inverted in (False, True):
             boards = [board for board in self._boards if board.look.face.inverted is inverted]
             if boards and not is_over():
                 shown = cv2.bitwise_not(grey) if inverted else grey
                 found += self._search(shown, boards, is_over, within)
-        return found
+        if self._denied or not (found or within or is_over()):
+            self._wrong.look(grey, self._denied)
+            self.misdescribed = tuple(self._wrong.lines.values())
+        return [board for board in found if board.look not in self._wrong.refused]
 
     def follow(
         self,
@@ -57,10 +70,27 @@ class MarkedSearch(FaceFinder):
     ) -> Located | None:
         """A board that was found before and now lies about where `fit` has it."""
         board = self._board_of(last)
+        if board.look in self._wrong.refused:
+            return None
         shown = cv2.bitwise_not(grey) if board.face.inverted else grey
         reader = self._readers[reader_key(board.face)]
         found = board.follow(shown, last.found, fit, reader, reach_px=reach_px, is_over=is_over)
-        return Located(board.look, found, last.variant) if found else None
+        if found is None or (not is_over() and self._is_denied_by_more(shown, board, found)):
+            return None
+        return Located(board.look, found, last.variant)
+
+    def _is_denied_by_more(self, grey: np.ndarray, board: MarkedBoard, found: Measured) -> bool:
+        """Whether what came into view since a board was last held against the picture contradicts
+        it: a board that drives in shows the part that does not agree last."""
+        new = set(found.corners.tolist()) - self._compared.setdefault(board.look, set())
+        return bool(new) and self._is_contradicted(grey, board, found, self._finder.find(grey))
+
+    def _is_contradicted(
+        self, grey: np.ndarray, board: MarkedBoard, found: Measured, quads: Array
+    ) -> bool:
+        self._compared.setdefault(board.look, set()).update(found.corners.tolist())
+        reader = self._whole[reader_key(board.face)]
+        return contradictions(grey, board, found, quads, reader).are_plain
 
     def _board_of(self, last: Located) -> MarkedBoard:
         """What a face was taken for."""
@@ -86,12 +116,17 @@ class MarkedSearch(FaceFinder):
             groups = group_markers(markers, board.layout, is_over)
             enough = max(least, board.least_markers)
             claims += [(group, board) for group in groups if len(group.numbers) >= enough]
-        return self._settled(grey, claims, is_over)
+        return self._settled(grey, claims, quads, is_over)
 
     def _settled(
-        self, grey: np.ndarray, claims: list[tuple[MarkerGroup, MarkedBoard]], is_over: IsOver
+        self,
+        grey: np.ndarray,
+        claims: list[tuple[MarkerGroup, MarkedBoard]],
+        quads: Array,
+        is_over: IsOver,
     ) -> list[Located]:
-        """The claims that hold, heaviest first.
+        """The claims that hold, heaviest first, and that no other of the quadrilaterals (n, 4, 2)
+        contradicts.
 
         A quadrilateral belongs to one board, and a look that is one face's alone is seen once.
         """
@@ -106,6 +141,9 @@ class MarkedSearch(FaceFinder):
             measured = board.locate(grey, group, reader, is_over)
             if measured is None:
                 refused += 1
+            elif self._is_contradicted(grey, board, measured, quads):
+                self._denied.add(board.look)
+                taken.update(group.quads.tolist())
             else:
                 board, measured = refined(grey, board, measured, is_over)
                 found.append(Located(board.look, measured, board.variant))

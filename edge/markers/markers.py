@@ -7,6 +7,7 @@ is then a marker is settled by several of them agreeing on one board.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -59,17 +60,28 @@ class MarkerReader:
         centres = (np.arange(self._side) + 0.5) / self._side
         x, y = np.meshgrid(centres, centres)
         self._centres = np.stack([x, y], axis=-1).reshape(-1, 2)
+        inside = np.abs(self._centres - 0.5).max(axis=1) < 0.5 - border_bits / self._side
+        self._within = np.flatnonzero(inside)
+        flat = np.array(cells).reshape(len(cells), -1)
+        self._codes = _normalised(flat[:, self._within]).T.copy()
 
     def scores(self, grey: np.ndarray, quads: Array) -> Array:
         """Correlation (n, markers, 4 turns) of quads (n, 4, 2) with each marker; 0: no contrast.
 
         In turn k the marker's top left is the quad's corner k.
         """
-        pixels = mapped(square_to_quads(quads), self._centres)
-        cells = sampled(grey, pixels)
+        return (self._cells(grey, quads, slice(None)) @ self._templates).reshape(len(quads), -1, 4)
+
+    def codes(self, grey: np.ndarray, quads: Array) -> Array:
+        """Correlation (n, markers) of upright quads (n, 4, 2) with what is within each marker's
+        border, which all have: of another marker 0, give or take one over the code's side."""
+        return self._cells(grey, quads, self._within) @ self._codes
+
+    def _cells(self, grey: np.ndarray, quads: Array, which: np.ndarray | slice) -> Array:
+        """What quads (n, 4, 2) show in some cells, normalised, (n, cells); 0: no contrast."""
+        cells = sampled(grey, mapped(square_to_quads(quads), self._centres[which]))
         contrast = cells.std(axis=-1, keepdims=True)
-        normal = np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
-        return (normal @ self._templates).reshape(len(quads), -1, 4)
+        return np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
 
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""
@@ -98,6 +110,13 @@ def readers_for(faces: Sequence[Face]) -> dict[tuple[str, int], MarkerReader]:
         own = range(face.first_marker, face.first_marker + face.marker_count)
         ids.setdefault(reader_key(face), set()).update(own)
     return {key: MarkerReader(*key, own) for key, own in ids.items()}
+
+
+@cache
+def whole_reader(dictionary: str, border_bits: int) -> MarkerReader:
+    """The reader of every marker of a dictionary, by id; shared, and never written to."""
+    count = len(predefined_dictionary(dictionary).bytesList)
+    return MarkerReader(dictionary, border_bits, range(count))
 
 
 def reader_key(face: Face) -> tuple[str, int]:

@@ -26,6 +26,12 @@ class Appearance:
         """Whether only one face of one robot looks so, which a picture shows once at most."""
         return self.target != "" and self.face_id >= 0
 
+    @property
+    def words(self) -> str:
+        """The face by its id and target, for people."""
+        of = f" of target «{self.target}»" if self.target else ""
+        return f"face {self.face.id}{of}"
+
     def sighting(self, corners: np.ndarray, pixels: np.ndarray, sigma: float) -> FaceSighting:
         """A sighting of this look; `corners`: (n,) ids; `pixels`: (n, 2)."""
         return FaceSighting(

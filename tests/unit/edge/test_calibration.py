@@ -1,6 +1,7 @@
 """A lens from views: is it right, are its sigmas true, and what is taken and left out."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -266,3 +267,20 @@ def test_text_and_record_say_the_same() -> None:
     assert intrinsics["k"] == found.camera.matrix.reshape(-1).tolist()
     assert intrinsics["sigma"]["fy"] == found.known.sigma[1]
     assert record["used"] == [view.name for view in found.used]
+
+
+def test_board_shown_on_a_monitor_is_left_out_and_said() -> None:
+    """The monitor shows another picture of the same camera, so its lens bends that twice."""
+    views = [replace(view, board=("box", 0)) for view in board_views(16, 5)]
+    monitor = Pose(exp([0.1, -0.3, 0.05]), np.array([-0.2, -0.1, 0.9]))
+    shown = [_on(monitor, other, view.name) for view, other in pairwise(views)]
+    found = calibrate([*views, *shown], SIZE)
+    assert [bad.name for bad in found.rejected if bad.is_double] == [v.name for v in shown]
+    assert found.known.noise_px == pytest.approx(0.1, rel=0.15)
+    assert "two places of this picture" in calibration_text(found)
+
+
+def _on(monitor: Pose, shown: View, name: str) -> View:
+    """A view on a monitor of 40 cm."""
+    plane = np.column_stack([shown.pixels * (0.4 / SIZE[0]), np.zeros(len(shown.pixels))])
+    return replace(shown, name=name, pixels=PINHOLE.project(monitor @ plane))

@@ -35,6 +35,20 @@ def test_checkerboard_corners_are_the_inner_ones_row_by_row() -> None:
     np.testing.assert_allclose(corners[8], [0, 0.03, 0])
 
 
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        ({"square": 30}, "write square = 0.03"),
+        ({"square": 114.4, "marker": 88}, "write square = 0.1144 and marker = 0.088"),
+        ({"square": 0.00003}, "too small"),
+        ({"translation": (150.0, 0.0, 500.0)}, r"write translation = \[0.15, 0, 0.5\]"),
+    ],
+)
+def test_lengths_in_millimetres_are_refused(changes: dict[str, object], remedy: str) -> None:
+    with pytest.raises(ValueError, match=remedy):
+        make_face(**changes)
+
+
 def test_charuco_corners_are_opencvs_from_corner_0_on() -> None:
     face = make_face(pattern=Pattern.CHARUCO, columns=5, rows=7, **MARKED)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_100)

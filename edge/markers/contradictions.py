@@ -1,0 +1,100 @@
+"""What a picture shows of a board with markers that could not be, were the target file true.
+
+A board of another layout agrees with the file in most of its markers, moved by a square: legacy
+ChArUco boards do. So everything that lies on the board's own grid is read, and held against what
+the file has there: another marker, or one beyond the board's edge, says that the file is wrong;
+nothing at all says little, since a hand hides markers too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.edge.registration.measurement import Measured
+from trigpoint.geometry.rotation import Array
+from trigpoint.target import Pattern
+
+from .marked_board import MarkedBoard
+from .markers import MarkerReader
+
+# How far a quadrilateral's corners may lie from where a marker's would be, of its side: half of
+# what a chessboard square is larger than its marker.
+_NEAR = 0.15
+# Only what is so near to a measured corner is compared: beyond, a fit to a few of them has no say.
+_REACH_SQUARES = 2.6
+# Correlation of a marker's code: surely this marker (one bit of 16 wrong); as well as not; and as
+# well as it, since another one has 0, by chance a quarter.
+_SURELY, _HARDLY, _PROBABLY = 0.85, 0.25, 0.5
+# Quadrilaterals at markers' places that are no marker of the file: as many are chance.
+_MOST_FOREIGN = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Contradictions:
+    """`agreeing`: markers where the file has them; `elsewhere`: the file's dictionary's at other
+    places; `foreign`: what is like a marker where the file has one, and is not it."""
+
+    agreeing: int
+    elsewhere: int
+    foreign: int
+
+    @property
+    def are_plain(self) -> bool:
+        """Whether the file cannot be true: an accident shows one foreign marker, not more of them
+        than agree, and none of the board's own in the wrong place."""
+        return self.elsewhere > 0 or self.foreign > max(_MOST_FOREIGN, self.agreeing)
+
+
+def contradictions(
+    grey: np.ndarray, board: MarkedBoard, found: Measured, quads: Array, reader: MarkerReader
+) -> Contradictions:
+    """What dark quadrilaterals (n, 4, 2) on a board's grid say about its description; `reader`:
+    of every marker of its dictionary."""
+    cells, expected = _cells(board)
+    corners = board.pattern.points[found.corners]
+    middles = cells.mean(axis=1)
+    apart = np.abs(middles[:, None] - corners[None]).max(axis=-1).min(axis=1)
+    near = np.flatnonzero(apart < _REACH_SQUARES * board.face.square)
+    placed = found.fit.project(cells[near].reshape(-1, 2)).reshape(-1, 4, 2)
+    which, there = _at(placed, quads)
+    if len(which) == 0:
+        return Contradictions(0, 0, 0)
+    scores = reader.codes(grey, there)
+    numbers = expected[near][which]
+    own = scores[np.arange(len(which)), np.maximum(numbers, 0) + board.face.first_marker]
+    own[numbers < 0] = 0.0
+    agrees = own > _PROBABLY
+    # A place is seen as several quadrilaterals: what agrees there settles it.
+    settled = np.isin(which, which[agrees])
+    elsewhere = ~settled & (scores.max(axis=1) > _SURELY)
+    foreign = ~settled & ~elsewhere & (numbers >= 0) & (own < _HARDLY) & scores.any(axis=1)
+    return Contradictions(*(len(set(which[is_so])) for is_so in (agrees, elsewhere, foreign)))
+
+
+def _cells(board: MarkedBoard) -> tuple[Array, np.ndarray]:
+    """Where markers could be on a board's grid and one place beyond, (n, 4, 2), clockwise from
+    their top left, and the number of the file's marker there, -1 where it has none."""
+    face, layout = board.face, board.layout
+    steps = np.rint((layout.mean(axis=1) - layout[0].mean(axis=0)) / face.square).astype(int)
+    # Around all squares of a ChArUco board, of which every other one has a marker.
+    low, high = steps.min(axis=0) - 1, steps.max(axis=0) + 1
+    if face.pattern is Pattern.CHARUCO:
+        low, high = low - 1, high + 1
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    places = np.stack([x, y], axis=-1).reshape(-1, 2)
+    numbers = {tuple(step): number for number, step in enumerate(steps.tolist())}
+    expected = np.array([numbers.get((a, b), -1) for a, b in places.tolist()])
+    return layout[0] + (places * face.square)[:, None], expected
+
+
+def _at(placed: Array, quads: Array) -> tuple[np.ndarray, Array]:
+    """The quadrilaterals that lie where markers `placed` (n, 4, 2) would: of which place each,
+    (k,), and its corners (k, 4, 2) from the same one on."""
+    sides = np.linalg.norm(np.roll(placed, 1, axis=1) - placed, axis=-1).mean(axis=1)
+    apart = np.abs(quads.mean(axis=1)[None] - placed.mean(axis=1)[:, None]).max(axis=-1)
+    which, index = np.nonzero(apart < _NEAR * sides[:, None])
+    turned = np.stack([np.roll(quads[index], -turn, axis=1) for turn in range(4)], axis=1)
+    off = np.linalg.norm(turned - placed[which][:, None], axis=-1).mean(axis=-1)
+    turn = off.argmin(axis=1)
+    near = off.min(axis=1) < _NEAR * sides[which]
+    return which[near], turned[near, turn[near]]
