@@ -9,7 +9,6 @@ squares (`evidence`): nothing assumes a lens, or flat paper.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
@@ -146,15 +145,7 @@ class CheckerboardDetector(FaceFinder):
         given."""
         if len(grid) < self._least:
             return None
-        width, height = source.size
-
-        @cache
-        def fit_of() -> PlanarFit | None:
-            places = grid.places.astype(float)
-            return settled_fit(places, grid.pixels, (width, height), TUNING.enough_px)
-
-        boards = (placed(grid, look, (width, height), fit_of) for look in looks or self._looks)
-        return max((board for board in boards if board), key=lambda b: b.score, default=None)
+        return placed(grid, looks or self._looks, source.size)
 
     def _look_for_unexpected(self, grid: Grid, source: "_Source", is_over: IsOver) -> None:
         """Note where a grid is a board that may be meant by one of the looks; each look is noted

@@ -12,11 +12,11 @@ from trigpoint.native.library import Handle, In, Kernel, Out
 MOST_CORNERS = 800
 _LEAST_CORNERS = 4
 
-_CORNERS = In(np.float64, ("n", 5))
+GRID = In(np.float64, ("n", 5))  # as `Grid.rows`
 _SADDLES = Kernel("tp_saddles", Handle, In(np.uint8, ("h", "w")))
 _GRIDS = Kernel("tp_grids", Handle, Out(np.float64, ("n", 5)), Out(np.float64, ("m",)))
-_CLEANED = Kernel("tp_cleaned", _CORNERS, Out(np.float64, ("n", 5)))
-_GROWN = Kernel("tp_grown", Handle, _CORNERS, int, Out(np.float64, ("m", 5)))
+_CLEANED = Kernel("tp_cleaned", GRID, Out(np.float64, ("n", 5)))
+_GROWN = Kernel("tp_grown", Handle, GRID, int, Out(np.float64, ("m", 5)))
 # More than a grid can grow to: two lines of places on each side, a few times over.
 _MOST_GROWN = 8 * MOST_CORNERS
 
