@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 namespace trigpoint {
@@ -23,16 +24,24 @@ constexpr double SCRATCHED_SHARE = 0.07;
 constexpr double MOST_UNEXPLAINED = 0.3, NOISE_POWER = 40.0;
 constexpr double WHITE = 255, TINY = 1e-6;
 
-// Products of all rows of a patch with each other.
+// Products of all rows of a patch with each other, the lower half. Eight sums for each, so that
+// every machine adds in the same order.
 TRIGPOINT_WIDE
-void add_products(const std::array<float, STRIDE>* __restrict rows, int count,
-                  float (*__restrict products)[STRIDE]) {
-    for (int p = 0; p < count; ++p) {
-        const float* __restrict row = rows[p].data();
-        if (row[ONE] == 0) continue;
-        for (int i = 0; i < ROWS; ++i) {
-            const float value = row[i];
-            for (int j = 0; j < STRIDE; ++j) products[i][j] += value * row[j];
+void add_products(const Patch& patch, float (&products)[ROWS][ROWS]) {
+    using Eight = float __attribute__((vector_size(32)));
+    for (int i = 0; i < ROWS; ++i) {
+        Eight sums[ROWS] = {};
+        for (int p = 0; p < patch.count; p += 8) {
+            Eight first, second;
+            std::memcpy(&first, patch.rows[i].data() + p, sizeof(first));
+            for (int j = 0; j <= i; ++j) {
+                std::memcpy(&second, patch.rows[j].data() + p, sizeof(second));
+                sums[j] += first * second;
+            }
+        }
+        for (int j = 0; j <= i; ++j) {
+            const Eight& s = sums[j];
+            products[i][j] = ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
         }
     }
 }
@@ -67,18 +76,20 @@ void leave_foreign_out(const Usual& usual, const Match& match, Patch& patch) {
     const bool is_faint = match.gain() < LEAST_CONTRAST_SHARE * usual.gain;
     Light own;
     for (int k = 0; k < 4; ++k) own[k] = float(match.values(VALUE + k));
-    const auto is_foreign = [](const std::array<float, STRIDE>& row, const Light& light) {
-        const float drawn = light[0] * row[VALUE] + light[1] * row[ONE] + light[2] * row[RISE_X] +
-                            light[3] * row[RISE_Y];
-        return std::abs(row[SEEN] - drawn) > FOREIGN_SHARE * std::abs(light[0]);
+    const auto is_foreign = [&](int p, const Light& light) {
+        float drawn = 0;
+        for (int k = 0; k < 4; ++k) drawn += light[k] * patch.rows[VALUE + k][p];
+        return std::abs(patch.rows[SEEN][p] - drawn) > FOREIGN_SHARE * std::abs(light[0]);
     };
     const auto foreign_in = [&](const Light& light) {
-        return std::count_if(patch.rows.begin(), patch.rows.begin() + patch.count,
-                             [&](const auto& row) { return is_foreign(row, light); });
+        int count = 0;
+        for (int p = 0; p < patch.count; ++p) count += is_foreign(p, light);
+        return count;
     };
     const Light& best = is_faint || foreign_in(common) <= foreign_in(own) ? common : own;
     for (int p = 0; p < patch.count; ++p)
-        if (is_foreign(patch.rows[p], best)) patch.rows[p].fill(0);
+        if (is_foreign(p, best))
+            for (auto& row : patch.rows) row[p] = 0;
 }
 
 // Whether the picture shows a corner as it is printed.
@@ -93,11 +104,11 @@ bool is_clear(const Usual& usual, const Match& match) {
 }  // namespace
 
 Match Match::of(const Patch& patch) {
-    alignas(32) float sums[ROWS][STRIDE] = {};
-    add_products(patch.rows.data(), patch.count, sums);
+    float sums[ROWS][ROWS];
+    add_products(patch, sums);
     Eigen::Matrix<double, ROWS, ROWS> products;
     for (int i = 0; i < ROWS; ++i)
-        for (int j = 0; j < ROWS; ++j) products(i, j) = sums[i][j];
+        for (int j = 0; j <= i; ++j) products(i, j) = products(j, i) = sums[i][j];
     Match match;
     match.total = patch.total;
     match.count = products(ONE, ONE);

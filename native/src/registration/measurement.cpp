@@ -177,15 +177,12 @@ TRIGPOINT_KERNEL(tp_pattern_set) {
 // (pattern, texels (h, w), scale, offset x, offset y): one more print, finer than the last.
 TRIGPOINT_KERNEL(tp_pattern_print) {
     auto& pattern = *static_cast<CornerPattern*>(arguments[0].object);
-    const Array& texels = arguments[1].array;
-    if (texels.shape[0] == 0 || texels.shape[1] == 0)
-        throw std::invalid_argument("a print has texels");
-    const auto* first = texels.as<const std::uint8_t>();
-    pattern.prints.push_back({{first, first + texels.shape[0] * texels.shape[1]},
-                              texels.shape[0],
-                              texels.shape[1],
-                              arguments[2].number,
-                              {arguments[3].number, arguments[4].number}});
+    const Grey texels = Grey::of(arguments[1].array);
+    constexpr std::int64_t MOST_TEXELS = 1 << 30;
+    if (texels.height < 1 || texels.width < 1 || texels.height * texels.width > MOST_TEXELS)
+        throw std::invalid_argument("a print has 1 to 2^30 texels");
+    pattern.prints.emplace_back(texels, arguments[2].number,
+                                Eigen::Vector2d(arguments[3].number, arguments[4].number));
     return 0;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 namespace trigpoint {
 namespace {
@@ -9,12 +10,17 @@ namespace {
 constexpr int MARGIN_PX = 3;
 // Where the map from pixels to the print is looked up: so far from a patch's middle, of its half.
 constexpr double STENCIL = 0.75;
-constexpr double SLACK = 0.05;  // of the reach, left out beside an unknown sector
+constexpr float SLACK = 0.05F;  // of the reach, left out beside an unknown sector
 constexpr float WHITE = 255, MIDDLE = 128;
 // The drawing's side on the lattice: what derivatives are taken from, and what blur comes from.
 constexpr int EDGE = 2;
 constexpr int MOST_SOFT = LATTICE * (SIDE - 1) + 1 + 2 * EDGE;
 constexpr int MOST_SHARP = MOST_SOFT + 2 * MOST_RADIUS;
+// Its rows in memory: what is softened goes in eights, what is read of it in WIDTH pixels.
+constexpr int EIGHT = 8, MOST_EIGHTS = (MOST_SOFT + EIGHT - 1) / EIGHT;
+constexpr int SHARP_WIDTH = EIGHT * MOST_EIGHTS + 2 * MOST_RADIUS;
+constexpr int SOFT_WIDTH = LATTICE * WIDTH + 2 * EDGE;
+static_assert(SOFT_WIDTH >= EIGHT * MOST_EIGHTS && WIDTH >= SIDE);
 
 struct Texels {
     Eigen::Matrix3d from_face;
@@ -24,25 +30,108 @@ struct Texels {
     }
 };
 
-// Of a lattice `side` wide with `radius` more on every side, softened.
+// The values of a print at places, of 0 to 1, interpolated; beyond its edge as at the edge.
 TRIGPOINT_WIDE
-void soften(const float* __restrict sharp, const float* __restrict shares, int radius, int side,
-            float* __restrict soft) {
-    const int wide = side + 2 * radius, taps = 2 * radius + 1;
-    for (int y = 0; y < side; ++y) {
-        float line[MOST_SOFT + 3] = {};
+void sample(const Print& print, const float* __restrict x, const float* __restrict y, int count,
+            float* __restrict values) {
+    const auto right = static_cast<float>(print.width - 1),
+               bottom = static_cast<float>(print.height - 1);
+    std::array<std::int32_t, SHARP_WIDTH> cell;
+    std::array<float, SHARP_WIDTH> across, down;
+    for (int i = 0; i < count; ++i) {
+        float u = x[i] > 0 ? x[i] : 0, v = y[i] > 0 ? y[i] : 0;
+        u = u < right ? u : right, v = v < bottom ? v : bottom;
+        const auto column = static_cast<std::int32_t>(u), line = static_cast<std::int32_t>(v);
+        cell[i] = line * print.width + column;
+        across[i] = u - static_cast<float>(column), down[i] = v - static_cast<float>(line);
+    }
+    std::array<std::uint32_t, SHARP_WIDTH> four;
+    for (int i = 0; i < count; ++i) four[i] = print.cells[static_cast<std::size_t>(cell[i])];
+    for (int i = 0; i < count; ++i) {
+        const auto texel = [&](int shift) {
+            return static_cast<float>(static_cast<std::int32_t>(four[i] >> shift & 255));
+        };
+        const float above = texel(0) + across[i] * (texel(8) - texel(0));
+        const float below = texel(16) + across[i] * (texel(24) - texel(16));
+        values[i] = (above + down[i] * (below - above)) * (1 / WHITE);
+    }
+}
+
+// Of a lattice with `radius` more on every side, softened: `height` rows of so many eights.
+template <int EIGHTS>
+inline __attribute__((always_inline)) void soften_rows(const float* __restrict sharp,
+                                                       const Kernel& kernel, int height,
+                                                       float* __restrict soft) {
+    using Eight = float __attribute__((vector_size(EIGHT * sizeof(float))));
+    const int taps = 2 * kernel.radius + 1;
+    for (int y = 0; y < height; ++y) {
+        Eight line[EIGHTS] = {};
+        const float* share = kernel.shares.data();
         for (int j = 0; j < taps; ++j) {
-            for (int i = 0; i < taps; ++i) {
-                const float share = shares[j * taps + i];
-                const float* __restrict from = sharp + (y + j) * wide + i;
-                for (int x = 0; x < side; ++x) line[x] += share * from[x];
+            for (int i = 0; i < taps; ++i, ++share) {
+                for (int k = 0; k < EIGHTS; ++k) {
+                    Eight from;
+                    std::memcpy(&from, sharp + (y + j) * SHARP_WIDTH + i + EIGHT * k, sizeof(from));
+                    line[k] += *share * from;
+                }
             }
         }
-        for (int x = 0; x < side; ++x) soft[y * side + x] = line[x];
+        std::memcpy(soft + y * SOFT_WIDTH, line, sizeof(line));
+    }
+}
+
+TRIGPOINT_WIDE
+void soften(const float* sharp, const Kernel& kernel, int side, float* soft) {
+    if (side <= 3 * EIGHT) {
+        soften_rows<3>(sharp, kernel, side, soft);
+    } else {
+        soften_rows<MOST_EIGHTS>(sharp, kernel, side, soft);
+    }
+}
+
+// What explains the pixels of one row of a patch: the softened drawing about it, whether each
+// counts (1 or 0), and the blur's response.
+TRIGPOINT_WIDE
+void explain(const float* __restrict soft, const float* __restrict counts, float response,
+             float* __restrict rows) {
+    constexpr int PLANE = SIDE * WIDTH, DOWN = SOFT_WIDTH;
+    for (int i = 0; i < WIDTH; ++i) {
+        const float* at = soft + LATTICE * i;
+        const float one = counts[i], value = at[0], right = at[1], before = at[-1],
+                    below = at[DOWN], above = at[-DOWN], bump = value * (1 - value);
+        const float slope = one * (1 + response * (1 - 2 * value));
+        // To the fourth order, as blurred edges need; over one pixel alone a derivative comes out a
+        // twentieth too low, and a step as much too long.
+        rows[BY_X * PLANE + i] =
+            slope * ((right - before) * (4.0F / 3) - (at[2] - at[-2]) * (1.0F / 6));
+        rows[BY_Y * PLANE + i] =
+            slope * ((below - above) * (4.0F / 3) - (at[2 * DOWN] - at[-2 * DOWN]) * (1.0F / 6));
+        rows[VALUE * PLANE + i] = one * (value + response * bump);
+        // What a wider blur changes is half the second derivatives (the heat equation).
+        rows[XX * PLANE + i] = slope * (2 * (right + before - 2 * value));
+        rows[YY * PLANE + i] = slope * (2 * (below + above - 2 * value));
+        rows[XY * PLANE + i] = slope * (at[DOWN + 1] - at[DOWN - 1] - at[1 - DOWN] + at[-1 - DOWN]);
+        rows[BUMP * PLANE + i] = one * bump;
     }
 }
 
 }  // namespace
+
+Print::Print(const Grey& texels, double a_scale, const Eigen::Vector2d& an_offset)
+    : height(static_cast<int>(texels.height)),
+      width(static_cast<int>(texels.width)),
+      scale(a_scale),
+      offset(an_offset) {
+    cells.reserve(static_cast<std::size_t>(texels.height * texels.width));
+    for (int y = 0; y < height; ++y) {
+        const std::uint8_t *here = texels.row(y), *below = texels.row(std::min(y + 1, height - 1));
+        for (int x = 0; x < width; ++x) {
+            const int next = std::min(x + 1, width - 1);
+            cells.push_back(std::uint32_t{here[x]} | std::uint32_t{here[next]} << 8 |
+                            std::uint32_t{below[x]} << 16 | std::uint32_t{below[next]} << 24);
+        }
+    }
+}
 
 // So near a corner a map is quadratic in the pixels, to a thousandth: the one of least squares
 // through nine places, at `STENCIL` of a patch's half to all sides.
@@ -124,58 +213,53 @@ void Drawer::draw(int id, const Eigen::Vector2d& pixel, const Eigen::Vector2d& n
     const Quadratic texels(texel_from_pixel_, middle, STENCIL * (half_ + MARGIN_PX));
     const int side = 2 * half_ + 1, soft_side = LATTICE * (side - 1) + 1 + 2 * EDGE;
     const int sharp_side = soft_side + 2 * kernel_.radius;
+    const int sharp_width = EIGHT * (soft_side <= 3 * EIGHT ? 3 : MOST_EIGHTS) + 2 * kernel_.radius;
 
-    std::array<float, MOST_SHARP * MOST_SHARP> sharp;
-    const Grey print = print_->grey();
+    std::array<float, MOST_SHARP * SHARP_WIDTH> sharp;
     const int first = -(LATTICE * half_ + EDGE + kernel_.radius);
-    std::array<float, MOST_SHARP> texel_x, texel_y;
+    std::array<float, SHARP_WIDTH> x, y;
     for (int j = 0; j < sharp_side; ++j) {
-        texels.row(double(first + j) / LATTICE, double(first) / LATTICE, 1.0 / LATTICE, sharp_side,
-                   texel_x.data(), texel_y.data());
-        float* to = sharp.data() + j * sharp_side;
-        for (int i = 0; i < sharp_side; ++i) to[i] = print.at(texel_x[i], texel_y[i]) * (1 / WHITE);
+        texels.row(double(first + j) / LATTICE, double(first) / LATTICE, 1.0 / LATTICE, sharp_width,
+                   x.data(), y.data());
+        sample(*print_, x.data(), y.data(), sharp_width, sharp.data() + j * SHARP_WIDTH);
     }
-    std::array<float, MOST_SOFT * MOST_SOFT> soft;
-    soften(sharp.data(), kernel_.shares.data(), kernel_.radius, soft_side, soft.data());
+    std::array<float, MOST_SOFT * SOFT_WIDTH> soft{};
+    soften(sharp.data(), kernel_, soft_side, soft.data());
 
     const Eigen::Vector2d corner = point * print_->scale + print_->offset;
-    const double reach = pattern_.reach * print_->scale;
+    const auto corner_x = static_cast<float>(corner.x()), corner_y = static_cast<float>(corner.y());
+    const auto reach = static_cast<float>(pattern_.reach * print_->scale);
+    const auto out_x = static_cast<float>(out.x()), out_y = static_cast<float>(out.y());
+    const bool has_unknown = !out.isZero(0);
     const auto left = static_cast<std::int64_t>(nearest.x()) - part_.left - half_,
                top = static_cast<std::int64_t>(nearest.y()) - part_.top - half_;
-    patch.count = side * side, patch.total = 0;
+    const int begin = static_cast<int>(std::clamp<std::int64_t>(-left, 0, side)),
+              end = static_cast<int>(std::clamp<std::int64_t>(part_.grey.width - left, 0, side));
+    patch.count = side * WIDTH, patch.total = 0;
     for (int j = 0; j < side; ++j) {
-        for (int i = 0; i < side; ++i) {
-            auto& row = patch.rows[j * side + i];
-            row.fill(0);
-            const Eigen::Vector2d off = texels.at(i - half_, j - half_) - corner;
-            const bool is_inside = left + i >= 0 && left + i < part_.grey.width && top + j >= 0 &&
-                                   top + j < part_.grey.height;
-            const bool is_unknown = !out.isZero(0) && off.x() * out.x() > -SLACK * reach &&
-                                    off.y() * out.y() > -SLACK * reach;
-            if (!is_inside || is_unknown || !(off.cwiseAbs().maxCoeff() < reach)) continue;
-            patch.total += 1;
-            const float* at = soft.data() + (LATTICE * j + EDGE) * soft_side + LATTICE * i + EDGE;
-            const int down = soft_side;
-            const float value = at[0], right = at[1], before = at[-1], below = at[down],
-                        above = at[-down];
-            // To the fourth order, as blurred edges need; over one pixel alone a derivative comes
-            // out a twentieth too low, and a step as much too long.
-            row[BY_X] = (right - before) * (4.0F / 3) - (at[2] - at[-2]) * (1.0F / 6);
-            row[BY_Y] = (below - above) * (4.0F / 3) - (at[2 * down] - at[-2 * down]) * (1.0F / 6);
-            // What a wider blur changes is half the second derivatives (the heat equation).
-            row[XX] = 2 * (right + before - 2 * value);
-            row[YY] = 2 * (below + above - 2 * value);
-            row[XY] = at[down + 1] - at[down - 1] - at[1 - down] + at[-1 - down];
-            row[BUMP] = value * (1 - value);
-            const float slope = 1 + response_ * (1 - 2 * value);
-            for (const int k : {BY_X, BY_Y, XX, YY, XY}) row[k] *= slope;
-            row[VALUE] = value + response_ * row[BUMP];
-            row[ONE] = 1;
-            if (!is_light_even) {
-                row[RISE_X] = float(i) / float(side - 1) - 0.5F;
-                row[RISE_Y] = float(j) / float(side - 1) - 0.5F;
+        std::array<float, WIDTH> counts{};
+        float* rows = patch.rows[0].data() + j * WIDTH;
+        const auto row = [&](Row which) { return patch.rows[which].data() + j * WIDTH; };
+        std::fill_n(row(SEEN), WIDTH, 0.0F);
+        if (top + j >= 0 && top + j < part_.grey.height) {
+            texels.row(j - half_, -half_, 1, side, x.data(), y.data());
+            const std::uint8_t* grey = part_.grey.row(top + j);
+            for (int i = begin; i < end; ++i) {
+                const float off_x = x[i] - corner_x, off_y = y[i] - corner_y;
+                const bool is_unknown =
+                    has_unknown && off_x * out_x > -SLACK * reach && off_y * out_y > -SLACK * reach;
+                counts[i] = std::abs(off_x) < reach && std::abs(off_y) < reach && !is_unknown;
+                row(SEEN)[i] = counts[i] * (grey[left + i] - MIDDLE);
+                patch.total += counts[i];
             }
-            row[SEEN] = part_.grey.row(top + j)[left + i] - MIDDLE;
+        }
+        explain(soft.data() + (LATTICE * j + EDGE) * SOFT_WIDTH + EDGE, counts.data(), response_,
+                rows);
+        for (int i = 0; i < WIDTH; ++i) {
+            const float rises = is_light_even ? 0 : counts[i], middle_of = float(side - 1);
+            row(ONE)[i] = counts[i];
+            row(RISE_X)[i] = rises * (float(i) / middle_of - 0.5F);
+            row(RISE_Y)[i] = rises * (float(j) / middle_of - 0.5F);
         }
     }
 }

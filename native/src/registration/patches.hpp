@@ -16,17 +16,18 @@ namespace trigpoint {
 constexpr int LEAST_HALF_PX = 3, MOST_HALF_PX = 6;
 constexpr int LATTICE = 2;                  // points a pixel
 constexpr int SIDE = 2 * MOST_HALF_PX + 1;  // of a patch, pixels
-constexpr int MOST_PIXELS = SIDE * SIDE;
+constexpr int WIDTH = 16;                   // of its rows in memory
 
 // A face as it is printed, so many texels a square; the face point (x, y) lies at texel
-// (x, y) · scale + offset.
+// (x, y) · scale + offset. `cells`: each texel with those right of it, below it, and below right, a
+// byte each, so that one access has all that lie around a place.
 struct Print {
-    std::vector<std::uint8_t> texels;
-    std::int64_t height = 0, width = 0;
-    double scale = 1;
-    Eigen::Vector2d offset = Eigen::Vector2d::Zero();
+    std::vector<std::uint32_t> cells;
+    int height, width;
+    double scale;
+    Eigen::Vector2d offset;
 
-    Grey grey() const { return {texels.data(), height, width}; }
+    Print(const Grey& texels, double scale, const Eigen::Vector2d& offset);
 };
 
 // What a face has around its corners. `points`: in the face frame; `outward`: signs of the axes'
@@ -52,14 +53,16 @@ struct PartOfPicture {
 
 // Of each pixel of a patch, what explains it: the derivative by the corner's place, the drawing's
 // value, even light and how that rises along x and along y; what each number of the blur changes;
-// what is seen, from middle grey. 0 where a pixel does not count.
-enum Row { BY_X, BY_Y, VALUE, ONE, RISE_X, RISE_Y, XX, YY, XY, BUMP, SEEN, ROWS, STRIDE };
+// what is seen, from middle grey.
+enum Row { BY_X, BY_Y, VALUE, ONE, RISE_X, RISE_Y, XX, YY, XY, BUMP, SEEN, ROWS };
 constexpr int OWN = XX, SHARED = SEEN - XX;  // numbers of a corner, and of the face's blur
 
+// `rows`: for all pixels, 0 where one does not count; `count`: of its pixels in memory; `total`:
+// how many show what is known.
 struct Patch {
-    int count;     // of its pixels
-    double total;  // of these, how many show what is known
-    alignas(32) std::array<std::array<float, STRIDE>, MOST_PIXELS> rows;
+    int count;
+    double total;
+    alignas(32) std::array<std::array<float, SIDE * WIDTH>, ROWS> rows;
 };
 
 // Draws patches about corners that lie about where a fit has them.
