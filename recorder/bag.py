@@ -3,38 +3,50 @@
 Our own sessions are read by `recording`; this knows no key of the contract, only topics and types.
 """
 
+import logging
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trigpoint.cdr_codecs import CODECS
-from trigpoint.errors import MessageError, RecordingError
+from trigpoint.errors import InputError, MessageError, RecordingError
 from trigpoint.messages import CAMERA_INFO, ODOMETRY, PICTURE, SIGHTINGS, Message
+
+from .mcap_file import McapIndex
+from .mcap_index import read_index
+from .recording import Recording
+from .rosbag_metadata import FILE as METADATA
+from .rosbag_metadata import listed_files, packs_messages
+from .session_files import BAGS, session_files
 
 IMAGE = "sensor_msgs/msg/Image"
 PICTURES = (IMAGE, PICTURE)
 READ = (*PICTURES, CAMERA_INFO, ODOMETRY, SIGHTINGS)
 """The types that have a use as input."""
-_FILES = (".mcap", ".db3", ".bag")
-Refuse = Callable[[str, str, MessageError], None]
+Refuse = Callable[[str, str, int, MessageError], None]
+"""Told a topic, its type, the log time and what is wrong."""
+_LOG = logging.getLogger(__name__)
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
 
 
 @dataclass(frozen=True, slots=True)
 class RawImage:
-    """A picture as sensor_msgs/msg/Image has it; `data`: (height, step) uint8 rows."""
+    """A picture as sensor_msgs/msg/Image has it: `data` (n,) uint8, rows of `step` bytes if that is
+    true."""
 
     stamp_ns: int
     encoding: str
     is_bigendian: bool
     width: int
     height: int
+    step: int
     data: np.ndarray
 
 
@@ -47,47 +59,34 @@ class BagMessage:
     message: Message | RawImage
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag's file, or a folder with one."""
-    if path.is_dir():
-        return any(file.suffix in _FILES for file in path.iterdir())
-    return path.suffix in _FILES
-
-
 class Bag:
     """An opened bag. Every method raises RecordingError where it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with _reading(path), AnyReader(_files(path), default_typestore=_STORE) as reader:
-            self.topics = {c.topic: c.msgtype for c in reader.connections}
+        self._source = _McapFiles(path) if _is_mcap(path) else _OtherFiles(path)
+        self.topics = {topic: _most_useful(kinds) for topic, kinds in self._source.kinds.items()}
         """Type by topic."""
 
     def pictures(self) -> list[str]:
         """The topics with pictures."""
         return [topic for topic, kind in self.topics.items() if kind in PICTURES]
 
-    def messages(
-        self, topics: Collection[str], refuse: Refuse = lambda *_: None
-    ) -> Iterator[BagMessage]:
+    def messages(self, topics: Collection[str], refuse: Refuse) -> Iterator[BagMessage]:
         """The messages of these topics, in the order of recording; one that is not sound is left
-        out, and `refuse` called with its topic, type and what is wrong. Raises RecordingError for a
+        out, and `refuse` told. Raises RecordingError for a
         topic that is not there or of no use."""
         for topic in topics:
             self._check(topic)
-        with (
-            _reading(self._path),
-            AnyReader(_files(self._path), default_typestore=_STORE) as reader,
-        ):
-            wanted = [c for c in reader.connections if c.topic in topics]
-            for connection, log_ns, data in reader.messages(wanted):
-                try:
-                    found = reader.deserialize(data, connection.msgtype)
-                    message = _message(connection.msgtype, found)
-                except MessageError as reason:
-                    refuse(connection.topic, connection.msgtype, reason)
-                    continue
-                yield BagMessage(connection.topic, log_ns, message)
+        for topic, kind, log_ns, decode in self._source.messages(topics):
+            try:
+                if kind != self.topics[topic]:
+                    raise MessageError(f"is a {kind}, not a {self.topics[topic]}")
+                message = _message(kind, decode())
+            except MessageError as reason:
+                refuse(topic, kind, log_ns, reason)
+                continue
+            yield BagMessage(topic, log_ns, message)
 
     def _check(self, topic: str) -> None:
         kind = self.topics.get(topic)
@@ -101,43 +100,139 @@ class Bag:
 
 
 _STORE = get_typestore(Stores.ROS2_JAZZY)
+_Raw = tuple[str, str, int, Callable[[], Any]]  # topic, type, log time, and how to decode it
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
+class _McapFiles:
+    """MCAP files, whatever is damaged or left out in them."""
+
+    def __init__(self, path: Path) -> None:
+        has_list = not path.is_dir() or (path / METADATA).exists()
+        files = session_files(path) if has_list else sorted(path.glob("*.mcap"))
+        self._parts = [Recording([read_index(file)]) for file in files]
+        self.kinds: dict[str, set[str]] = {}
+        for recording in self._parts:
+            (part,) = recording.parts
+            for number in part.channels:
+                self.kinds.setdefault(part.channels[number].topic, set()).add(_kind(part, number))
+        if not self.kinds:
+            problems = "; ".join(filter(None, (recording.problem for recording in self._parts)))
+            raise RecordingError(
+                f"{path}: nothing in it can be read ({problems or 'it has no messages'}); "
+                "`trigpoint check` says more"
+            )
+
+    def messages(self, topics: Collection[str]) -> Iterator[_Raw]:
+        for recording in self._parts:
+            if recording.problem:
+                _LOG.warning("%s: not complete: %s", recording.path, recording.problem)
+            (part,) = recording.parts
+            wanted = {number for number, c in part.channels.items() if c.topic in topics}
+            decoders = {number: _decoder(part, number) for number in wanted}
+            for message in recording.messages(part, wanted):
+                number = message.channel
+                decode = partial(_decoded, decoders[number], message.payload)
+                topic = part.channels[number].topic
+                yield topic, _kind(part, number), message.log_ns, decode
+
+
+class _OtherFiles:
+    """What rosbags opens: ROS 1's bags, and rosbag2's in SQLite or packed message by message."""
+
+    def __init__(self, path: Path) -> None:
+        is_one = not path.is_dir() or (path / METADATA).exists()
+        self._path = path
+        self._files = (
+            [path] if is_one else sorted(file for file in path.iterdir() if file.suffix in BAGS)
+        )
+        self.kinds: dict[str, set[str]] = {}
+        with self._opened() as reader:
+            for connection in reader.connections:
+                self.kinds.setdefault(connection.topic, set()).add(connection.msgtype)
+
+    def messages(self, topics: Collection[str]) -> Iterator[_Raw]:
+        with self._opened() as reader:
+            wanted = [c for c in reader.connections if c.topic in topics]
+            for connection, log_ns, data in reader.messages(wanted):
+                kind = connection.msgtype
+                decode = partial(_decoded, partial(reader.deserialize, typ=kind), data)
+                yield connection.topic, kind, log_ns, decode
+
+    @contextmanager
+    def _opened(self) -> Iterator[AnyReader]:
+        try:
+            with AnyReader(self._files, default_typestore=_STORE) as reader:
+                yield reader
+        except (RecordingError, InputError, GeneratorExit):
+            raise
+        except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a bag leads it to
+            told = " ".join(str(reason).split()) or type(reason).__name__
+            raise RecordingError(
+                f"{self._path}: this bag cannot be read ({told}); copy it again, or see what "
+                "`ros2 bag info` says of it"
+            ) from None
+
+
+def _is_mcap(path: Path) -> bool:
+    """Whether a path is MCAP that is read as such; not where each message is packed."""
+    files = [path]
+    if path.is_dir():
+        has_list = (path / METADATA).exists()
+        files = listed_files(path) if has_list else [f for f in path.iterdir() if f.suffix in BAGS]
+        if has_list and packs_messages(path):
+            return False
+    return all(".mcap" in file.suffixes for file in files)
+
+
+def _most_useful(kinds: Collection[str]) -> str:
+    return min(kinds, key=lambda kind: (kind not in READ, kind))
+
+
+def _kind(part: McapIndex, number: int) -> str:
+    """A channel's type; what none of ours can be says in which form it is."""
+    channel = part.channels[number]
+    schema = part.schemas.get(channel.schema_id)
+    name = schema.name if schema else "message without a type"
+    if channel.message_encoding == "cdr":
+        return name
+    forms = {"ros1": "ROS 1 message", "json": "JSON message", "protobuf": "Protobuf message"}
+    form = forms.get(channel.message_encoding, f"message in «{channel.message_encoding}»")
+    return f"{form} ({name}) in MCAP"
+
+
+def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
+    """Reads a channel's messages by the definition that the file has of them, or by ROS's."""
+    schema = part.schemas.get(part.channels[number].schema_id)
+    name = schema.name if schema else ""
+    store = get_typestore(Stores.EMPTY)
     try:
-        yield
-    except (RecordingError, GeneratorExit):
-        raise
-    except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a bag leads it to
+        text = schema.data.decode() if schema else ""
+        types = get_types_from_idl if schema and schema.encoding == "ros2idl" else None
+        store.register(types(text) if types else get_types_from_msg(text, name))
+    except Exception:  # noqa: BLE001 - rosbags raises whatever a definition leads it to
+        store = _STORE
+    return lambda payload: store.deserialize_cdr(payload, name)
+
+
+def _decoded(decode: Callable[[bytes], Any], data: bytes) -> Any:
+    try:
+        return decode(data)
+    except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a message leads it to
         told = " ".join(str(reason).split()) or type(reason).__name__
-        raise RecordingError(
-            f"{path}: this bag cannot be read ({told}); `trigpoint check` says what is wrong, "
-            "`trigpoint recover` saves what is sound"
-        ) from None
-
-
-def _files(path: Path) -> list[Path]:
-    """What rosbags opens: a folder with metadata.yaml, or files."""
-    if not path.is_dir() or (path / "metadata.yaml").exists():
-        return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in _FILES)
+        raise MessageError(f"cannot be decoded ({len(data)} bytes: {told})") from None
 
 
 def _message(type_name: str, found: Any) -> Message | RawImage:
     if type_name == IMAGE:
         stamp_ns = found.header.stamp.sec * 10**9 + found.header.stamp.nanosec
-        rows = np.asarray(found.data, dtype=np.uint8)
-        if found.height <= 0 or rows.size < found.height * found.step:
-            raise MessageError("a picture is shorter than it says")
-        rows = rows[: found.height * found.step].reshape(found.height, found.step)
         return RawImage(
             stamp_ns,
             found.encoding,
             bool(found.is_bigendian),
             found.width,
             found.height,
-            rows,
+            found.step,
+            np.asarray(found.data, dtype=np.uint8),
         )
     if type_name == CAMERA_INFO and not hasattr(found, "k"):  # of ROS 1
         found = _Lowered(found)

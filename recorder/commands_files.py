@@ -1,5 +1,7 @@
 """The commands `info`, `check` and `recover`."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -46,13 +48,16 @@ def check(session: Session) -> None:
     for file in session_files(session):
         verdict = check_file(file)
         is_sound = is_sound and verdict.is_sound
-        for kind, texts in (("error", verdict.errors), ("warning", verdict.warnings)):
-            for text in texts[:_SHOWN]:
-                typer.echo(f"{file}: {kind}: {text}")
-            if len(texts) > _SHOWN:
-                typer.echo(f"{file}: and {len(texts) - _SHOWN} more {kind}s")
+        name = session / file.name if session.is_dir() else session
+        kinds = {"error": verdict.errors, "warning": verdict.warnings, "note": verdict.remarks}
+        for kind, texts in kinds.items():
+            alike = _alike(texts)
+            for text in alike[:_SHOWN]:
+                typer.echo(f"{name}: {kind}: {text}")
+            if len(alike) > _SHOWN:
+                typer.echo(f"{name}: and {len(alike) - _SHOWN} more kinds of {kind}s")
         if verdict.is_sound:
-            typer.echo(f"{file}: sound")
+            typer.echo(f"{name}: sound")
     if not is_sound:
         typer.echo("`trigpoint recover` saves what is sound of a damaged recording", err=True)
         raise typer.Exit(1)
@@ -67,7 +72,8 @@ def recover(
 ) -> None:
     """Save what is sound of a damaged recording into a new file; it also makes one of parts."""
     recording = open_recording(session)
-    file = out or recording.path.parent / "recovered" / recording.path.name
+    folder = session if session.is_dir() else session.parent
+    file = out or folder / "recovered" / recording.path.name
     if file.suffix != ".mcap":
         raise InputError(f"{file}: a recording's name ends in .mcap; write another --out")
     if file.exists():
@@ -76,6 +82,17 @@ def recover(
     for key, count in counts.items():
         typer.echo(f"{count:8d}  {key}")
     typer.echo(f"{sum(counts.values()):8d}  messages saved: {file}")
+
+
+def _alike(texts: Sequence[str]) -> list[str]:
+    """One for all that differ in numbers alone, with how many there are."""
+    kinds: dict[str, list[str]] = {}
+    for text in texts:
+        kinds.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    return [
+        first + (f" (and {len(more)} more like it)" if more else "")
+        for first, *more in kinds.values()
+    ]
 
 
 def _row(key: str, one: KeyInfo) -> tuple[str, ...]:

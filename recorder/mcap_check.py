@@ -25,11 +25,13 @@ from mcap.records import (
     Statistics,
 )
 
+from trigpoint.clock import to_seconds
 from trigpoint.errors import RecordingError
+from trigpoint.words import counted
 
-from .mcap_file import ChunkSpan, read_chunk, stream, take_attachment
+from .mcap_file import ChunkSpan, is_readable, read_chunk, stream, take_attachment
 from .mcap_file import McapIndex as _Index
-from .mcap_records import HEAD, MAGIC, MESSAGE
+from .mcap_records import HEAD, MAGIC, MESSAGE, MESSAGE_FIELDS
 from .mcap_summary import summary_is_sound
 
 _PROFILES = ("", "ros1", "ros2")
@@ -38,10 +40,12 @@ _MOST_TOLD = 1000
 
 @dataclass(slots=True)
 class Verdict:
-    """`errors`: what breaks the format; `warnings`: what readers may stumble over."""
+    """`errors`: what breaks the format; `warnings`: what readers may stumble over; `remarks`: what
+    is not as usual, but sound."""
 
     errors: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     @property
     def is_sound(self) -> bool:
@@ -83,6 +87,8 @@ class _Checker:
         self._first_ns: int | None = None
         self._last_ns = 0
         self._has_loose_messages = False
+        self._is_ours = False
+        self._without_index = self._steps_back = 0
 
     def run(self) -> Verdict:
         is_ended = self._walk()
@@ -95,6 +101,13 @@ class _Checker:
             self._error("the summary's checksum does not hold")
         self._compare_indexes()
         self._compare_statistics()
+        remarks = self._verdict.remarks
+        if self._without_index:
+            chunks = counted(self._without_index, "chunk")
+            remarks.append(f"{chunks} without message index: readers go through all of it")
+        if self._steps_back:
+            times = counted(self._steps_back, "message")
+            remarks.append(f"{times} with an earlier log time than the one before")
         return self._verdict
 
     def _walk(self) -> bool:
@@ -128,6 +141,7 @@ class _Checker:
         header = Header.read(stream(body))
         if not header.library:
             self._warn("the header does not name the software that wrote the file")
+        self._is_ours = header.library.startswith("trigpoint ")
         if header.profile not in _PROFILES:
             self._warn(f"the header's profile «{header.profile}» is not a well-known one")
 
@@ -172,9 +186,10 @@ class _Checker:
         else:
             self._last.indexes[index.channel_id] = index
 
-    def _take_message(self, position: int, _body: bytes) -> None:
+    def _take_message(self, position: int, body: bytes) -> None:
         self._has_loose_messages = True
-        self._take_time(position, self._data[position:], 0)
+        head = self._data[position : position + MESSAGE.size]
+        self._check_structure(*self._take_time(position, head, 0), body[MESSAGE_FIELDS:])
 
     def _take_chunk_index(self, _position: int, body: bytes) -> None:
         self._chunk_indexes.append(ChunkIndex.read(stream(body)))
@@ -208,6 +223,7 @@ class _Checker:
             self._error(str(reason))
             return
         times = self._look_into(seen, records)
+        self._without_index += bool(times) and not seen.indexes
         chunk = seen.chunk
         if times and (min(times), max(times)) != (chunk.message_start_time, chunk.message_end_time):
             self._error(f"the chunk at byte {seen.offset} does not hold the times that it says")
@@ -226,6 +242,7 @@ class _Checker:
                 channel, log_ns = self._take_time(seen.offset, records, position)
                 seen.channels.add(channel)
                 times.append(log_ns)
+                self._check_structure(channel, log_ns, body[MESSAGE_FIELDS:])
                 self._compare_entry(seen, entries, channel, position, log_ns)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._take(opcode, seen.offset, body)
@@ -244,12 +261,24 @@ class _Checker:
         _, _, channel, _, log_ns, _ = MESSAGE.unpack_from(records, position)
         if channel not in self._definitions[Channel]:
             self._error(f"at byte {place}: a message of channel {channel}, which is not defined")
-        if log_ns < self._last_ns:
+        if log_ns < self._last_ns and not self._is_ours:
+            self._steps_back += 1  # rosbag2 writes messages as they come, and opens such files
+        elif log_ns < self._last_ns:
             self._error(f"at byte {place}: log time {log_ns} comes after {self._last_ns}")
         self._counts[channel] += 1
         self._first_ns = log_ns if self._first_ns is None else min(self._first_ns, log_ns)
         self._last_ns = max(self._last_ns, log_ns)
         return channel, log_ns
+
+    def _check_structure(self, number: int, log_ns: int, payload: bytes) -> None:
+        channel = self._definitions[Channel].get(number)
+        if not isinstance(channel, Channel):
+            return
+        schema = self._definitions[Schema].get(channel.schema_id)
+        known = schema if isinstance(schema, Schema) else None
+        if not is_readable(channel, known, payload):
+            at_s = f"{to_seconds(log_ns):.3f} s"
+            self._warn(f"a message of {channel.topic} cannot be decoded, at {at_s}")
 
     def _compare_entry(
         self,
@@ -259,6 +288,8 @@ class _Checker:
         position: int,
         log_ns: int,
     ) -> None:
+        if not seen.indexes:
+            return
         if channel not in entries:
             self._warn(f"the chunk at byte {seen.offset} has no index of channel {channel}")
             return

@@ -1,4 +1,4 @@
-"""The index of a file without a sound end, by a walk over its records.
+"""The index of a file without a sound end, or without chunks, by a walk over its records.
 
 A damaged head leads nowhere; what is a chunk, an attachment or metadata says its length twice (its
 own, and those of its parts), so that the walk finds the next one again.
@@ -16,7 +16,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from trigpoint import cdr
-from trigpoint.errors import RecordingError
 
 from .mcap_channels import CHANNELS
 from .mcap_file import (
@@ -30,59 +29,56 @@ from .mcap_file import (
     take_channel,
     take_schema,
 )
-from .mcap_records import CHUNK, HEAD, MAGIC
+from .mcap_records import CHUNK, HEAD, MAGIC, MESSAGE_FIELDS
+from .mcap_summary import summary_is_sound
 
 _LAST_OPCODE = Opcode.DATA_END
 # Opcodes that the walk can take up again at, and a length below 4 GiB.
 _CANDIDATE = re.compile(rb"(?=[\x06\x09\x0c].{4}\0\0\0\0)", re.DOTALL)
+_MOST_LOOSE = 1 << 22  # bytes that are read at once
 _COMPRESSIONS = (b"", b"lz4", b"zstd")
 
 
 def walk(path: Path, file: IO[bytes]) -> McapIndex:
-    """Everything of the file that is sound; raises RecordingError where it has no chunks at all,
-    but messages."""
+    """Everything of the file that is sound."""
     index = McapIndex(path)
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        loose = _walk(index, data)
-    if loose and not index.chunks:
-        raise RecordingError(
-            f"{path}: its messages are not in chunks; write it again with an MCAP tool"
-        )
+        _walk(index, data)
     _look_into_all(index, file)
     _restore_channels(index)
     return index
 
 
-def _walk(index: McapIndex, data: mmap.mmap) -> int:
-    """Take every sound record; return how many messages are outside of chunks."""
-    position, size, loose = len(MAGIC), len(data), 0
+def _walk(index: McapIndex, data: mmap.mmap) -> None:
+    """Take every sound record."""
+    position, size = len(MAGIC), len(data)
     while position + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, position)
         start = position + HEAD.size
         is_record = 0 < opcode <= _LAST_OPCODE and start + length <= size
         if is_record and opcode == Opcode.FOOTER:
-            index.problems.append("its summary at the end is damaged")
-            return loose
+            if not summary_is_sound(data):
+                index.problems.append("its summary at the end is damaged")
+            return
         if is_record and _take(index, data, opcode, start, length):
-            loose += opcode == Opcode.MESSAGE
             position = start + length
             continue
         again = _next_sound(data, position + 1)
         if again is None:
             index.problems.append(f"it breaks off at byte {position}")
-            return loose
+            return
         index.problems.append(f"bytes {position} to {again - 1} are damaged")
         position = again
     index.problems.append(f"it breaks off at byte {position}")
-    return loose
 
 
 def _take(index: McapIndex, data: mmap.mmap, opcode: int, start: int, length: int) -> bool:
-    """Keep a record; False where it is damaged so that what follows is uncertain. (A message among
-    chunks is none of ours.)"""
+    """Keep a record; False where it is damaged so that what follows is uncertain."""
+    if opcode == Opcode.MESSAGE:
+        return _take_loose(index, start, length)
     if opcode in _SOUND and not _SOUND[opcode](data, start, length):
         return False
-    body = data[start : start + length] if opcode not in (Opcode.CHUNK, Opcode.MESSAGE) else b""
+    body = data[start : start + length] if opcode != Opcode.CHUNK else b""
     try:
         if opcode == Opcode.CHUNK:
             index.chunks.append(ChunkSpan(start, length, *struct.unpack_from("<QQ", data, start)))
@@ -100,7 +96,19 @@ def _take(index: McapIndex, data: mmap.mmap, opcode: int, start: int, length: in
     except Exception as reason:  # noqa: BLE001 - whatever the bytes lead the library to
         told = str(reason) if isinstance(reason, ValueError) else f"byte {start}: {reason!r}"
         index.problems.append(told)
-    return opcode != Opcode.MESSAGE or not index.chunks
+    return True
+
+
+def _take_loose(index: McapIndex, start: int, length: int) -> bool:
+    """Keep a message outside of chunks, with those before it; among chunks it is none."""
+    spans, begin = index.chunks, start - HEAD.size
+    if length < MESSAGE_FIELDS or (spans and not spans[-1].is_loose):
+        return False
+    if spans and spans[-1].offset + spans[-1].length == begin and spans[-1].length < _MOST_LOOSE:
+        spans[-1].length += HEAD.size + length
+    else:
+        spans.append(ChunkSpan(begin, HEAD.size + length, 0, 0, is_loose=True))
+    return True
 
 
 def _take_counts(index: McapIndex, data: mmap.mmap, start: int, length: int) -> None:

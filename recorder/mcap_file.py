@@ -16,6 +16,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
+from trigpoint.cdr import has_structure_of
+
 from .mcap_records import HEAD, MESSAGE, MESSAGE_FIELDS
 
 _MESSAGE_INDEX = struct.Struct("<HI")
@@ -33,21 +35,22 @@ class RawMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChunkSpan:
-    """Where a chunk's content stands in the file, its log times and its messages by channel."""
+    """Where a chunk's content stands in the file, its log times and its messages by channel;
+    `is_loose`: whether these are records outside of any chunk, as they stand in the file."""
 
     offset: int
     length: int
     start_ns: int
     end_ns: int
     counts: dict[int, int] = field(default_factory=dict)
+    is_loose: bool = False
 
 
 @dataclass(slots=True)
 class McapIndex:
     """What a file holds; `problems` says in words what of it is damaged or missing.
 
-    `metadata`: the metadata records by name, the last one of a name. `is_finished`: whether its
-    summary was there, so that what is not in the index is not in the file.
+    `metadata`: the metadata records by name, the last one of a name.
     """
 
     path: Path
@@ -57,7 +60,6 @@ class McapIndex:
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
-    is_finished: bool = False
 
     @property
     def problem(self) -> str:
@@ -73,6 +75,8 @@ _TOLD = 3
 def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
     """A chunk's records, decompressed and held against its checksum; ValueError where damaged."""
     file.seek(span.offset)
+    if span.is_loose:
+        return file.read(span.length)
     try:
         chunk = Chunk.read(stream(file.read(span.length)))
         records, length = get_chunk_data_stream(chunk, validate_crc=True)
@@ -135,6 +139,13 @@ def counts_in(indexes: bytes) -> dict[int, int] | None:
             counts[channel] = size // 16
         position += HEAD.size + length
     return counts
+
+
+def is_readable(channel: Channel, schema: Schema | None, payload: bytes) -> bool:
+    """Whether a message has the structure of its channel's type, so far as that is known."""
+    if schema is None or channel.message_encoding != "cdr":
+        return True
+    return has_structure_of(schema.name, payload)
 
 
 def take_channel(index: McapIndex, body: bytes) -> None:

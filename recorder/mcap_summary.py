@@ -1,6 +1,7 @@
 """A finished file's index, by the summary at its end."""
 
 import struct
+from mmap import mmap
 from pathlib import Path
 from typing import IO
 
@@ -47,7 +48,7 @@ def read_summary(path: Path, file: IO[bytes]) -> McapIndex | None:
         return None
 
 
-def summary_is_sound(data: bytes) -> bool:
+def summary_is_sound(data: bytes | mmap) -> bool:
     """Whether the checksum of a whole file's summary holds; 0 says that there is none."""
     tail = data[-_TAIL:]
     start, _, checksum = _FOOTER.unpack_from(tail, HEAD.size)
@@ -58,11 +59,11 @@ def summary_is_sound(data: bytes) -> bool:
 
 
 def _index(path: Path, file: IO[bytes], summary: bytes) -> McapIndex | None:
-    index = McapIndex(path, is_finished=True)
+    index = McapIndex(path)
     chunks: list[ChunkIndex] = []
     attachments: list[AttachmentIndex] = []
     notes: list[MetadataIndex] = []
-    message_count = 0
+    message_count: int | None = None
     position = 0
     while position < len(summary):
         opcode, length = HEAD.unpack_from(summary, position)
@@ -81,7 +82,7 @@ def _index(path: Path, file: IO[bytes], summary: bytes) -> McapIndex | None:
             notes.append(MetadataIndex.read(stream(body)))
         elif opcode == Opcode.STATISTICS:
             (message_count,) = struct.unpack_from("<Q", body)
-    if message_count and (not chunks or not index.channels):
+    if message_count != 0 and (not chunks or not index.channels):
         return None  # a summary may leave these out: then the file is walked
     for chunk in sorted(chunks, key=lambda one: one.chunk_start_offset):
         _take_chunk(index, file, chunk)
@@ -96,8 +97,8 @@ def _take_chunk(index: McapIndex, file: IO[bytes], chunk: ChunkIndex) -> None:
     offset, length = chunk.chunk_start_offset + HEAD.size, chunk.chunk_length - HEAD.size
     span = ChunkSpan(offset, length, chunk.message_start_time, chunk.message_end_time)
     file.seek(chunk.chunk_start_offset + chunk.chunk_length)
-    counts = counts_in(file.read(chunk.message_index_length))
-    if counts is not None and counts.keys() == chunk.message_index_offsets.keys():
+    counts = counts_in(file.read(chunk.message_index_length))  # a file may have none
+    if counts and counts.keys() == chunk.message_index_offsets.keys():
         span.counts = counts
     else:
         try:

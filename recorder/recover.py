@@ -1,13 +1,15 @@
 """Saves what is sound of a damaged recording into a new file; merges a session's parts."""
 
 import logging
+from collections import Counter
 from pathlib import Path
 
 from trigpoint.errors import OperationError
 from trigpoint.topics import topic_of
+from trigpoint.words import counted
 
 from .mcap_channels import quality_of_service
-from .mcap_file import McapIndex, RawMessage
+from .mcap_file import McapIndex, RawMessage, is_readable
 from .mcap_writer import McapWriter
 from .recording import Recording, key_of
 from .rosbag_metadata import PartFacts, write_metadata
@@ -20,7 +22,8 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
     """Write every sound message, in the order of log time, with attachments and metadata, into a
     new file, whose chunks are full ones; return how many messages each key has.
 
-    Raises OperationError where the file is there already or cannot be written.
+    Messages that cannot be read as what their channel holds are left out, which is logged. Raises
+    OperationError where the file is there already or cannot be written.
     """
     writer = McapWriter(out)
     try:
@@ -46,11 +49,19 @@ def _copy(recording: Recording, part: McapIndex, writer: McapWriter, repeated: s
     channels = {number for number in part.channels if _counted(part, number)}
     numbers = {number: _defined(part, number, writer) for number in channels}
     keys = {number: key_of(part, number) for number in channels}
+    unreadable: Counter[str] = Counter()
     for message in recording.messages(part, channels):
+        channel = part.channels[message.channel]
+        if not is_readable(channel, part.schemas.get(channel.schema_id), message.payload):
+            unreadable[keys[message.channel]] += 1
+            continue
         if repeated and keys[message.channel] in repeated:
             repeated.discard(keys[message.channel])
             continue
         writer.append([_row(message, numbers[message.channel])])
+    for key, count in unreadable.items():
+        words = f"{counted(count, 'message')} of {key}"
+        _LOG.warning("%s: left out: %s cannot be decoded", part.path, words)
 
 
 def _counted(part: McapIndex, channel: int) -> bool:

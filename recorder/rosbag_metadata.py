@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.scalarstring import LiteralScalarString
 
 from trigpoint import cdr
+from trigpoint.errors import RecordingError
 from trigpoint.topics import topic_of
 
 from .mcap_channels import quality_of_service
@@ -31,6 +33,41 @@ def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
     new = folder / f".{FILE}"
     new.write_text(metadata_text(parts), encoding="utf-8")
     new.replace(folder / FILE)
+
+
+def listed_files(folder: Path) -> list[Path]:
+    """The files that a folder's metadata.yaml lists, in its order; none where there is none.
+
+    Raises RecordingError where it cannot be read, or a file is not there.
+    """
+    file = folder / FILE
+    if not file.exists():
+        return []
+    names = _information(file)["relative_file_paths"]
+    # Bags of the first versions of rosbag2 name their own folder too.
+    files = [folder / Path(str(name)).name for name in names]
+    for one in files:
+        if not one.exists():
+            raise RecordingError(f"{one}: is listed in {FILE}, but not there; copy it too")
+    return files
+
+
+def packs_messages(folder: Path) -> bool:
+    """Whether a bag's messages are packed one by one."""
+    return str(_information(folder / FILE).get("compression_mode")).lower() == "message"
+
+
+def _information(file: Path) -> dict[str, Any]:
+    """What a metadata.yaml says, with its list of files."""
+    try:
+        information = YAML(typ="safe").load(file.read_bytes())["rosbag2_bagfile_information"]
+        list(information["relative_file_paths"])
+    except (YAMLError, OSError, LookupError, TypeError, UnicodeDecodeError) as reason:
+        text = " ".join(str(reason).split())
+        raise RecordingError(
+            f"{file}: its relative_file_paths cannot be read ({text}); run `ros2 bag reindex`"
+        ) from None
+    return information
 
 
 def metadata_text(parts: Sequence[PartFacts]) -> str:

@@ -9,8 +9,12 @@ from trigpoint.errors import RecordingError
 
 from .mcap_file import McapIndex
 from .mcap_index import read_index
+from .packed import unpacked
+from .rosbag_metadata import listed_files
 
 FILE = "session.mcap"
+BAGS = (".mcap", ".db3", ".bag")
+"""What the files of sessions and bags end in."""
 PART = "trigpoint.part"
 """Metadata of each part: `session`, an identity that all parts have, `part`, counted from 1, and
 `repeated`, the keys whose first message here is the last one of the part before."""
@@ -41,24 +45,36 @@ def part_path(first: Path, part: int) -> Path:
     return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path is the file of a bag or session, packed or not, or a folder with one."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return any(file.with_suffix("").suffix in BAGS or file.suffix in BAGS for file in files)
+
+
 def session_files(path: Path) -> list[Path]:
-    """The file, or the session's parts in a folder in their order; raise RecordingError where
-    there is none, or there are several sessions."""
+    """The file, or the session's parts in a folder in their order, unpacked where they are packed;
+    raise RecordingError where there is none, or there are several sessions.
+
+    A rosbag2's metadata.yaml decides, unless all files are one session of ours: what a killed
+    recorder wrote last is not in it.
+    """
     if not path.is_dir():
         if not path.exists():
             raise RecordingError(f"{path}: there is no such session; check the path")
-        return [path]
+        return [unpacked(path)]
     files = sorted(path.glob("*.mcap"))
-    if not files:
-        raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
-    if len(files) == 1:
-        return files
     parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
     sessions = {part.get("session", str(file)) for file, part in parts.items()}
-    if len(sessions) > 1:
+    if len(sessions) == 1 and all(parts.values()):
+        return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
+    if listed := listed_files(path):
+        return [unpacked(file) for file in listed]
+    if not files:
+        raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
+    if len(files) > 1:
         names = ", ".join(file.name for file in files)
         raise RecordingError(f"{path}: several sessions in this folder ({names}); name one")
-    return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
+    return files
 
 
 def repeated_keys(part: McapIndex) -> set[str]:

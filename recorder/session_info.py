@@ -135,8 +135,10 @@ def _read_part(
             repeated.discard(key)
         else:
             _count(track, message.log_ns, len(message.payload))
-        if track.sequence is not None and message.sequence != track.sequence + 1:
-            track.info.sequence_breaks += 1
+        if track.sequence is not None:
+            is_counted = message.sequence or track.sequence  # drivers that do not count say 0
+            is_next = message.sequence == track.sequence + 1
+            track.info.sequence_breaks += bool(is_counted and not is_next)
         track.sequence = message.sequence
     for key, count in attached.items():
         if key in tracks:

@@ -1,14 +1,16 @@
 """Reads a bag's pictures, compressed or raw, as grey."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from trigpoint.errors import InputError
+from trigpoint.clock import to_seconds
+from trigpoint.errors import InputError, MessageError
 from trigpoint.messages import Picture
-from trigpoint.recorder.bag import Bag, BagMessage, RawImage
+from trigpoint.recorder.bag import Bag, RawImage
+from trigpoint.words import counted
 
 _CONVERSIONS = {
     "rgb8": (3, cv2.COLOR_RGB2GRAY),
@@ -30,52 +32,74 @@ _CONVERSIONS = {
 _GREY, _GREY_16 = ("mono8", "8UC1"), ("mono16", "16UC1")
 
 
-def bag_pictures(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, np.ndarray]]:
+def bag_pictures(
+    path: Path, topics: Collection[str], leave_out: Callable[[InputError], None]
+) -> Iterator[tuple[str, str, np.ndarray]]:
     """(name, stem, grey picture) of a bag's pictures, named by topic and stamp.
 
     Without `topics` its only topic with pictures; raises InputError where there are several, or
-    none, or a picture cannot be read.
+    none. `leave_out` is told of each picture that cannot be read.
     """
     bag = Bag(path)
-    chosen = list(topics) or _only(path, bag)
-    for one in bag.messages(chosen):
-        if isinstance(one.message, (Picture, RawImage)):
-            stamp_ns = one.message.stamp_ns or one.log_ns
-            stem = f"{one.topic.strip('/').replace('/', '_')}_{stamp_ns}"
-            yield f"{path}#{one.topic}#{stamp_ns}", stem, grey_of(path, one)
+
+    def refuse(topic: str, _kind: str, log_ns: int, reason: MessageError) -> None:
+        at_s = f"{to_seconds(log_ns):.3f} s"
+        leave_out(InputError(f"{path}: a picture of {topic}, at {at_s}: {reason}"))
+
+    for one in bag.messages(list(topics) or _only(path, bag), refuse):
+        if not isinstance(one.message, (Picture, RawImage)):
+            continue
+        stamp_ns = one.message.stamp_ns or one.log_ns
+        stem = f"{one.topic.strip('/').replace('/', '_')}_{stamp_ns}"
+        try:
+            picture = grey_of(one.message)
+        except MessageError as reason:
+            refuse(one.topic, "", stamp_ns, reason)
+            continue
+        yield f"{path}#{one.topic}#{stamp_ns}", stem, picture
 
 
-def grey_of(path: Path, one: BagMessage) -> np.ndarray:
-    """A message's picture, (height, width) grey of any depth; raise InputError if it cannot be
+def grey_of(picture: Picture | RawImage) -> np.ndarray:
+    """A message's picture, (height, width) grey of any depth; raise MessageError if it cannot be
     read."""
-    message = one.message
-    picture = None
-    if isinstance(message, Picture):
-        data = np.frombuffer(message.data, dtype=np.uint8)
-        grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-        picture = cv2.imdecode(data, grey) if data.size else None
-    elif isinstance(message, RawImage):
-        picture = _grey_of_raw(message)
-    if picture is None:
-        what = message.encoding if isinstance(message, RawImage) else "its bytes"
-        raise InputError(f"{path}: a picture of {one.topic} cannot be read ({what}); convert it")
-    return picture
+    if isinstance(picture, RawImage):
+        return _grey_of_raw(picture)
+    data = np.frombuffer(picture.data, dtype=np.uint8)
+    grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    found = cv2.imdecode(data, grey) if data.size else None
+    if found is None:
+        size = counted(data.size, "byte")
+        raise MessageError(f"its {size} are no whole picture ({picture.format or 'no format'})")
+    return found
 
 
-def _grey_of_raw(image: RawImage) -> np.ndarray | None:
+def _grey_of_raw(image: RawImage) -> np.ndarray:
     if image.encoding in _GREY:
-        return np.ascontiguousarray(image.data[:, : image.width])
+        return _rows(image, 1)
     if image.encoding in _GREY_16:
-        order = ">u2" if image.is_bigendian else "<u2"
-        wide = np.ascontiguousarray(image.data[:, : 2 * image.width]).view(order)
+        wide = _rows(image, 2).view(">u2" if image.is_bigendian else "<u2")
         return wide.astype(np.uint16)
     if image.encoding not in _CONVERSIONS:
-        return None
+        raise MessageError(f"its encoding is «{image.encoding}»; convert it")
     channels, code = _CONVERSIONS[image.encoding]
-    pixels = np.ascontiguousarray(image.data[:, : channels * image.width])
+    pixels = _rows(image, channels)
     if channels > 1:
         pixels = pixels.reshape(image.height, image.width, channels)
     return cv2.cvtColor(pixels, code)
+
+
+def _rows(image: RawImage, pixel: int) -> np.ndarray:
+    """The bytes of a picture, (height, width · `pixel`), without what fills its rows; drivers that
+    do not set `step` mean rows that are not filled."""
+    width, height, size = image.width * pixel, image.height, image.data.size
+    for step in (image.step, width):
+        if min(width, height) > 0 and step >= width and size >= step * (height - 1) + width:
+            rows = image.data[: step * height]
+            rows = np.pad(rows, (0, step * height - rows.size)).reshape(height, step)
+            return np.ascontiguousarray(rows[:, :width])
+    raise MessageError(
+        f"its {counted(size, 'byte')} are no {image.width} × {height} pixels of {image.encoding}"
+    )
 
 
 def _only(path: Path, bag: Bag) -> list[str]:

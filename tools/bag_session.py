@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trigpoint.edge.detector import TargetDetector, detector_for
-from trigpoint.errors import InputError
+from trigpoint.edge.image.picture import as_grey
+from trigpoint.errors import InputError, MessageError
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.messages import (
     CAMERA_INFO,
@@ -53,7 +54,12 @@ def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMe
     detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
     for one in bag.messages(list(names), found.refuse):
         name = names[one.topic]
-        found.add(name, _as_message(path, one, name, detector), one.log_ns)
+        try:
+            message = _as_message(one, name, detector)
+        except MessageError as reason:
+            found.refuse(one.topic, bag.topics[one.topic], one.log_ns, reason)
+            continue
+        found.add(name, message, one.log_ns)
     return found
 
 
@@ -82,10 +88,10 @@ def _infos_beside(topic: str) -> Iterator[str]:
         yield f"{parent}/camera_info"
 
 
-def _as_message(path: Path, one: BagMessage, name: str, detector: TargetDetector) -> Message:
+def _as_message(one: BagMessage, name: str, detector: TargetDetector) -> Message:
     message = one.message
     if not isinstance(message, (Picture, RawImage)):
         return message
-    grey = grey_of(path, one)
+    grey = as_grey(grey_of(message))
     height, width = grey.shape
     return Sightings(message.stamp_ns, f"{name}/optical", width, height, detector.detect(grey))

@@ -23,6 +23,7 @@ from trigpoint.edge.sources.picture_files import (
 )
 from trigpoint.errors import InputError
 from trigpoint.messages import FaceSighting
+from trigpoint.recorder.session_files import is_bag
 from trigpoint.target import load_target
 from trigpoint.words import counted
 
@@ -137,10 +138,10 @@ def stills(
 def _opened(
     path: Path, topics: Sequence[str], account: PictureAccount
 ) -> Iterator[tuple[str, str, np.ndarray]]:
-    if _is_bag(path):
+    if is_bag(path):
         from .bag_pictures import bag_pictures  # the readers of bags take half a second to import
 
-        yield from bag_pictures(path, topics)
+        yield from bag_pictures(path, topics, account.leave_out)
     elif files := _picture_files(path):
         for file in files:
             try:
@@ -155,16 +156,11 @@ def _opened(
 
 def _picture_files(path: Path) -> list[Path]:
     """Those of a folder, or the one that the path is; none of a bag or video."""
-    if _is_bag(path):
+    if is_bag(path):
         return []
     if path.is_dir():
         return pictures_in(path)
     return [path] if is_picture(path) else []
-
-
-def _is_bag(path: Path) -> bool:
-    suffixes = {file.suffix for file in path.iterdir()} if path.is_dir() else {path.suffix}
-    return bool(suffixes & {".mcap", ".db3", ".bag"})
 
 
 def _frames(path: Path, account: PictureAccount) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -1,13 +1,15 @@
 """The messages of a session, or of anybody's bag, on their way to the estimator."""
 
-from collections import Counter
+from collections.abc import Sequence
 
 from trigpoint import cdr, topics
+from trigpoint.clock import to_seconds
 from trigpoint.errors import MessageError
 from trigpoint.messages import Message, Odometry, Sightings, stamped
 from trigpoint.recorder.recording import Recording
 from trigpoint.words import counted
 
+_MOST_TIMES = 3
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
 
 
@@ -16,7 +18,7 @@ class SessionMessages:
 
     def __init__(self) -> None:
         self._found: list[tuple[int, int, int, str, Message]] = []
-        self._refused: Counter[tuple[str, str, str]] = Counter()
+        self._refused: dict[tuple[str, str, str], list[int]] = {}
 
     def add(self, node: str, message: Message, log_ns: int) -> None:
         """Take a message of a camera or robot that was recorded at `log_ns`."""
@@ -27,9 +29,9 @@ class SessionMessages:
         is_sightings = isinstance(message, Sightings)
         self._found.append((stamp_ns, is_sightings, len(self._found), node, message))
 
-    def refuse(self, topic: str, type_name: str, reason: MessageError) -> None:
-        """Count a message that is not sound."""
-        self._refused[topic, type_name, str(reason)] += 1
+    def refuse(self, topic: str, type_name: str, log_ns: int, reason: MessageError) -> None:
+        """Count a message that is not sound, and was recorded at `log_ns`."""
+        self._refused.setdefault((topic, type_name, str(reason)), []).append(log_ns)
 
     @property
     def in_order(self) -> list[tuple[str, Message]]:
@@ -44,10 +46,16 @@ class SessionMessages:
     def unsound(self, type_name: str = "") -> list[str]:
         """What was left out, of one type or all, by topic and what is wrong."""
         return [
-            f"{counted(count, 'message')} of {topic}: {reason}"
-            for (topic, kind, reason), count in self._refused.items()
+            f"{counted(len(times), 'message')} of {topic}: {reason} ({_words(times)})"
+            for (topic, kind, reason), times in self._refused.items()
             if type_name in ("", kind)
         ]
+
+
+def _words(times: Sequence[int]) -> str:
+    """When messages were recorded: the first of them."""
+    first = ", ".join(f"{to_seconds(time):.3f}" for time in times[:_MOST_TIMES])
+    return f"at {first} s{' …' if len(times) > _MOST_TIMES else ''}"
 
 
 def messages_of(recording: Recording) -> SessionMessages:
@@ -57,7 +65,7 @@ def messages_of(recording: Recording) -> SessionMessages:
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
         except MessageError as reason:
-            found.refuse(sample.key, sample.topic.type_name, reason)
+            found.refuse(sample.key, sample.topic.type_name, sample.log_ns, reason)
             continue
         found.add(topics.node_of(sample.key), message, sample.log_ns)
     return found

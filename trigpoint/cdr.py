@@ -80,6 +80,20 @@ def decode_by_definition(type_name: str, payload: bytes) -> Message:
         ) from None
 
 
+def has_structure_of(type_name: str, payload: bytes) -> bool:
+    """Whether bytes can be read as a message of the type, whatever it says; True for a type that is
+    not one of the contract's."""
+    if type_name not in _BY_TYPE:
+        return True
+    try:
+        quickly = _LAYOUTS.get(type_name)
+        if quickly is None or quickly(payload) is None:
+            store().deserialize_cdr(payload, type_name)
+    except Exception:  # noqa: BLE001 - rosbags raises whatever the bytes lead it to
+        return False
+    return True
+
+
 def type_name(message: Message) -> str:
     """The ROS name of a message's type."""
     return _BY_CLASS[type(message)].type_name

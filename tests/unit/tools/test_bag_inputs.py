@@ -125,7 +125,7 @@ def test_a_damaged_bag_is_one_line(
     assert run(["detect", str(tmp_path / "x.mcap"), "--target", str(target)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "trigpoint recover" in error
+    assert "trigpoint check" in error
 
 
 def test_intrinsics_come_out_of_a_bag(

@@ -1,0 +1,227 @@
+"""Recordings as people have them: one bad message among good ones, anything that MCAP lets a writer
+leave out, several parts, packed files, foreign encodings."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from boards import CHARUCO_TARGET, charuco, picture_of, placed
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+
+from trigpoint import cdr
+from trigpoint.cli import run
+from trigpoint.errors import MessageError
+from trigpoint.messages import PICTURE, Picture
+from trigpoint.recorder.bag import Bag, RawImage
+from trigpoint.recorder.recording import open_recording
+from trigpoint.tools.bag_pictures import grey_of
+
+GREY = picture_of([placed(charuco(), distance=0.8, tilt_deg=15)])
+PNG = cv2.imencode(".png", GREY)[1].tobytes()
+SOUND = cdr.encode(Picture(0, "", "png", PNG))
+TOPIC = "/c1/image_raw/compressed"
+BAD = {
+    "nothing": b"",
+    "cut": SOUND[:21],
+    "noise": bytes(range(256)),
+    "no picture": cdr.encode(Picture(0, "", "png", b"")),
+    "another picture's end": cdr.encode(Picture(0, "", "png", PNG[len(PNG) // 2 :])),
+}
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    path = tmp_path / "target.toml"
+    path.write_text(CHARUCO_TARGET)
+    return path
+
+
+def write(
+    file: Path,
+    payloads: list[bytes],
+    *,
+    first_s: int = 1000,
+    encoding: str = "cdr",
+    **options: Any,
+) -> Path:
+    """A file of pictures, a second apart."""
+    writer = Writer(str(file), **options)
+    writer.start(profile="ros2", library="theirs")
+    schema = writer.register_schema(PICTURE, "ros2msg", cdr.definition(PICTURE).encode())
+    channel = writer.register_channel(TOPIC, encoding, schema)
+    for number, payload in enumerate(payloads):
+        time_ns = (first_s + number) * 10**9
+        writer.add_message(channel, time_ns, payload, time_ns)
+    writer.finish()
+    return file
+
+
+def listed(folder: Path, files: list[str]) -> Path:
+    """A folder's metadata.yaml, as rosbag2 has it."""
+    information = {"relative_file_paths": files, "compression_mode": "", "version": 9}
+    text = json.dumps({"rosbag2_bagfile_information": information})
+    (folder / "metadata.yaml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_one_bad_picture_is_left_out_and_named_by_its_time(
+    tmp_path: Path, target: Path, bad: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    told = capsys.readouterr()
+    assert told.out.count("face 0") == 2
+    assert f"1 picture left out: {bag}: a picture of {TOPIC}, at 1001.000 s" in told.err
+
+
+@pytest.mark.parametrize("bad", ["nothing", "no picture"])
+def test_nothing_but_bad_pictures_is_status_1(tmp_path: Path, target: Path, bad: str) -> None:
+    bag = write(tmp_path / "bag.mcap", [BAD[bad]] * 2)
+    assert run(["detect", str(bag), "--target", str(target)]) == 1
+
+
+@pytest.mark.parametrize("bad", ["nothing", "cut", "noise"])
+def test_check_names_what_recover_leaves_out(
+    tmp_path: Path, bad: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
+    assert run(["check", str(bag)]) == 1
+    assert f"a message of {TOPIC} cannot be decoded, at 1001.000 s" in capsys.readouterr().out
+    whole = tmp_path / "whole" / "whole.mcap"
+    assert run(["recover", str(bag), "--out", str(whole)]) == 0
+    assert run(["check", str(whole)]) == 0
+    assert open_recording(whole).counts == {TOPIC[1:]: 2}
+
+
+def test_a_warning_is_said_once_with_how_often(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check", str(write(tmp_path / "bag.mcap", [b""] * 7))]) == 1
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    assert "and 6 more like it" in out
+
+
+LEFT_OUT = ("repeat_channels", "repeat_schemas", "use_chunking", "use_statistics",
+            "use_summary_offsets", "enable_crcs", "enable_data_crcs")  # fmt: skip
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    indexes=st.sets(st.sampled_from(list(IndexType))),
+    compression=st.sampled_from(CompressionType),
+    options=st.fixed_dictionaries({name: st.booleans() for name in LEFT_OUT}),
+    chunk_size=st.sampled_from([1, 1 << 20]),
+)
+def test_whatever_a_writer_leaves_out_all_messages_are_read(
+    tmp_path: Path,
+    indexes: set[IndexType],
+    compression: CompressionType,
+    options: dict[str, Any],
+    chunk_size: int,
+) -> None:
+    kinds = IndexType.NONE
+    for kind in indexes:
+        kinds |= kind
+    file = write(
+        tmp_path / "bag.mcap",
+        [SOUND] * 4,
+        index_types=kinds,
+        compression=compression,
+        chunk_size=chunk_size,
+        **options,
+    )
+    assert open_recording(file).counts == {TOPIC[1:]: 4}
+    assert sum(one.log_ns > 0 for one in Bag(file).messages([TOPIC], never)) == 4
+
+
+def never(*reason: object) -> None:
+    raise AssertionError(reason)
+
+
+def parts(folder: Path, *, packed: bool) -> Path:
+    """A bag of two parts, in an order that is not that of their names."""
+    folder.mkdir()
+    names = []
+    for number, name in enumerate(("z.mcap", "a.mcap")):
+        file = write(folder / name, [SOUND] * (number + 1), first_s=1000 + 10 * number)
+        if packed:
+            name = f"{name}.zstd"
+            (folder / name).write_bytes(zstandard.compress(file.read_bytes()))
+            file.unlink()
+        names.append(name)
+    return listed(folder, names)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_bag_of_parts_is_one_session_for_every_command(
+    tmp_path: Path, target: Path, packed: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=packed)
+    assert [part.path.stem for part in open_recording(bag).parts] == ["z", "a"]
+    assert run(["info", str(bag), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["messages"] == 3
+    assert run(["check", str(bag)]) == 0
+    assert run(["recover", str(bag)]) == 0
+    assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 3}
+    capsys.readouterr()
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    assert capsys.readouterr().out.count("face 0") == 3
+
+
+def test_a_part_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=False)
+    (bag / "a.mcap").unlink()
+    assert run(["info", str(bag)]) == 2
+    assert "a.mcap: is listed in metadata.yaml, but not there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("encoding", "words"), [("ros1", "ROS 1"), ("json", "JSON")])
+def test_what_is_no_cdr_is_named_as_what_it_is(
+    tmp_path: Path, target: Path, encoding: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [b"{}"], encoding=encoding)
+    assert run(["detect", str(bag), "--target", str(target), "--topic", TOPIC]) == 2
+    error = capsys.readouterr().err
+    assert f"{TOPIC} is a {words} message ({PICTURE}) in MCAP" in error
+    assert error.count("\n") == 1
+
+
+def test_messages_that_nobody_counts_have_no_breaks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write(tmp_path / "bag.mcap", [SOUND] * 3)
+    assert run(["info", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0
+
+
+ENCODINGS = {"mono8": 1, "rgb8": 3, "bgra8": 4, "mono16": 2, "bayer_rggb8": 1, "yuyv": 2}
+
+
+@given(
+    encoding=st.sampled_from([*ENCODINGS, "", "32FC1"]),
+    width=st.integers(0, 9).map(lambda half: 2 * half),
+    height=st.integers(0, 9).map(lambda half: 2 * half),
+    step=st.integers(0, 100),
+    size=st.integers(0, 2000),
+)
+def test_raw_pictures_of_any_step_are_read_or_refused_in_words(
+    encoding: str, width: int, height: int, step: int, size: int
+) -> None:
+    image = RawImage(0, encoding, False, width, height, step, np.zeros(size, np.uint8))
+    row = width * ENCODINGS.get(encoding, 1)
+    is_whole = any(s >= row and size >= s * (height - 1) + row for s in (step, row))
+    if encoding in ENCODINGS and width and height and is_whole:
+        assert grey_of(image).shape == (height, width)
+    else:
+        with pytest.raises(MessageError):
+            grey_of(image)
