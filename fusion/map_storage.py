@@ -31,7 +31,9 @@ class MapStorage:
         self._begin()
 
     def _begin(self) -> None:
-        self._odometry = {robot: StandingOdometry() for robot in self._site.robots}
+        self._odometry = {
+            name: StandingOdometry(planar=robot.planar) for name, robot in self._site.robots.items()
+        }
 
     @property
     def trouble(self) -> str:

@@ -193,7 +193,7 @@ class Pipeline:
         if added is Added.JUMP:
             self._left_out.add("odometry_jumps")
         if self._is_live and (estimate := self._estimator.robot(robot)) is not None:
-            odom_from_base = self._data.tracks[robot].odom_from_base[-1]
+            odom_from_base = self._data.tracks[robot].reported
             self._outputs += self._robots.place(
                 robot, estimate, odom_from_base, self._estimator.particles
             )

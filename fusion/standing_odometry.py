@@ -3,7 +3,8 @@
 A robot that stands for days repeats the same message fifty times a second. The first messages of a
 standstill are kept as they come. Then one is kept whenever the time since the last is twice the
 interval before it, so that nothing looks like a gap when it is read again. The last two before the
-robot moves on, or falls silent, are kept too, so that a real gap looks like one.
+robot moves on, or falls silent, are kept too, so that a real gap looks like one; of readings with
+noise, those by which motion is told from it.
 """
 
 from collections import deque
@@ -11,9 +12,12 @@ from collections import deque
 import numpy as np
 
 from trigpoint.clock import to_ns
+from trigpoint.geometry import Pose
 from trigpoint.messages import Odometry
 
+from .model.increment import in_plane
 from .model.odometry import LONGEST_GAP_S, MOST_STANDING
+from .model.rest import RECENT_S, Rest
 
 _GROWTH = 2
 _FIRST_NS = to_ns(LONGEST_GAP_S / 2)
@@ -22,10 +26,13 @@ _FIRST_NS = to_ns(LONGEST_GAP_S / 2)
 class StandingOdometry:
     """One robot's odometry on its way to the checkpoint. Not thread-safe."""
 
-    def __init__(self) -> None:
-        self._last: Odometry | None = None
-        # The last two messages where they are not stored.
-        self._held: deque[tuple[int, bytes]] = deque(maxlen=2)
+    def __init__(self, *, planar: bool = True) -> None:
+        self._planar = planar
+        self._rest = Rest()
+        self._pose: Pose | None = None
+        self._last_ns: int | None = None
+        # The last messages where they are not stored.
+        self._held = deque[tuple[int, bytes]]()
         self._standing = 0
         self._stored_ns, self._step_ns = 0, 0
         self._wanted_ns: int | None = None
@@ -38,7 +45,7 @@ class StandingOdometry:
         """Take a message that is newer than those before; the payloads to store now, in order."""
         is_after_gap = self._is_after_gap(message)
         self._standing = self._standing + 1 if self._has_stood(message) else 0
-        self._last = message
+        self._last_ns = message.stamp_ns
         if is_after_gap or self._standing <= MOST_STANDING:
             found = [*self.rest(), payload]
             self._stored(message.stamp_ns)
@@ -50,6 +57,9 @@ class StandingOdometry:
             self._stored(stamp_ns)
             found.append(before)
         self._held.append((message.stamp_ns, payload))
+        reach_ns = to_ns(RECENT_S) if self._rest.trembles else 0
+        while len(self._held) > 2 and message.stamp_ns - self._held[0][0] > reach_ns:
+            self._held.popleft()
         return found
 
     def rest(self) -> list[bytes]:
@@ -61,15 +71,16 @@ class StandingOdometry:
         return found
 
     def _has_stood(self, message: Odometry) -> bool:
-        last = self._last
-        if last is None:
+        before = self._pose
+        reported = in_plane(message.pose) if self._planar else message.pose
+        self._pose = here = self._rest.add(message.stamp_ns, reported)
+        if before is None or not np.array_equal(here.translation, before.translation):
             return False
-        is_there = np.array_equal(message.pose.translation, last.pose.translation)
-        return is_there and np.array_equal(message.pose.rotation, last.pose.rotation)
+        return np.array_equal(here.rotation, before.rotation)
 
     def _is_after_gap(self, message: Odometry) -> bool:
-        last = self._last
-        return last is not None and message.stamp_ns - last.stamp_ns > to_ns(LONGEST_GAP_S)
+        last_ns = self._last_ns
+        return last_ns is not None and message.stamp_ns - last_ns > to_ns(LONGEST_GAP_S)
 
     def _is_due(self) -> bool:
         """Whether the last message that is held back is to be stored."""

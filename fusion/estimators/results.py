@@ -147,7 +147,7 @@ def _robot(
         faces.append(FaceRecord(face.id, record.translation, record.quaternion))
     map_from_odom = None
     if trajectory is not None and len(track):
-        map_from_odom = PoseRecord.of(trajectory[1][-1] @ track.odom_from_base[-1].inverse())
+        map_from_odom = PoseRecord.of(trajectory[1][-1] @ track.reported.inverse())
     distance_scale, heading_scale = (1 + estimator.scales(name)).tolist()
     return RobotRecord(
         trajectory=f"{name}.tum" if trajectory is not None else None,

@@ -30,6 +30,7 @@ from .motion import (
     moved,
     twist_of,
 )
+from .rest import Rest
 
 PARTS = (
     "distance",
@@ -96,6 +97,9 @@ class OdometryTrack:
         self._jump_rows: list[int] = []
         self._broken_rows: list[int] = []  # those that odometry itself does not show
         self._gaps = np.zeros(1024)  # path that may have been driven unseen up to the row, metres
+        self._rest = Rest()
+        self.reported = Pose.identity()
+        """The last reading as the robot gave it."""
         self._period_ns = 0  # from the message before the last to the last
         self._standing = 0  # messages since the robot moved last
 
@@ -114,7 +118,7 @@ class OdometryTrack:
 
     @property
     def odom_from_base(self) -> Pose:
-        """The reported poses (n)."""
+        """The reported poses (n), without the noise of standing."""
         return Pose(self._rotations[: self._count], self._translations[: self._count])
 
     @property
@@ -139,7 +143,8 @@ class OdometryTrack:
         self._grow()
         row = self._count
         self._stamps[row] = stamp_ns
-        pose = in_plane(odom_from_base) if self.planar else odom_from_base
+        self.reported = in_plane(odom_from_base) if self.planar else odom_from_base
+        pose = self._rest.add(stamp_ns, self.reported)
         self._rotations[row], self._translations[row] = pose.rotation, pose.translation
         self._count += 1
         if row == 0:

@@ -1,5 +1,7 @@
 """A robot that stands before a camera for long before it drives: bounded, and the same map."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drives import STANDS_S, Session, pushed
@@ -13,6 +15,8 @@ from trigpoint.fusion.intake import standstills
 from trigpoint.fusion.intake.standstills import MOST_ALIKE
 from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import about_z
 from trigpoint.messages import Odometry
 
 PICTURES = 120  # of the standstill, before c1 alone
@@ -44,6 +48,29 @@ def test_map_of_what_is_kept_is_that_of_everything(
     assert np.all(sigmas <= np.sqrt(PICTURES / MOST_ALIKE) * least)
     # What some of the data says differs from what all of it says by no more than its own sigma.
     assert np.abs(apart(all_, some)).max() < 3.0
+
+
+def test_odometry_that_wanders_at_rest_is_as_bounded(
+    standing: Session, standing_bounded: Pipeline
+) -> None:
+    """A gyroscope's heading wanders by 0.005°/√s and creeps by 0.01°/s."""
+    draw, creep, last_ns = np.random.default_rng(1), 0.0, 0
+    messages = []
+    for node, message in standing.messages:
+        if isinstance(message, Odometry):
+            seconds = min((message.stamp_ns - last_ns) / 1e9, 1.0) if last_ns else 0.0
+            last_ns = message.stamp_ns
+            wander = 0.005 * np.sqrt(seconds) * draw.normal()
+            creep += np.radians(0.01 * seconds + wander)
+            turn = Pose(about_z(creep), np.zeros(3))
+            message = replace(message, pose=turn @ message.pose)
+        messages.append((node, message))
+    wandering = pushed(standing.inputs, messages)
+    # It takes some pictures until its rest is known.
+    assert wandering.left_out["standing_still"] >= PICTURES - MOST_ALIKE - 4
+    exact, noisy = standing_bounded.results(), wandering.results()
+    assert np.all(sigmas_of(noisy) > 0.9 * sigmas_of(exact))
+    assert np.abs(apart(noisy, exact)).max() < 3.0
 
 
 def test_live_a_standstill_is_bounded_has_corrections_and_ends_where_batch_ends(

@@ -95,3 +95,18 @@ def test_the_rest_is_what_an_orderly_stop_stores() -> None:
     _, kept = stored(standing(600.0, 0.1))
     assert len(kept.rest()) == 2
     assert kept.rest() == []
+
+
+def test_of_odometry_that_trembles_little_is_kept_and_leads_to_the_same_place() -> None:
+    draw, hz = np.random.default_rng(2), 20
+    x = np.concatenate([np.zeros(600 * hz), 0.3 * np.arange(1, 3 * hz) / hz])
+    x = np.round(x + 1e-3 * draw.normal(size=len(x)), 6)
+    messages = [message(to_ns(i / hz), float(one)) for i, one in enumerate(x, 1)]
+    found, _ = stored(messages)
+    assert len(found) < MOST_STANDING + 5 * hz + 3 * hz + 40
+    tracks = [OdometryTrack(OdometryNoise(), planar=True) for _ in range(2)]
+    for track, some in zip(tracks, (messages, found), strict=True):
+        assert {track.add(m.stamp_ns, m.pose) for m in some} == {Added.TAKEN}
+    assert len(tracks[0]) < MOST_STANDING + 5 * hz + 3 * hz
+    ends = [track.odom_from_base[-1].translation for track in tracks]
+    assert np.linalg.norm(ends[0] - ends[1]) < 1e-9
