@@ -4,9 +4,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from uuid import UUID
 
+import numpy as np
+
 from trigpoint import topics
 from trigpoint.clock import to_ns
-from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.correction import LEAST_SIGMA, CorrectionMark, encode_mark
 from trigpoint.geometry import Pose
 from trigpoint.messages import PoseArray, PoseEstimate, Transform, Transforms
 from trigpoint.topics import Topic
@@ -54,8 +56,10 @@ class RobotAnnouncements:
             yield Output(topics.TF, "", Transforms(transforms))
 
     def correction(self, map_id: UUID, robot: str, estimate: RobotEstimate) -> Iterator[Output]:
-        """A correction in a map, where the rate allows one now."""
-        if self._is_correction_due(robot, estimate.stamp_ns):
+        """A correction in a map, where the rate allows one now, and something was measured: a robot
+        that stands where the map begins is there by definition."""
+        plane = np.diagonal(estimate.covariance)[[0, 1, 5]]
+        if plane.min() >= LEAST_SIGMA**2 and self._is_correction_due(robot, estimate.stamp_ns):
             self._sequence[robot] += 1
             mark = encode_mark(CorrectionMark(map_id, self._sequence[robot]))
             yield Output(topics.CORRECTION, robot, _message(estimate), mark)

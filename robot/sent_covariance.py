@@ -9,12 +9,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from trigpoint.correction import LEAST_SIGMA
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
-# Ten micrometres or microradians: no camera resolves that, and the square of much less is exactly
-# zero in single precision.
-LEAST_SIGMA = 1e-5
 # Of the correlation matrix's smallest eigenvalue: single precision rounds at 6e-8.
 _LEAST_EIGENVALUE = 1e-6
 # Two halves of one matrix that were computed and rounded separately agree better than this.

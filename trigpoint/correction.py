@@ -8,6 +8,9 @@ from uuid import UUID
 from .errors import MessageError
 
 _SEQUENCE = struct.Struct("<Q")
+LEAST_SIGMA = 1e-5
+"""Of what a correction is true to: ten micrometres or microradians. No camera resolves that, and
+the square of much less is exactly zero in single precision."""
 MARK_LENGTH = 16 + _SEQUENCE.size
 
 

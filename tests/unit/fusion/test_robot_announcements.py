@@ -83,3 +83,11 @@ def test_after_a_restart_numbers_are_beyond_all_that_may_have_been_sent() -> Non
     news = RobotAnnouncements(10.0)
     news.skip_corrections(["r1"])
     assert sequence(corrected(news, [0.0]))[0] > 1000
+
+
+def test_what_nothing_has_measured_is_no_correction() -> None:
+    """A robot that stands where the map begins is there by definition, without any error."""
+    news = RobotAnnouncements(10.0)
+    begun = RobotEstimate(to_ns(1.0), Pose.identity(), np.zeros((6, 6)))
+    assert not list(news.correction(MAP, "r1", begun))
+    assert sequence(corrected(news, [1.1])) == [1]
