@@ -91,7 +91,8 @@ def examine(site: Site | None) -> Iterator[Check]:
         return
     yield from _looking("the bus", lambda: [check_site_bus(site)])
     yield from _check_security(site)
-    yield from (_check_target(site, robot) for robot in site.robots)
+    for name in dict.fromkeys(site.target_names):
+        yield _check_target(site, name)
     for name in site.cameras:
         yield from _looking(f"camera {name}", partial(_check_camera, site, name))
     for name in site.robots:
@@ -123,14 +124,14 @@ def _part_checks(part: str) -> list[Check]:
     return importlib.import_module(f"trigpoint.{part}.checks").checks()
 
 
-def _check_target(site: Site, robot: str) -> Check:
+def _check_target(site: Site, name: str) -> Check:
+    bearers = [robot for robot in site.robots if site.target_name(robot) == name]
+    whose = f"target of {', '.join(bearers)}" if bearers else "target"
     try:
-        target = load_target(site.path(site.target_name(robot)))
+        target = load_target(site.path(name))
     except TargetError as reason:
-        return Check(f"target of {robot}", "error", str(reason), "try `trigpoint target check`")
-    return Check(
-        f"target of {robot}", "ok", f"«{target.name}», {counted(len(target.faces), 'face')}"
-    )
+        return Check(whose, "error", str(reason), "try `trigpoint target check`")
+    return Check(whose, "ok", f"«{target.name}», {counted(len(target.faces), 'face')}")
 
 
 def _check_camera(site: Site, name: str) -> list[Check]:

@@ -70,7 +70,7 @@ class Watcher:
 
 def wanted_of(site: Site) -> list[str]:
     """The nodes named in a site file: an agent per camera, a bridge per robot with a port."""
-    robots = [name for name, robot in site.robots.items() if robot.protocol != "ros2"]
+    robots = [name for name, robot in site.robots.items() if robot.port is not None]
     return [f"edge/{name}" for name in site.cameras] + [f"robot/{name}" for name in robots]
 
 

@@ -140,3 +140,11 @@ def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_
     findings = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
     assert [one.level for one in findings] == ["error"]
     assert "write columns = 8 and rows = 6" in findings[0].remedy
+
+
+def test_target_of_a_site_without_robots_is_looked_at(quick: None, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text('site = "lab"\ntarget = "lost.toml"\n[cameras.c1]\nsource = "rtsp://a"\n')
+    findings = {finding.name: finding for finding in examine(load_site(path))}
+    assert findings["target"].level == "error"
+    assert "lost.toml" in findings["target"].message

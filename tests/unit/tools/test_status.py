@@ -16,7 +16,7 @@ from trigpoint.config import parse_site
 from trigpoint.messages import DiagnosticStatus
 from trigpoint.node import Node
 from trigpoint.tools.site_status import NodeStatus, SiteStatus, summarise, table
-from trigpoint.tools.status import look
+from trigpoint.tools.status import look, wanted_of
 from trigpoint.topics import DIAGNOSTICS
 
 
@@ -191,3 +191,9 @@ def test_faces_are_told_instead_of_messages_and_each_trouble_once() -> None:
     error, last = (f"no corrections for {seconds} s: fusion" for seconds in (21, 11))
     bridge = NodeStatus("robot/r1", "error", error, last_error=last)
     assert "last error" not in table(SiteStatus("lab", 0, [bridge]))
+
+
+def test_a_robot_without_a_port_needs_no_bridge(tmp_path: Path) -> None:
+    """It speaks ROS 2 on the bus, also where the file does not say so."""
+    site = parse_site(site_text(robots=1, more="[robots.r2]"), directory=tmp_path)
+    assert wanted_of(site) == ["edge/c1", "robot/r1"]
