@@ -34,6 +34,8 @@ from .expected_views import Visit, visits
 # Beside the worst camera so many others, the nearest ones, are considered: one that is known well
 # locates the robot, and with it the camera that saw it last.
 _OTHER_CAMERAS = 8
+# Two poses within this are one view.
+_SAME_PLACE_M, _SAME_HEADING = 0.3, np.radians(20)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +115,7 @@ def suggestions(world: GuidanceWorld, robot: str, *, count: int = 1) -> list[Sug
     found, ground = [], Ground.of(world)
     here = place.map_from_base
     for _ in range(count):
-        best = _best(world, ground, joint, place, here)
+        best = _best(world, ground, joint, place, here, found)
         if best is None:
             break
         suggestion, visit, motion = best
@@ -175,12 +177,28 @@ def options(
 
 
 def _best(
-    world: GuidanceWorld, ground: Ground, joint: JointCovariance, place: RobotPlace, here: Pose
+    world: GuidanceWorld,
+    ground: Ground,
+    joint: JointCovariance,
+    place: RobotPlace,
+    here: Pose,
+    said: Iterable[Suggestion],
 ) -> tuple[Suggestion, Visit, ExpectedMotion] | None:
+    """The best visit to a pose that was not `said`: a second picture of the same view has the
+    first one's systematic errors."""
     found = options(world, ground, joint, place, here)
     if found is None:
         return None
-    index = int(np.argmin(found.expected_sigma_m))
+    expected = found.expected_sigma_m.copy()
+    for one in said:
+        step = one.map_from_base.inverse() @ found.candidates.map_from_base
+        is_near = np.linalg.norm(step.translation, axis=-1) < _SAME_PLACE_M
+        ahead = np.hypot(step.rotation[..., 0, 0], step.rotation[..., 1, 0])
+        is_alike = step.rotation[..., 0, 0] > np.cos(_SAME_HEADING) * ahead
+        expected[(is_near & is_alike)[: len(expected)]] = np.inf
+    index = int(np.argmin(expected))
+    if not np.isfinite(expected[index]):
+        return None
     chosen = found.at(index, place.robot)
     return (chosen, found.visits[index], found.motions[index]) if chosen.is_worthwhile else None
 

@@ -8,7 +8,7 @@ from trigpoint.network import AlternativeRecord, CameraRecord
 
 from .calibration import CalibrationResults
 from .floor_plan_image import floor_plan_image
-from .plan import MARGIN, Plan, suggestion_mark
+from .plan import MARGIN, Plan, suggestion_marks
 from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
 
@@ -62,10 +62,7 @@ def map_drawing(results: CalibrationResults, *, width: float, upright: bool) -> 
         if camera.map_from_camera is not None and camera.covariance is not None:
             parts.append(_camera(name, camera, index, plan, factor))
         parts += [_alternative(name, each, index, plan) for each in camera.alternatives]
-    parts += [
-        suggestion_mark(s.map_from_base, plan, number=str(i + 1))
-        for i, s in enumerate(results.suggestions)
-    ]
+    parts += suggestion_marks([s.map_from_base for s in results.suggestions], plan)
     parts.append(_scale_bar(plan))
     label = "Map from above with the cameras, their uncertainty and the robots' ways"
     return drawing(plan.width, plan.height + 22, *parts, label=label, class_="map")

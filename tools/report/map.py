@@ -5,7 +5,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 from trigpoint.tools.demo.results import CameraResult, DemoResults, Track
 
-from .plan import MARGIN, Plan, suggestion_mark
+from .plan import MARGIN, Plan, suggestion_marks
 from .style import PALETTE
 from .svg import circle, drawing, element, ellipse_points, group, line, polygon, polyline, text
 
@@ -45,7 +45,7 @@ def map_drawing(results: DemoResults, *, width: float, upright: bool) -> str:
         parts.append(_way(robot.live, plan, "way corrected"))
         parts.append(_ends(robot.truth, plan))
         if robot.suggestion is not None:
-            parts.append(suggestion_mark(robot.suggestion, plan))
+            parts += suggestion_marks([robot.suggestion], plan, are_numbered=False)
     parts += [_found(camera, index, plan, factor) for index, camera in enumerate(results.cameras)]
     parts.append(_scale_bar(plan))
     label = "Map of the rooms from above with the cameras and the robot's ways"

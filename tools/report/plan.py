@@ -1,5 +1,7 @@
 """From metres in the map to a drawing of it from above, and marks that maps share."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trigpoint.geometry import Pose
@@ -37,13 +39,35 @@ class Plan:
         return np.stack([y, x] if self._is_turned else [x, -y], axis=-1)
 
 
-def suggestion_mark(map_from_base: Pose, plan: Plan, *, number: str = "") -> str:
-    """A disc, numbered, with a nose that points where the robot should."""
-    place = map_from_base.translation[:2]
+_MARK_PX = 9
+
+
+def suggestion_marks(poses: Sequence[Pose], plan: Plan, *, are_numbered: bool = True) -> list[str]:
+    """Discs, numbered in order, with a nose for each way to look there; one for places that would
+    lie on each other."""
+    groups: list[list[int]] = []
+    places = [plan(pose.translation[:2]) for pose in poses]
+    for i, place in enumerate(places):
+        near = (g for g in groups if np.linalg.norm(places[g[0]] - place) < 2 * _MARK_PX)
+        group_of = next(near, None)
+        groups.append([i]) if group_of is None else group_of.append(i)
+    marks = []
+    for members in groups:
+        numbers = ", ".join(str(i + 1) for i in members) if are_numbered else ""
+        marks.append(_mark([poses[i] for i in members], plan, numbers))
+    return marks
+
+
+def _mark(poses: Sequence[Pose], plan: Plan, numbers: str) -> str:
+    place = poses[0].translation[:2]
     x, y = plan(place)
-    nose = np.array([[17.0, 0.0], [6.0, 6.5], [6.0, -6.5]]) / plan.scale
-    parts = [polygon(plan(nose @ map_from_base.rotation[:2, :2].T + place), class_="next")]
-    parts.append(circle(x, y, 9, class_="next"))
-    if number:
-        parts.append(text(x, y + 4.5, number, class_="next-text"))
+    radius = max(_MARK_PX, 4 + 3 * len(numbers))
+    nose = np.array([[radius + 8.0, 0.0], [radius - 3.0, 6.5], [radius - 3.0, -6.5]])
+    parts = [
+        polygon(plan(nose / plan.scale @ pose.rotation[:2, :2].T + place), class_="next")
+        for pose in poses
+    ]
+    parts.append(circle(x, y, radius, class_="next"))
+    if numbers:
+        parts.append(text(x, y + 4.5, numbers, class_="next-text"))
     return group(*parts)

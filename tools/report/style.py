@@ -84,7 +84,8 @@ svg .name {{ fill:var(--k); font-weight:650; font-size:16px; text-anchor:middle 
 .error {{ stroke:var(--k); stroke-width:1.3 }}
 .scale line {{ stroke:var(--soft); stroke-width:1.5 }}
 .legend {{ list-style:none; margin:14px 0 0; padding:0; display:grid; gap:4px 28px;
-  grid-template-columns:repeat(auto-fit,minmax(300px,1fr)); color:var(--soft); font-size:14.5px }}
+  grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr));
+  color:var(--soft); font-size:14.5px }}
 .legend li {{ display:flex; gap:10px; align-items:flex-start }}
 .legend svg {{ width:34px; height:14px; flex:none; margin-top:5px }}
 .closeups {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(150px,1fr)); gap:12px;
@@ -95,8 +96,8 @@ figcaption {{ font-size:13.5px; color:var(--soft); line-height:1.35; margin-top:
 figcaption b {{ color:var(--k); font-size:15px; margin-right:4px }}
 .rings circle, .rings line {{ fill:none; stroke:var(--rule); stroke-width:1 }}
 svg .ring-text {{ fill:var(--faint); font-size:12px }}
-.charts {{ display:grid; grid-template-columns:repeat(auto-fit,minmax(400px,1fr)); gap:14px;
-  margin-top:14px }}
+.charts {{ display:grid; gap:14px; margin-top:14px;
+  grid-template-columns:repeat(auto-fit,minmax(min(400px,100%),1fr)) }}
 .grid {{ stroke:var(--rule); stroke-width:1 }}
 .axis {{ stroke:var(--faint); stroke-width:1 }}
 svg .tick {{ font-size:12px; fill:var(--faint) }}
@@ -122,8 +123,9 @@ svg .mark-text {{ fill:var(--ink) }}
 .next {{ fill:var(--good); stroke:var(--card); stroke-width:1 }}
 svg .next-text {{ fill:var(--card); font-weight:700; font-size:12px; text-anchor:middle }}
 .tiles.thirds {{ grid-template-columns:repeat(3,1fr) }}
-.pair {{ display:grid; grid-template-columns:repeat(auto-fit,minmax(300px,1fr)); gap:14px 30px;
-  align-items:start; margin-top:12px }}
+.pair {{ display:grid; gap:14px 30px; align-items:start; margin-top:12px;
+  grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr)) }}
+.pair > * {{ min-width:0; overflow-x:auto }}
 .camera {{ margin-top:14px }}
 .camera summary {{ margin:0; font-size:16px }}
 .camera summary b {{ color:var(--k); font-size:18px }}
@@ -162,15 +164,19 @@ footer {{ margin-top:56px; padding-top:14px; border-top:1px solid var(--rule); c
   .closeups {{ grid-template-columns:1fr 1fr }}
   .chart text, .chart .tick, .chart .axis-title {{ font-size:15px }}
   th, td {{ padding:6px 8px }}
+  .pair td:first-child, .pair td:last-child {{ white-space:normal }}
 }}
 @media print {{
   body {{ background:#fff; font-size:10pt }}
   h1 {{ font-size:20pt }}
   h2 {{ margin-top:20pt }}
-  .tiles {{ grid-template-columns:repeat(5,1fr) }}
+  .tiles, .tiles.thirds {{ grid-template-columns:repeat(auto-fit,minmax(100px,1fr)) }}
   .tile b {{ font-size:15pt }}
   .closeups {{ grid-template-columns:repeat(6,1fr) }}
   .charts {{ grid-template-columns:1fr 1fr }}
+  svg.map {{ max-height:12.5cm }}
+  table {{ font-size:8.5pt }}
+  th, td {{ padding:3pt 5pt; white-space:normal }}
   main {{ max-width:none; padding:0 }}
   .card, .tile, .closeups figure, tr {{ break-inside:avoid }}
   h2 {{ break-after:avoid }}

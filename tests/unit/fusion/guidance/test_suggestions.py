@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -211,6 +212,10 @@ def test_suggested_poses_are_near_driven_ones_and_near_where_the_camera_saw(driv
 
 def test_next_poses_each_lower_what_the_ones_before_left(drive: Drive) -> None:
     found = suggestions(drive.world, "r1", count=3)
+    for one, other in combinations([s.map_from_base for s in found], 2):
+        step = one.inverse() @ other
+        apart, turned = np.linalg.norm(step.translation), abs(np.trace(step.rotation) - 3)
+        assert apart > 0.3 or turned > 2 * (1 - np.cos(np.radians(19)))
     assert len(found) == 3
     assert found[0].sigma_m == pytest.approx(drive.options.sigma_m)
     for suggestion in found:

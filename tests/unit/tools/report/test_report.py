@@ -17,6 +17,7 @@ from trigpoint.geometry import Pose
 from trigpoint.tools.demo.results import DemoResults, Track
 from trigpoint.tools.report.map import magnification, map_drawing, plan_of
 from trigpoint.tools.report.page import report_page
+from trigpoint.tools.report.plan import Plan, suggestion_marks
 
 
 def read(results: DemoResults) -> PageReader:
@@ -138,3 +139,12 @@ def test_last_suggestion_is_on_the_map_where_there_was_one() -> None:
     assert 'class="next"' in map_drawing(make_results(robots=(robot,)), width=400.0, upright=False)
     assert "last told to go next" in " ".join(read(make_results(robots=(robot,))).words)
     assert "last told to go next" not in " ".join(read(make_results()).words)
+
+
+def test_marks_of_one_place_are_one_disc_with_a_nose_for_each_way_to_look() -> None:
+    plan = Plan(np.array([[0.0, 0.0], [4.0, 3.0]]), 400.0, upright=False)
+    poses = [Pose.planar(1.0, 1.0, 0.0), Pose.planar(3.0, 2.0, 0.0), Pose.planar(1.01, 1.0, 2.0)]
+    both, alone = suggestion_marks(poses, plan)
+    assert ">1, 3<" in both
+    assert both.count("<polygon") == 2
+    assert ">2<" in alone
