@@ -41,9 +41,9 @@ def blueprint(
                 column_shares=[3, 2],
             ),
             rrb.Horizontal(
-                _plot("Cameras: log10 cm", style.CAMERA_SIGMAS, axis),
-                _plot("Robots: log10 cm", style.ROBOT_SIGMAS, axis),
-                _plot("Headings: log10 mrad", style.HEADING_SIGMAS, axis),
+                _plot("Cameras: 10^y cm (-1: below 0.1)", style.CAMERA_SIGMAS, axis),
+                _plot("Robots: 10^y cm", style.ROBOT_SIGMAS, axis),
+                _plot("Headings: 10^y mrad", style.HEADING_SIGMAS, axis),
                 rrb.Tabs(
                     _plot("Residuals, px", style.RESIDUALS, axis),
                     _plot("Odometry off, cm", style.DRIFT, axis),

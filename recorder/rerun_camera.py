@@ -29,7 +29,6 @@ _PLOTS = (
     style.CAMERA_SIGMAS,
     style.HEADING_SIGMAS,
     style.LATENCY,
-    style.RESIDUALS,
     style.RATES,
 )
 _LATEST_NS = to_ns(10.0)  # more is a replay, whose stamps are of another time
@@ -74,6 +73,9 @@ class CameraScene:
         line = rr.SeriesLines(colors=[self._colour], names=[self.name], widths=[2.0])
         for group in _PLOTS:
             self._columns.fixed(f"{group}/{self.name}", line)
+        # A camera sees a robot now and then: a line would join what lies minutes apart.
+        points = rr.SeriesPoints(colors=[self._colour], names=[self.name], marker_sizes=[2.5])
+        self._columns.fixed(f"{style.RESIDUALS}/{self.name}", points)
 
     def add_info(self, message: CameraInfo) -> None:
         self._camera = message.camera

@@ -53,7 +53,7 @@ RESIDUALS_DRAWN = 10.0
 """A good corner is off by a tenth of a pixel, which nobody would see."""
 TRUTH: Colour = (120, 255, 150)
 OVERLAY: Colour = (255, 255, 255)
-_LEAST = 1e-6
+_LEAST = 0.1
 
 
 def ui_points(points: float) -> float:
@@ -132,11 +132,13 @@ def heading_sigma(covariance: Array) -> float:
 
 
 def decades(value: float) -> float:
-    """A sigma's decimal logarithm: rerun's plots have no logarithmic axis, and a camera's sigma
-    goes from a metre to a millimetre."""
+    """The decimal logarithm of a sigma in cm or mrad, -1 for all that is below 0.1: rerun's plots
+    have no logarithmic axis, and a camera's sigma goes from a metre to a millimetre."""
     return float(np.log10(max(value, _LEAST)))
 
 
 def centimetres(sigma_m: float) -> str:
     """A sigma for people."""
+    if sigma_m < 1e-3:
+        return "<0.1 cm"
     return f"±{100 * sigma_m:.1f} cm" if sigma_m < 1 else f"±{sigma_m:.1f} m"
