@@ -73,9 +73,12 @@ class Desk:
         script: Iterator[tuple[int, np.ndarray] | Exception] | None = None,
         target: Target | None = None,
     ) -> Node:
-        """Start the agent on these pictures, or on those of a script."""
+        """Start the agent on these pictures, or on those of a script; at a rate that leaves time
+        for all of a picture on a busy machine, unless `camera` says one."""
         ScriptedFrames.script = script or iter(pictures)
         text = f'site = "lab"\ntarget = "t.toml"\n[cameras.c1]\nsource = "script://"\n{camera}\n'
+        if not camera.startswith("rate"):
+            text += "rate = 0.5\n"
         site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
         node = Node(self.bus, site="lab", kind="edge", name="c1")
         agent = EdgeNode(self.bus, node, site, "c1", [target or target_of(BOARD)])

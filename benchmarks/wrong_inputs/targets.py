@@ -36,8 +36,10 @@ def changed(face: Face, **changes: object) -> Face:
     return msgspec.structs.replace(face, **changes)
 
 
-def write_target(folder: Path, face: Face) -> Path:
+def write_target(folder: Path, face: Face, **lengths: float) -> Path:
+    """A file of the face, with other lengths where they are given."""
     keys = {key: value for key, value in msgspec.to_builtins(face).items() if value is not None}
+    keys |= lengths
     rows = [f"{key} = {toml_value(value)}" for key, value in keys.items()]
     path = folder / "target.toml"
     path.write_text("\n".join(['name = "board"', "[[faces]]", *rows]) + "\n", encoding="utf-8")
@@ -133,11 +135,12 @@ def inner_corners(folder: Path, random: np.random.Generator) -> Case:
 
 
 def units(folder: Path, random: np.random.Generator) -> Case:
+    """Lengths of a file in millimetres, which no `Face` takes."""
     face = board(random)
     by = 1000 * random.uniform(0.5, 2.0)
-    written = changed(face, square=face.square * by, marker=(face.marker or 0) * by)
+    file = write_target(folder, face, square=face.square * by, marker=(face.marker or 0) * by)
     says = (r"\bmm\b|millimet", r"metres|\bm\b")
-    return Case(("target", "check", write_target(folder, written)), (1, 2), says)
+    return Case(("target", "check", file), (1, 2), says)
 
 
 def nothing_like_it(folder: Path, random: np.random.Generator) -> Case:
