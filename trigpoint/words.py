@@ -1,6 +1,7 @@
 """Wording of messages: numbers with their nouns, suggestions of similar names, commands to run."""
 
 import difflib
+import os
 from collections.abc import Iterable, Sequence
 
 from . import __version__
@@ -27,5 +28,6 @@ def listed(names: Sequence[str]) -> str:
 def install_command(extra: str) -> str:
     """How a part is installed here, as README has it: versions that were not tested together are
     never mixed."""
-    wheel = f"file:///path/to/trigpoint-{__version__}-py3-none-any.whl"
+    tag = f"py3-none-manylinux_2_28_{os.uname().machine}"
+    wheel = f"file:///path/to/trigpoint-{__version__}-{tag}.whl"
     return f"pip install -c constraints.txt 'trigpoint[{extra}] @ {wheel}'"

@@ -65,7 +65,7 @@ def test_odometry_that_wanders_at_rest_is_as_bounded(
             turn = Pose(about_z(creep), np.zeros(3))
             message = replace(message, pose=turn @ message.pose)
         messages.append((node, message))
-    wandering = pushed(standing.inputs, messages)
+    wandering = pushed(standing.inputs, tuple(messages))
     # It takes some pictures until its rest is known.
     assert wandering.left_out["standing_still"] >= PICTURES - MOST_ALIKE - 4
     exact, noisy = standing_bounded.results(), wandering.results()

@@ -175,7 +175,8 @@ def test_missing_extra_names_what_to_install(
     assert capsys.readouterr().err == (
         f"trigpoint: `trigpoint edge` needs the package «{package}», which is not installed here; "
         "run: pip install -c constraints.txt 'trigpoint[edge] @ "
-        f"file:///path/to/trigpoint-{trigpoint.__version__}-py3-none-any.whl'\n"
+        f"file:///path/to/trigpoint-{trigpoint.__version__}-py3-none-manylinux_2_28_"
+        f"{os.uname().machine}.whl'\n"
     )
 
 
