@@ -4,7 +4,8 @@ Our own sessions are read by `recording`; this knows no key of the contract, onl
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from trigpoint.cdr_codecs import CODECS
 from trigpoint.errors import InputError, MessageError, RecordingError
 from trigpoint.messages import CAMERA_INFO, ODOMETRY, PICTURE, SIGHTINGS, Message
+from trigpoint.words import counted
 
 from .mcap_file import McapIndex
 from .mcap_index import read_index
@@ -30,8 +32,8 @@ IMAGE = "sensor_msgs/msg/Image"
 PICTURES = (IMAGE, PICTURE)
 READ = (*PICTURES, CAMERA_INFO, ODOMETRY, SIGHTINGS)
 """The types that have a use as input."""
-Refuse = Callable[[str, str, int, MessageError], None]
-"""Told a topic, its type, the log time and what is wrong."""
+Refuse = Callable[[str, int, MessageError], None]
+"""Told a topic, the log time and what is wrong."""
 _LOG = logging.getLogger(__name__)
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
 
@@ -66,7 +68,7 @@ class Bag:
         self._path = path
         self._source = _McapFiles(path) if _is_mcap(path) else _OtherFiles(path)
         self.topics = {topic: _most_useful(kinds) for topic, kinds in self._source.kinds.items()}
-        """Type by topic."""
+        """Type by topic: of several, the one of use that most of its messages have."""
 
     def pictures(self) -> list[str]:
         """The topics with pictures."""
@@ -74,8 +76,7 @@ class Bag:
 
     def messages(self, topics: Collection[str], refuse: Refuse) -> Iterator[BagMessage]:
         """The messages of these topics, in the order of recording; one that is not sound is left
-        out, and `refuse` told. Raises RecordingError for a
-        topic that is not there or of no use."""
+        out, and `refuse` told. Raises RecordingError for a topic that is not there or of no use."""
         for topic in topics:
             self._check(topic)
         for topic, kind, log_ns, decode in self._source.messages(topics):
@@ -84,7 +85,7 @@ class Bag:
                     raise MessageError(f"is a {kind}, not a {self.topics[topic]}")
                 message = _message(kind, decode())
             except MessageError as reason:
-                refuse(topic, kind, log_ns, reason)
+                refuse(topic, log_ns, reason)
                 continue
             yield BagMessage(topic, log_ns, message)
 
@@ -110,11 +111,14 @@ class _McapFiles:
         has_list = not path.is_dir() or (path / METADATA).exists()
         files = session_files(path) if has_list else sorted(path.glob("*.mcap"))
         self._parts = [Recording([read_index(file)]) for file in files]
-        self.kinds: dict[str, set[str]] = {}
+        self.kinds: dict[str, Counter[str]] = {}
+        """By topic, how many messages each of its types has."""
         for recording in self._parts:
             (part,) = recording.parts
-            for number in part.channels:
-                self.kinds.setdefault(part.channels[number].topic, set()).add(_kind(part, number))
+            for number, channel in part.channels.items():
+                count = sum(span.counts.get(number, 0) for span in part.chunks)
+                kinds = self.kinds.setdefault(channel.topic, Counter())
+                kinds[_kind(part, number)] += count
         if not self.kinds:
             problems = "; ".join(filter(None, (recording.problem for recording in self._parts)))
             raise RecordingError(
@@ -131,9 +135,9 @@ class _McapFiles:
             decoders = {number: _decoder(part, number) for number in wanted}
             for message in recording.messages(part, wanted):
                 number = message.channel
-                decode = partial(_decoded, decoders[number], message.payload)
-                topic = part.channels[number].topic
-                yield topic, _kind(part, number), message.log_ns, decode
+                kind = _kind(part, number)
+                decode = partial(_decoded, decoders[number], message.payload, kind)
+                yield part.channels[number].topic, kind, message.log_ns, decode
 
 
 class _OtherFiles:
@@ -145,17 +149,18 @@ class _OtherFiles:
         self._files = (
             [path] if is_one else sorted(file for file in path.iterdir() if file.suffix in BAGS)
         )
-        self.kinds: dict[str, set[str]] = {}
+        self.kinds: dict[str, Counter[str]] = {}
         with self._opened() as reader:
             for connection in reader.connections:
-                self.kinds.setdefault(connection.topic, set()).add(connection.msgtype)
+                kinds = self.kinds.setdefault(connection.topic, Counter())
+                kinds[connection.msgtype] += connection.msgcount
 
     def messages(self, topics: Collection[str]) -> Iterator[_Raw]:
         with self._opened() as reader:
             wanted = [c for c in reader.connections if c.topic in topics]
             for connection, log_ns, data in reader.messages(wanted):
                 kind = connection.msgtype
-                decode = partial(_decoded, partial(reader.deserialize, typ=kind), data)
+                decode = partial(_decoded, partial(reader.deserialize, typ=kind), data, kind)
                 yield connection.topic, kind, log_ns, decode
 
     @contextmanager
@@ -184,8 +189,8 @@ def _is_mcap(path: Path) -> bool:
     return all(".mcap" in file.suffixes for file in files)
 
 
-def _most_useful(kinds: Collection[str]) -> str:
-    return min(kinds, key=lambda kind: (kind not in READ, kind))
+def _most_useful(counts: Mapping[str, int]) -> str:
+    return max(counts, key=lambda kind: (kind in READ, counts[kind]))
 
 
 def _kind(part: McapIndex, number: int) -> str:
@@ -214,12 +219,11 @@ def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
     return lambda payload: store.deserialize_cdr(payload, name)
 
 
-def _decoded(decode: Callable[[bytes], Any], data: bytes) -> Any:
+def _decoded(decode: Callable[[bytes], Any], data: bytes, kind: str) -> Any:
     try:
         return decode(data)
-    except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a message leads it to
-        told = " ".join(str(reason).split()) or type(reason).__name__
-        raise MessageError(f"cannot be decoded ({len(data)} bytes: {told})") from None
+    except Exception:  # noqa: BLE001 - rosbags raises whatever a message leads it to
+        raise MessageError(f"its {counted(len(data), 'byte')} are no whole {kind}") from None
 
 
 def _message(type_name: str, found: Any) -> Message | RawImage:

@@ -1,6 +1,5 @@
 """The commands `info`, `check` and `recover`."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +8,7 @@ import typer
 
 from trigpoint.errors import InputError
 from trigpoint.terminal import table
+from trigpoint.words import numberless
 
 from .mcap_check import check as check_file
 from .recording import open_recording
@@ -88,7 +88,7 @@ def _alike(texts: Sequence[str]) -> list[str]:
     """One for all that differ in numbers alone, with how many there are."""
     kinds: dict[str, list[str]] = {}
     for text in texts:
-        kinds.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+        kinds.setdefault(numberless(text), []).append(text)
     return [
         first + (f" (and {len(more)} more like it)" if more else "")
         for first, *more in kinds.values()

@@ -6,7 +6,7 @@ Nothing is taken on trust: every record is read, chunks are decompressed, and wh
 
 import struct
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,6 +108,7 @@ class _Checker:
         if self._steps_back:
             times = counted(self._steps_back, "message")
             remarks.append(f"{times} with an earlier log time than the one before")
+        remarks += self._several_types()
         return self._verdict
 
     def _walk(self) -> bool:
@@ -358,6 +359,19 @@ class _Checker:
             for channel, count in self._counts.items():
                 if said.channel_message_counts.get(channel, 0) != count:
                     self._error(f"the statistics miscount channel {channel}, which has {count}")
+
+    def _several_types(self) -> Iterator[str]:
+        kinds: dict[str, Counter[str]] = {}
+        for number, count in self._counts.items():
+            channel = self._definitions[Channel].get(number)
+            if isinstance(channel, Channel):
+                schema = self._definitions[Schema].get(channel.schema_id)
+                name = schema.name if isinstance(schema, Schema) else "no type"
+                kinds.setdefault(channel.topic, Counter())[name] += count
+        for topic, counts in kinds.items():
+            if len(counts) > 1:
+                each = ", ".join(f"{count} of {name}" for name, count in counts.items())
+                yield f"{topic} has messages of several types: {each}"
 
     def _error(self, text: str) -> None:
         if len(self._verdict.errors) < _MOST_TOLD:

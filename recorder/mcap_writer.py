@@ -58,11 +58,12 @@ class McapWriter:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages in the file, by key."""
-        return {
-            self._keys[number - 1]: count
-            for number, count in sorted(self._written.items())
-            if self._types[number - 1] != ATTACHED
-        }
+        counts: dict[str, int] = {}
+        for number, count in sorted(self._written.items()):
+            if self._types[number - 1] != ATTACHED:
+                key = self._keys[number - 1]
+                counts[key] = counts.get(key, 0) + count
+        return counts
 
     @property
     def size(self) -> int:
@@ -85,10 +86,6 @@ class McapWriter:
                 messages.append(Message(log_ns, published_ns, topic, key, payload, attachment))
                 attachment = b""
         return messages
-
-    def channel_of(self, key: str) -> int | None:
-        """The number of a key's channel, None if it is not defined."""
-        return self._channels.get(key)
 
     def add(
         self,
@@ -225,13 +222,14 @@ class McapWriter:
         *,
         encoding: str = "cdr",
     ) -> int:
-        """Define a channel of any type, and its schema; return its number."""
+        """Define a channel of any type, and its schema; return its number. A key may have several
+        types."""
         schema = self._schemas.get(type_name)
         if schema is None:
             schema = self._schemas[type_name] = len(self._schemas) + 1
             self._define("schema", records.schema(schema, type_name, schema_encoding, definition))
-        number = self._channels[key] = len(self._channels) + 1
         self._keys.append(key)
+        number = self._channels[key] = len(self._keys)
         self._types.append(type_name)
         self._define("channel", records.channel(number, schema, "/" + key, encoding, metadata))
         return number
@@ -252,7 +250,7 @@ class McapWriter:
         """The summary, the offsets of its groups, the footer."""
         many = {kind: len(self._summary.get(kind, [])) for kind in _INDEXES}
         statistics = records.statistics(
-            {number: self._written.get(number, 0) for number in self._channels.values()},
+            {number: self._written.get(number, 0) for number in range(1, len(self._keys) + 1)},
             self.times_ns,
             schemas=len(self._schemas),
             attachments=many[Opcode.ATTACHMENT_INDEX],

@@ -23,7 +23,7 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
     new file, whose chunks are full ones; return how many messages each key has.
 
     Messages that cannot be read as what their channel holds are left out, which is logged. Raises
-    OperationError where the file is there already or cannot be written.
+    OperationError where none is left, or the file is there already or cannot be written.
     """
     writer = McapWriter(out)
     try:
@@ -32,12 +32,16 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
         for name, values in recording.notes.items():
             if name != PART:
                 writer.note(name, values)
+        channels: dict[tuple[str, str, str], int] = {}
         for number, part in enumerate(recording.parts):
-            _copy(recording, part, writer, repeated_keys(part) if number else set())
+            _copy(recording, part, writer, channels, repeated_keys(part) if number else set())
     except BaseException:
         writer.abandon()
         raise
     writer.finish()
+    if not writer.counts:
+        out.unlink()
+        raise OperationError(f"{recording.path}: no message of it can be read; nothing is written")
     try:
         write_metadata(out.parent, [PartFacts(out.name, writer.times_ns, writer.counts)])
     except OSError as reason:
@@ -45,9 +49,16 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
     return writer.counts
 
 
-def _copy(recording: Recording, part: McapIndex, writer: McapWriter, repeated: set[str]) -> None:
+def _copy(
+    recording: Recording,
+    part: McapIndex,
+    writer: McapWriter,
+    defined: dict[tuple[str, str, str], int],
+    repeated: set[str],
+) -> None:
+    """Copy a part; `defined`: the channels written so far, by key, type and encoding."""
     channels = {number for number in part.channels if _counted(part, number)}
-    numbers = {number: _defined(part, number, writer) for number in channels}
+    numbers = {number: _defined(part, number, writer, defined) for number in channels}
     keys = {number: key_of(part, number) for number in channels}
     unreadable: Counter[str] = Counter()
     for message in recording.messages(part, channels):
@@ -72,17 +83,20 @@ def _row(message: RawMessage, channel: int) -> tuple[int, int, int, bytes]:
     return message.log_ns, message.published_ns, channel, message.payload
 
 
-def _defined(part: McapIndex, number: int, writer: McapWriter) -> int:
+def _defined(
+    part: McapIndex, number: int, writer: McapWriter, defined: dict[tuple[str, str, str], int]
+) -> int:
     channel = part.channels[number]
-    key = key_of(part, number)
-    if (known := writer.channel_of(key)) is not None:
-        return known
     schema = part.schemas.get(channel.schema_id)
-    metadata = dict(channel.metadata)
-    if not metadata and (topic := topic_of(key)):
-        metadata["offered_qos_profiles"] = quality_of_service(topic)
-    name, encoding, data = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
-    return writer.define(key, name, encoding, data, metadata, encoding=channel.message_encoding)
+    name, form, text = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    key, encoding = key_of(part, number), channel.message_encoding
+    if (key, name, encoding) not in defined:
+        metadata = dict(channel.metadata)
+        if not metadata and (topic := topic_of(key)):
+            metadata["offered_qos_profiles"] = quality_of_service(topic)
+        new = writer.define(key, name, form, text, metadata, encoding=encoding)
+        defined[key, name, encoding] = new
+    return defined[key, name, encoding]
 
 
 def _media_type(name: str) -> str:

@@ -105,7 +105,6 @@ class _Track:
     first_ns: int
     last_ns: int
     gap_ns: int = 0
-    sequence: int | None = None
 
 
 def _read_part(
@@ -117,8 +116,7 @@ def _read_part(
 ) -> None:
     keys = {number: key_of(part, number) for number in part.channels}
     attached: Counter[str] = Counter()
-    for track in tracks.values():
-        track.sequence = None  # each file counts anew
+    sequences: dict[int, int] = {}  # each file counts anew
     last_ns = 0
     for message in recording.messages(part, set(keys)):
         key = keys[message.channel]
@@ -135,11 +133,11 @@ def _read_part(
             repeated.discard(key)
         else:
             _count(track, message.log_ns, len(message.payload))
-        if track.sequence is not None:
-            is_counted = message.sequence or track.sequence  # drivers that do not count say 0
-            is_next = message.sequence == track.sequence + 1
-            track.info.sequence_breaks += bool(is_counted and not is_next)
-        track.sequence = message.sequence
+        before = sequences.get(message.channel)
+        if before is not None:
+            is_counted = message.sequence or before  # drivers that do not count say 0
+            track.info.sequence_breaks += bool(is_counted and message.sequence != before + 1)
+        sequences[message.channel] = message.sequence
     for key, count in attached.items():
         if key in tracks:
             tracks[key].info.attachments += count

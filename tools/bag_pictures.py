@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from trigpoint.clock import to_seconds
+from trigpoint.edge.sources.picture_files import decoded
 from trigpoint.errors import InputError, MessageError
 from trigpoint.messages import Picture
 from trigpoint.recorder.bag import Bag, RawImage
@@ -42,7 +43,7 @@ def bag_pictures(
     """
     bag = Bag(path)
 
-    def refuse(topic: str, _kind: str, log_ns: int, reason: MessageError) -> None:
+    def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
         at_s = f"{to_seconds(log_ns):.3f} s"
         leave_out(InputError(f"{path}: a picture of {topic}, at {at_s}: {reason}"))
 
@@ -54,7 +55,7 @@ def bag_pictures(
         try:
             picture = grey_of(one.message)
         except MessageError as reason:
-            refuse(one.topic, "", stamp_ns, reason)
+            refuse(one.topic, stamp_ns, reason)
             continue
         yield f"{path}#{one.topic}#{stamp_ns}", stem, picture
 
@@ -64,13 +65,11 @@ def grey_of(picture: Picture | RawImage) -> np.ndarray:
     read."""
     if isinstance(picture, RawImage):
         return _grey_of_raw(picture)
-    data = np.frombuffer(picture.data, dtype=np.uint8)
-    grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    found = cv2.imdecode(data, grey) if data.size else None
-    if found is None:
-        size = counted(data.size, "byte")
-        raise MessageError(f"its {size} are no whole picture ({picture.format or 'no format'})")
-    return found
+    try:
+        return decoded(picture.data)
+    except InputError as reason:
+        size = counted(len(picture.data), "byte")
+        raise MessageError(f"{reason} ({size}, {picture.format or 'no format'})") from None
 
 
 def _grey_of_raw(image: RawImage) -> np.ndarray:

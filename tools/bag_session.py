@@ -52,12 +52,16 @@ def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMe
     bag, found = Bag(path), SessionMessages()
     names = _names(bag, roles, inputs)
     detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
-    for one in bag.messages(list(names), found.refuse):
+
+    def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
+        found.refuse(names[topic], topic, log_ns, reason)
+
+    for one in bag.messages(list(names), refuse):
         name = names[one.topic]
         try:
             message = _as_message(one, name, detector)
         except MessageError as reason:
-            found.refuse(one.topic, bag.topics[one.topic], one.log_ns, reason)
+            refuse(one.topic, one.log_ns, reason)
             continue
         found.add(name, message, one.log_ns)
     return found

@@ -15,7 +15,7 @@ from trigpoint.fusion.estimators.registry import check_estimator
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import ODOMETRY, Odometry
+from trigpoint.messages import Odometry
 from trigpoint.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.recorder.recording import Recording, open_recording
 from trigpoint.site_option import site_here
@@ -115,7 +115,10 @@ def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipelin
     for words in found.unsound():
         typer.echo(f"left out: {words}", err=True)
     pipeline, messages, robots = Pipeline(inputs, is_live=False), found.in_order, found.robots
-    if not robots and (unsound := found.unsound(ODOMETRY)):
+    unreadable = found.unreadable
+    for node in unreadable.keys() & inputs.site.cameras.keys():
+        pipeline.arrivals.unreadable[node] = unreadable.pop(node)
+    if not robots and (unsound := unreadable.values()):
         raise OperationError(
             f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "
             "record anew"

@@ -7,7 +7,7 @@ from trigpoint.clock import to_seconds
 from trigpoint.errors import MessageError
 from trigpoint.messages import Message, Odometry, Sightings, stamped
 from trigpoint.recorder.recording import Recording
-from trigpoint.words import counted
+from trigpoint.words import counted, numberless
 
 _MOST_TIMES = 3
 _TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
@@ -18,7 +18,7 @@ class SessionMessages:
 
     def __init__(self) -> None:
         self._found: list[tuple[int, int, int, str, Message]] = []
-        self._refused: dict[tuple[str, str, str], list[int]] = {}
+        self._refused: dict[tuple[str, str, str], tuple[str, list[int]]] = {}
 
     def add(self, node: str, message: Message, log_ns: int) -> None:
         """Take a message of a camera or robot that was recorded at `log_ns`."""
@@ -29,9 +29,10 @@ class SessionMessages:
         is_sightings = isinstance(message, Sightings)
         self._found.append((stamp_ns, is_sightings, len(self._found), node, message))
 
-    def refuse(self, topic: str, type_name: str, log_ns: int, reason: MessageError) -> None:
+    def refuse(self, node: str, topic: str, log_ns: int, reason: MessageError) -> None:
         """Count a message that is not sound, and was recorded at `log_ns`."""
-        self._refused.setdefault((topic, type_name, str(reason)), []).append(log_ns)
+        alike = node, topic, numberless(str(reason))
+        self._refused.setdefault(alike, (str(reason), []))[1].append(log_ns)
 
     @property
     def in_order(self) -> list[tuple[str, Message]]:
@@ -43,12 +44,19 @@ class SessionMessages:
         """Those of which there is odometry."""
         return {node for *_, node, message in self._found if isinstance(message, Odometry)}
 
-    def unsound(self, type_name: str = "") -> list[str]:
-        """What was left out, of one type or all, by topic and what is wrong."""
+    @property
+    def unreadable(self) -> dict[str, str]:
+        """Camera or robot -> what was left out of it, for those of which nothing else came."""
+        sound = {node for *_, node, message in self._found if isinstance(message, Sightings)}
+        refused = {node: "; ".join(self.unsound(node)) for node, *_ in self._refused}
+        return {node: words for node, words in refused.items() if node not in sound | self.robots}
+
+    def unsound(self, *nodes: str) -> list[str]:
+        """What was left out, of some cameras and robots or all, by topic and what is wrong."""
         return [
             f"{counted(len(times), 'message')} of {topic}: {reason} ({_words(times)})"
-            for (topic, kind, reason), times in self._refused.items()
-            if type_name in ("", kind)
+            for (node, topic, _), (reason, times) in self._refused.items()
+            if not nodes or node in nodes
         ]
 
 
@@ -62,10 +70,11 @@ def messages_of(recording: Recording) -> SessionMessages:
     """The messages of a recorded session."""
     found = SessionMessages()
     for sample in recording.samples(_TOPICS):
+        node = topics.node_of(sample.key)
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
         except MessageError as reason:
-            found.refuse(sample.key, sample.topic.type_name, sample.log_ns, reason)
+            found.refuse(node, sample.key, sample.log_ns, reason)
             continue
-        found.add(topics.node_of(sample.key), message, sample.log_ns)
+        found.add(node, message, sample.log_ns)
     return found

@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import re
 from collections.abc import Iterable, Sequence
 
 from . import __version__
@@ -16,6 +17,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """«; did you mean «charuco»?», "" if there is nothing to choose from."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)
     return f"; did you mean «{close[0]}»?" if close else ""
+
+
+def numberless(text: str) -> str:
+    """A text without its numbers: the same for all that differ in them alone."""
+    return re.sub(r"\d+", "#", text)
 
 
 def listed(names: Sequence[str]) -> str:

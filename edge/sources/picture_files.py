@@ -83,18 +83,18 @@ def read_picture(file: Path) -> np.ndarray:
 
 
 def decoded(data: bytes) -> np.ndarray:
-    """The same of a file's bytes."""
+    """The same of a file's bytes, or of a message's."""
     if not data:
-        raise InputError("this is no picture but an empty file; write it again")
+        raise InputError("this is no picture but empty")
     if is_cut_short(data):
-        raise InputError("the picture is cut short; copy it again")
+        raise InputError("the picture is cut short")
     picture = _decoded(data, _GREY)
     if picture is None:
         picture = _decoded(data, cv2.IMREAD_UNCHANGED)  # real numbers in colour
     if picture is None and data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
         raise InputError(f"this is {_HEIC}")
     if picture is None:
-        raise InputError("this is no picture that can be read; check the file")
+        raise InputError("this is no picture that can be read")
     return picture
 
 

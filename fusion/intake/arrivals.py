@@ -56,7 +56,7 @@ class Span:
 
 class Arrivals:
     """All messages of the site's cameras and robots. `tracks`: the robots' odometry; `seen`:
-    camera -> when it saw a target."""
+    camera -> when it saw a target; `unreadable`: camera -> what is wrong with all that it sent."""
 
     def __init__(self, site: Site, tracks: Mapping[str, OdometryTrack]) -> None:
         self._tracks = tracks
@@ -66,6 +66,7 @@ class Arrivals:
         }
         self._mended = Counter[tuple[str, Mended]]()
         self.seen: dict[str, Span] = {}
+        self.unreadable: dict[str, str] = {}
 
     def add(self, node: str, message: Message) -> None:
         """Note a message of a camera or robot."""
@@ -96,11 +97,17 @@ class Arrivals:
         return found
 
     def explained(self, network: Network) -> Network:
-        """The network with the reason why a camera is unseen that saw a target."""
-        cameras, apart = dict(network.cameras), self.apart
-        for name, seen in self.seen.items():
+        """The network with the reason why a camera is unseen that sent much."""
+        reasons = {
+            name: f"{_saw(seen)}, none of which could be used" for name, seen in self.seen.items()
+        }
+        reasons |= self.apart
+        reasons |= {
+            name: f"nothing of it could be read: {words}" for name, words in self.unreadable.items()
+        }
+        cameras = dict(network.cameras)
+        for name, why in reasons.items():
             if cameras[name].status == "unseen":
-                why = apart.get(name, f"{_saw(seen)}, none of which could be used")
                 cameras[name] = structs.replace(cameras[name], undetermined=(why,))
         return structs.replace(network, cameras=cameras)
 

@@ -124,6 +124,21 @@ def test_odometry_that_is_none_is_counted_and_the_status_is_1(
     )
 
 
+def test_sightings_of_which_none_can_be_read_are_the_reason_and_the_status_is_1(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    none = {"target": "", "face": 0, "corners": np.zeros(0, np.uint16)}
+    face = store().types["trigpoint_msgs/msg/FaceSighting"]
+
+    def change(_number: int, message: Any) -> None:
+        message.faces = [face(**none, pixels=np.zeros(0, np.float32), sigma=np.nan)]
+
+    assert calibrated(recorded, tmp_path, change, SIGHTINGS) == 1
+    said = capsys.readouterr().err
+    assert re.search(r"c1.* is unseen: nothing of it could be read: \d+ messages of /c1/S", said)
+    assert "nothing of it could be read" in (tmp_path / "out" / "report.html").read_text()
+
+
 finite = st.floats(-1, 1)
 no_number = st.sampled_from([np.nan, np.inf, -np.inf])
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 from boards import CHARUCO_TARGET, charuco, picture_of, placed
+from builders import make_odometry
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -17,7 +18,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from trigpoint import cdr
 from trigpoint.cli import run
 from trigpoint.errors import MessageError
-from trigpoint.messages import PICTURE, Picture
+from trigpoint.messages import ODOMETRY, PICTURE, Picture
 from trigpoint.recorder.bag import Bag, RawImage
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.bag_pictures import grey_of
@@ -140,6 +141,34 @@ def test_whatever_a_writer_leaves_out_all_messages_are_read(
     )
     assert open_recording(file).counts == {TOPIC[1:]: 4}
     assert sum(one.log_ns > 0 for one in Bag(file).messages([TOPIC], never)) == 4
+
+
+def test_a_topics_type_is_what_most_of_its_messages_are(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, stray = tmp_path / "bag.mcap", cdr.encode(make_odometry(10**9))
+    writer = Writer(str(bag))
+    writer.start(profile="ros2", library="theirs")
+    for number, kind in enumerate((PICTURE, ODOMETRY, PICTURE)):
+        schema = writer.register_schema(kind, "ros2msg", cdr.definition(kind).encode())
+        channel = writer.register_channel(TOPIC, "cdr", schema)
+        writer.add_message(channel, number, SOUND if kind == PICTURE else stray, number)
+    writer.finish()
+    for file in (bag, tmp_path / "whole.mcap"):
+        assert run(["detect", str(file), "--target", str(target)]) == 0
+        told = capsys.readouterr()
+        assert told.out.count("face 0") == 2
+        assert f"is a {ODOMETRY}, not a {PICTURE}" in told.err
+        assert run(["check", str(file)]) == 0
+        assert f"2 of {PICTURE}, 1 of {ODOMETRY}" in capsys.readouterr().out
+        if file == bag:
+            assert run(["recover", str(bag), "--out", str(tmp_path / "whole.mcap")]) == 0
+
+
+def test_nothing_is_written_where_nothing_can_be_saved(tmp_path: Path) -> None:
+    bag, whole = write(tmp_path / "bag.mcap", [b"", b"no"]), tmp_path / "whole" / "whole.mcap"
+    assert run(["recover", str(bag), "--out", str(whole)]) == 1
+    assert not list(whole.parent.iterdir())
 
 
 def never(*reason: object) -> None:
