@@ -5,28 +5,24 @@ Our own sessions are read by `recording`; this knows no key of the contract, onl
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trigpoint.cdr_codecs import CODECS
-from trigpoint.errors import InputError, MessageError, RecordingError
+from trigpoint.errors import MessageError, RecordingError
 from trigpoint.messages import CAMERA_INFO, ODOMETRY, PICTURE, SIGHTINGS, Message
-from trigpoint.words import counted
 
 from .mcap_file import McapIndex
 from .mcap_index import read_index
 from .recording import Recording
-from .rosbag_metadata import FILE as METADATA
-from .rosbag_metadata import listed_files, packs_messages
-from .session_files import BAGS, session_files
+from .rosbag_files import STORE, STREAMED, Raw, RosbagFiles, decoded
+from .session_files import session_files
 
 IMAGE = "sensor_msgs/msg/Image"
 PICTURES = (IMAGE, PICTURE)
@@ -66,7 +62,9 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._source = _McapFiles(path) if _is_mcap(path) else _OtherFiles(path)
+        files = session_files(path, takes_several=True)
+        is_foreign = any(file.is_dir() or file.suffix in STREAMED for file in files)
+        self._source = RosbagFiles(path) if is_foreign else _McapFiles(path, files)
         self.topics = {topic: _most_useful(kinds) for topic, kinds in self._source.kinds.items()}
         """Type by topic: of several, the one of use that most of its messages have."""
 
@@ -100,16 +98,10 @@ class Bag:
             )
 
 
-_STORE = get_typestore(Stores.ROS2_JAZZY)
-_Raw = tuple[str, str, int, Callable[[], Any]]  # topic, type, log time, and how to decode it
-
-
 class _McapFiles:
     """MCAP files, whatever is damaged or left out in them."""
 
-    def __init__(self, path: Path) -> None:
-        has_list = not path.is_dir() or (path / METADATA).exists()
-        files = session_files(path) if has_list else sorted(path.glob("*.mcap"))
+    def __init__(self, path: Path, files: Sequence[Path]) -> None:
         self._parts = [Recording([read_index(file)]) for file in files]
         self.kinds: dict[str, Counter[str]] = {}
         """By topic, how many messages each of its types has."""
@@ -126,7 +118,7 @@ class _McapFiles:
                 "`trigpoint check` says more"
             )
 
-    def messages(self, topics: Collection[str]) -> Iterator[_Raw]:
+    def messages(self, topics: Collection[str]) -> Iterator[Raw]:
         for recording in self._parts:
             if recording.problem:
                 _LOG.warning("%s: not complete: %s", recording.path, recording.problem)
@@ -136,57 +128,8 @@ class _McapFiles:
             for message in recording.messages(part, wanted):
                 number = message.channel
                 kind = _kind(part, number)
-                decode = partial(_decoded, decoders[number], message.payload, kind)
+                decode = partial(decoded, decoders[number], message.payload, kind)
                 yield part.channels[number].topic, kind, message.log_ns, decode
-
-
-class _OtherFiles:
-    """What rosbags opens: ROS 1's bags, and rosbag2's in SQLite or packed message by message."""
-
-    def __init__(self, path: Path) -> None:
-        is_one = not path.is_dir() or (path / METADATA).exists()
-        self._path = path
-        self._files = (
-            [path] if is_one else sorted(file for file in path.iterdir() if file.suffix in BAGS)
-        )
-        self.kinds: dict[str, Counter[str]] = {}
-        with self._opened() as reader:
-            for connection in reader.connections:
-                kinds = self.kinds.setdefault(connection.topic, Counter())
-                kinds[connection.msgtype] += connection.msgcount
-
-    def messages(self, topics: Collection[str]) -> Iterator[_Raw]:
-        with self._opened() as reader:
-            wanted = [c for c in reader.connections if c.topic in topics]
-            for connection, log_ns, data in reader.messages(wanted):
-                kind = connection.msgtype
-                decode = partial(_decoded, partial(reader.deserialize, typ=kind), data, kind)
-                yield connection.topic, kind, log_ns, decode
-
-    @contextmanager
-    def _opened(self) -> Iterator[AnyReader]:
-        try:
-            with AnyReader(self._files, default_typestore=_STORE) as reader:
-                yield reader
-        except (RecordingError, InputError, GeneratorExit):
-            raise
-        except Exception as reason:  # noqa: BLE001 - rosbags raises whatever a bag leads it to
-            told = " ".join(str(reason).split()) or type(reason).__name__
-            raise RecordingError(
-                f"{self._path}: this bag cannot be read ({told}); copy it again, or see what "
-                "`ros2 bag info` says of it"
-            ) from None
-
-
-def _is_mcap(path: Path) -> bool:
-    """Whether a path is MCAP that is read as such; not where each message is packed."""
-    files = [path]
-    if path.is_dir():
-        has_list = (path / METADATA).exists()
-        files = listed_files(path) if has_list else [f for f in path.iterdir() if f.suffix in BAGS]
-        if has_list and packs_messages(path):
-            return False
-    return all(".mcap" in file.suffixes for file in files)
 
 
 def _most_useful(counts: Mapping[str, int]) -> str:
@@ -215,15 +158,8 @@ def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
         types = get_types_from_idl if schema and schema.encoding == "ros2idl" else None
         store.register(types(text) if types else get_types_from_msg(text, name))
     except Exception:  # noqa: BLE001 - rosbags raises whatever a definition leads it to
-        store = _STORE
+        store = STORE
     return lambda payload: store.deserialize_cdr(payload, name)
-
-
-def _decoded(decode: Callable[[bytes], Any], data: bytes, kind: str) -> Any:
-    try:
-        return decode(data)
-    except Exception:  # noqa: BLE001 - rosbags raises whatever a message leads it to
-        raise MessageError(f"its {counted(len(data), 'byte')} are no whole {kind}") from None
 
 
 def _message(type_name: str, found: Any) -> Message | RawImage:

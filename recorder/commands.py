@@ -177,13 +177,13 @@ def review(
 
     recording = open_recording(session)
     given = load_site(site) if site else None
-    overlays = [*overlays_beside(recording.path), *map(load_overlay, overlay)]
+    overlays = [*overlays_beside(recording.folder), *map(load_overlay, overlay)]
     if save is not None:
         shown = write_rrd(recording, save, overlays, given=given)
         typer.echo(f"{save}: {shown} messages, {save.stat().st_size / 1e6:.1f} MB")
         return
     with tempfile.TemporaryDirectory(prefix="trigpoint-review-") as folder:
-        file = Path(folder) / f"{recording.path.stem}.rrd"
+        file = Path(folder) / f"{recording.name}.rrd"
         write_rrd(recording, file, overlays, given=given)
         with _viewer(file, web, port, host) as viewer, suppress(KeyboardInterrupt):
             _say_viewer(viewer)
@@ -262,7 +262,7 @@ def _prefixed(site: Site, prefix: str) -> Site:
 
 def _attached(recording: Recording) -> Site:
     file = f"{recording.path}: site.toml"
-    return parse_site(recording.site_text, directory=recording.path.parent, file=file)
+    return parse_site(recording.site_text, directory=recording.folder, file=file)
 
 
 @contextmanager

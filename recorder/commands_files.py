@@ -48,16 +48,15 @@ def check(session: Session) -> None:
     for file in session_files(session):
         verdict = check_file(file)
         is_sound = is_sound and verdict.is_sound
-        name = session / file.name if session.is_dir() else session
         kinds = {"error": verdict.errors, "warning": verdict.warnings, "note": verdict.remarks}
         for kind, texts in kinds.items():
             alike = _alike(texts)
             for text in alike[:_SHOWN]:
-                typer.echo(f"{name}: {kind}: {text}")
+                typer.echo(f"{file}: {kind}: {text}")
             if len(alike) > _SHOWN:
-                typer.echo(f"{name}: and {len(alike) - _SHOWN} more kinds of {kind}s")
+                typer.echo(f"{file}: and {len(alike) - _SHOWN} more kinds of {kind}s")
         if verdict.is_sound:
-            typer.echo(f"{name}: sound")
+            typer.echo(f"{file}: sound")
     if not is_sound:
         typer.echo("`trigpoint recover` saves what is sound of a damaged recording", err=True)
         raise typer.Exit(1)
@@ -73,7 +72,7 @@ def recover(
     """Save what is sound of a damaged recording into a new file; it also makes one of parts."""
     recording = open_recording(session)
     folder = session if session.is_dir() else session.parent
-    file = out or folder / "recovered" / recording.path.name
+    file = out or folder / "recovered" / f"{recording.name}.mcap"
     if file.suffix != ".mcap":
         raise InputError(f"{file}: a recording's name ends in .mcap; write another --out")
     if file.exists():

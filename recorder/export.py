@@ -86,7 +86,7 @@ def main(
 
 
 def _network(recording: Recording, given: Path | None) -> Network | None:
-    folder = recording.path.parent
+    folder = recording.folder
     if given is not None:
         path = given / NETWORK_ATTACHMENT if given.is_dir() else given
         if not path.is_file():
@@ -104,7 +104,7 @@ def _building(recording: Recording, network: Network | None, given: Site | None)
     if network is None or (given is None and SITE_ATTACHMENT not in recording.attachments):
         return None
     try:
-        text, folder = recording.site_text, recording.path.parent
+        text, folder = recording.site_text, recording.folder
         site = given or parse_site(text, directory=folder, file="attached site.toml")
         plan = load_plan(given) if given else attached_plan(site, recording.attachments)
         tracks = _tracks(recording, ROBOT_POSE).items() if site.map and site.map.points else ()
@@ -172,7 +172,7 @@ def _launch(source: Source, out: Path) -> list[Path]:
 def _rrd(source: Source, out: Path) -> list[Path]:
     from .review import write_rrd  # rerun takes half a second to import
 
-    file = out / f"{source.recording.path.stem}.rrd"
+    file = out / f"{source.recording.name}.rrd"
     write_rrd(source.recording, file)
     return [file]
 

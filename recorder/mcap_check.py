@@ -33,6 +33,7 @@ from .mcap_file import ChunkSpan, is_readable, read_chunk, stream, take_attachme
 from .mcap_file import McapIndex as _Index
 from .mcap_records import HEAD, MAGIC, MESSAGE, MESSAGE_FIELDS
 from .mcap_summary import summary_is_sound
+from .packed import unpacked
 
 _PROFILES = ("", "ros1", "ros2")
 _MOST_TOLD = 1000
@@ -55,7 +56,7 @@ class Verdict:
 def check(path: Path) -> Verdict:
     """Read the whole file; raise RecordingError where it is no MCAP file at all."""
     try:
-        data = path.read_bytes()
+        data = unpacked(path).read_bytes()
     except OSError as reason:
         raise RecordingError(f"{path}: cannot be read ({reason.strerror}); check it") from None
     if not data.startswith(MAGIC):
@@ -218,7 +219,7 @@ class _Checker:
             return
         span = ChunkSpan(seen.offset + HEAD.size, seen.length - HEAD.size, 0, 0)
         try:
-            with self._path.open("rb") as file:
+            with unpacked(self._path).open("rb") as file:
                 records = read_chunk(file, span)
         except ValueError as reason:
             self._error(str(reason))

@@ -15,12 +15,13 @@ from .mcap_damaged import walk
 from .mcap_file import McapIndex
 from .mcap_records import MAGIC
 from .mcap_summary import read_summary
+from .packed import unpacked
 
 
 def read_index(path: Path) -> McapIndex:
     """The index of a file; raise RecordingError if it is not an MCAP file at all."""
     try:
-        with path.open("rb") as file:
+        with unpacked(path).open("rb") as file:
             _check_magic(path, file)
             return read_summary(path, file) or walk(path, file)
     except OSError as reason:

@@ -62,9 +62,9 @@ def load_overlay(path: Path) -> Overlay:
     return Overlay(path.stem, style.TRUTH, poses, drawn)
 
 
-def overlays_beside(session: Path) -> list[Overlay]:
-    """Those that lie beside a session's file."""
-    return [load_overlay(p) for name in _BESIDE if (p := session.parent / name).is_file()]
+def overlays_beside(folder: Path) -> list[Overlay]:
+    """Those that lie in a session's folder."""
+    return [load_overlay(p) for name in _BESIDE if (p := folder / name).is_file()]
 
 
 def draw(overlay: Overlay, columns: Columns) -> None:

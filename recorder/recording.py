@@ -12,6 +12,7 @@ from trigpoint.topics import Topic, topic_of
 from .mcap_channels import attached_to, attachment_in
 from .mcap_file import ChunkSpan, McapIndex, RawMessage, chunk_messages, read_chunk
 from .mcap_index import read_index
+from .packed import unpacked
 from .session_files import repeated_keys, session_files
 
 SITE_ATTACHMENT = "site.toml"
@@ -51,8 +52,18 @@ class Recording:
 
     @property
     def path(self) -> Path:
-        """The file, or the first of several."""
+        """The file, or the first of several; of a bag that is no MCAP its folder."""
         return self.parts[0].path
+
+    @property
+    def folder(self) -> Path:
+        """Where what belongs to it lies: a site file, a network."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    @property
+    def name(self) -> str:
+        """The file's name without a suffix."""
+        return unpacked(self.path).stem
 
     @property
     def problem(self) -> str:
@@ -76,7 +87,7 @@ class Recording:
         """The attached site.toml; raise RecordingError if there is none."""
         data = self.attachments.get(SITE_ATTACHMENT)
         if data is None:
-            beside = self.path.parent / SITE_ATTACHMENT
+            beside = self.folder / SITE_ATTACHMENT
             give = f"give it with --site {beside}" if beside.exists() else "give it with --site"
             raise RecordingError(f"{self.path}: no site.toml is attached; {give}")
         return data.decode(errors="replace")
@@ -146,7 +157,7 @@ class Recording:
             if channels & span.counts.keys() and span.end_ns >= from_ns and span.start_ns <= to_ns
         ]
         wanted.sort(key=lambda span: (span.start_ns, span.offset))
-        with part.path.open("rb") as file:
+        with unpacked(part.path).open("rb") as file:
             for span in wanted:
                 ready = bisect_left(waiting, span.start_ns, key=_log_time)
                 yield from _between(waiting[:ready], from_ns, to_ns)

@@ -75,7 +75,7 @@ def write_rrd(
 
 def attached_site(recording: Recording) -> Site:
     """The session's site.toml."""
-    folder = recording.path.parent
+    folder = recording.folder
     return parse_site(recording.site_text, directory=folder, file=f"{recording.path}: site.toml")
 
 
@@ -99,7 +99,7 @@ def _place_cameras(recording: Recording, scene: Scene) -> None:
     """
     if any(topic_of(key) is CAMERA_POSE for key in recording.counts):
         return
-    beside = recording.path.parent / NETWORK_ATTACHMENT
+    beside = recording.folder / NETWORK_ATTACHMENT
     data = recording.attachments.get(NETWORK_ATTACHMENT)
     if data is None and beside.is_file():
         data = beside.read_bytes()

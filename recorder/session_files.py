@@ -9,8 +9,7 @@ from trigpoint.errors import RecordingError
 
 from .mcap_file import McapIndex
 from .mcap_index import read_index
-from .packed import unpacked
-from .rosbag_metadata import listed_files
+from .rosbag_metadata import listed_files, packs_messages
 
 FILE = "session.mcap"
 BAGS = (".mcap", ".db3", ".bag")
@@ -51,9 +50,15 @@ def is_bag(path: Path) -> bool:
     return any(file.with_suffix("").suffix in BAGS or file.suffix in BAGS for file in files)
 
 
-def session_files(path: Path) -> list[Path]:
-    """The file, or the session's parts in a folder in their order, unpacked where they are packed;
-    raise RecordingError where there is none, or there are several sessions.
+def _is_mcap(file: Path) -> bool:
+    """Whether a file is MCAP, packed as a whole or not."""
+    return ".mcap" in file.suffixes and not file.is_dir()
+
+
+def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
+    """The file, or the session's parts in a folder in their order; the folder itself where they are
+    no MCAP or have their messages packed. Raises RecordingError where there is none, or, unless it
+    `takes_several`, there are several sessions.
 
     A rosbag2's metadata.yaml decides, unless all files are one session of ours: what a killed
     recorder wrote last is not in it.
@@ -61,17 +66,18 @@ def session_files(path: Path) -> list[Path]:
     if not path.is_dir():
         if not path.exists():
             raise RecordingError(f"{path}: there is no such session; check the path")
-        return [unpacked(path)]
+        return [path]
     files = sorted(path.glob("*.mcap"))
     parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
     sessions = {part.get("session", str(file)) for file, part in parts.items()}
     if len(sessions) == 1 and all(parts.values()):
         return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
     if listed := listed_files(path):
-        return [unpacked(file) for file in listed]
+        return listed if all(map(_is_mcap, listed)) and not packs_messages(path) else [path]
+    files = files or sorted(file for file in path.iterdir() if file.is_file() and is_bag(file))
     if not files:
         raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
-    if len(files) > 1:
+    if len(files) > 1 and not takes_several:
         names = ", ".join(file.name for file in files)
         raise RecordingError(f"{path}: several sessions in this folder ({names}); name one")
     return files

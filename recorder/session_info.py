@@ -8,6 +8,7 @@ from trigpoint.clock import to_seconds
 
 from .mcap_channels import attached_to
 from .mcap_file import McapIndex
+from .packed import unpacked
 from .recording import Recording, key_of
 from .session_files import repeated_keys
 from .session_part import CLOCK, LOSSES
@@ -54,7 +55,7 @@ def session_info(recording: Recording) -> SessionInfo:
         start_ns=recording.start_ns,
         end_ns=recording.end_ns,
         duration_s=to_seconds(recording.end_ns - recording.start_ns),
-        bytes=sum(part.path.stat().st_size for part in recording.parts),
+        bytes=sum(unpacked(part.path).stat().st_size for part in recording.parts),
         chunks=sum(len(part.chunks) for part in recording.parts),
         attachments={name: len(data) for name, data in recording.attachments.items()},
     )

@@ -21,7 +21,7 @@ def session_inputs(recording: Recording, *, site: Path | None, network: Path | N
         return load_inputs(load_site(site), network=network)
     attached = parse_site(
         recording.site_text,
-        directory=recording.path.parent,
+        directory=recording.folder,
         file=f"{recording.path}: attached site.toml",
     )
     targets = {}

@@ -14,8 +14,11 @@ from builders import make_odometry
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
 
 from trigpoint import cdr
+from trigpoint.cdr_ros import store
 from trigpoint.cli import run
 from trigpoint.errors import MessageError
 from trigpoint.messages import ODOMETRY, PICTURE, Picture
@@ -194,15 +197,65 @@ def test_a_bag_of_parts_is_one_session_for_every_command(
     tmp_path: Path, target: Path, packed: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = parts(tmp_path / "bag", packed=packed)
-    assert [part.path.stem for part in open_recording(bag).parts] == ["z", "a"]
+    assert [part.path.name[:1] for part in open_recording(bag).parts] == ["z", "a"]
     assert run(["info", str(bag), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["messages"] == 3
+    info = json.loads(capsys.readouterr().out)
+    assert info["keys"][TOPIC[1:]]["messages"] == 3
+    assert all(Path(file).parent == bag for file in info["files"])
     assert run(["check", str(bag)]) == 0
     assert run(["recover", str(bag)]) == 0
     assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 3}
     capsys.readouterr()
     assert run(["detect", str(bag), "--target", str(target)]) == 0
     assert capsys.readouterr().out.count("face 0") == 3
+
+
+@pytest.mark.parametrize(
+    ("plugin", "packing", "is_file"),
+    [
+        (StoragePlugin.SQLITE3, None, False),
+        (StoragePlugin.SQLITE3, None, True),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE, False),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE, True),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE, False),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE, False),
+    ],
+)
+def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
+    tmp_path: Path,
+    target: Path,
+    plugin: StoragePlugin,
+    packing: CompressionMode | None,
+    is_file: bool,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    writer = BagWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
+    if packing is not None:
+        writer.set_compression(packing, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(TOPIC, PICTURE, typestore=store())
+        for number, payload in enumerate((SOUND, b"", SOUND)):
+            writer.write(connection, number + 1, payload)
+    bag = next(writer.path.glob("*.db3*")) if is_file else writer.path
+    assert run(["info", str(bag), "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["keys"][TOPIC[1:]]["messages"] == 3
+    assert info["files"] == [str(bag)]
+    assert run(["check", str(bag)]) == 1
+    assert f"{bag}: warning: a message of {TOPIC}" in capsys.readouterr().out
+    assert run(["recover", str(bag)]) == 0
+    assert open_recording(writer.path / "recovered").counts == {TOPIC[1:]: 2}
+    capsys.readouterr()
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    assert capsys.readouterr().out.count("face 0") == 2
+
+
+def test_a_bag_of_ros_1_is_named_with_what_reads_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
+    assert run(["info", str(tmp_path / "old.bag")]) == 2
+    assert "ROS 1 bag, which only detect" in capsys.readouterr().err
 
 
 def test_a_part_that_is_not_there_is_named(
