@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from trigpoint.cdr_codecs import CODECS
 from trigpoint.errors import MessageError, RecordingError
-from trigpoint.messages import CAMERA_INFO, ODOMETRY, PICTURE, SIGHTINGS, Message
+from trigpoint.messages import CAMERA_INFO, ODOMETRY, PICTURE, RAW_IMAGE, SIGHTINGS, Message
 
 from .mcap_file import McapIndex
 from .mcap_index import read_index
@@ -24,8 +24,7 @@ from .recording import Recording
 from .rosbag_files import STORE, STREAMED, Raw, RosbagFiles, decoded
 from .session_files import session_files
 
-IMAGE = "sensor_msgs/msg/Image"
-PICTURES = (IMAGE, PICTURE)
+PICTURES = (RAW_IMAGE, PICTURE)
 READ = (*PICTURES, CAMERA_INFO, ODOMETRY, SIGHTINGS)
 """The types that have a use as input."""
 Refuse = Callable[[str, int, MessageError], None]
@@ -93,9 +92,11 @@ class Bag:
             known = ", ".join(f"{name} ({kind})" for name, kind in sorted(self.topics.items()))
             raise RecordingError(f"{self._path}: there is no topic {topic}; it has {known}")
         if kind not in READ:
-            raise RecordingError(
-                f"{self._path}: {topic} is a {kind}; give pictures, camera_info or odometry"
+            is_ros2 = "/msg/" in kind and " " not in kind
+            give = (
+                "give pictures, camera_info or odometry" if is_ros2 else "convert it to ROS 2's CDR"
             )
+            raise RecordingError(f"{self._path}: {topic} is a {kind}; {give}")
 
 
 class _McapFiles:
@@ -110,7 +111,7 @@ class _McapFiles:
             for number, channel in part.channels.items():
                 count = sum(span.counts.get(number, 0) for span in part.chunks)
                 kinds = self.kinds.setdefault(channel.topic, Counter())
-                kinds[_kind(part, number)] += count
+                kinds[part.type_of(number)] += count
         if not self.kinds:
             problems = "; ".join(filter(None, (recording.problem for recording in self._parts)))
             raise RecordingError(
@@ -127,25 +128,13 @@ class _McapFiles:
             decoders = {number: _decoder(part, number) for number in wanted}
             for message in recording.messages(part, wanted):
                 number = message.channel
-                kind = _kind(part, number)
+                kind = part.type_of(number)
                 decode = partial(decoded, decoders[number], message.payload, kind)
                 yield part.channels[number].topic, kind, message.log_ns, decode
 
 
 def _most_useful(counts: Mapping[str, int]) -> str:
     return max(counts, key=lambda kind: (kind in READ, counts[kind]))
-
-
-def _kind(part: McapIndex, number: int) -> str:
-    """A channel's type; what none of ours can be says in which form it is."""
-    channel = part.channels[number]
-    schema = part.schemas.get(channel.schema_id)
-    name = schema.name if schema else "message without a type"
-    if channel.message_encoding == "cdr":
-        return name
-    forms = {"ros1": "ROS 1 message", "json": "JSON message", "protobuf": "Protobuf message"}
-    form = forms.get(channel.message_encoding, f"message in «{channel.message_encoding}»")
-    return f"{form} ({name}) in MCAP"
 
 
 def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
@@ -163,7 +152,7 @@ def _decoder(part: McapIndex, number: int) -> Callable[[bytes], Any]:
 
 
 def _message(type_name: str, found: Any) -> Message | RawImage:
-    if type_name == IMAGE:
+    if type_name == RAW_IMAGE:
         stamp_ns = found.header.stamp.sec * 10**9 + found.header.stamp.nanosec
         return RawImage(
             stamp_ns,

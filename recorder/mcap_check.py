@@ -29,7 +29,7 @@ from trigpoint.clock import to_seconds
 from trigpoint.errors import RecordingError
 from trigpoint.words import counted
 
-from .mcap_file import ChunkSpan, is_readable, read_chunk, stream, take_attachment
+from .mcap_file import ChunkSpan, fault_of, read_chunk, stream, take_attachment
 from .mcap_file import McapIndex as _Index
 from .mcap_records import HEAD, MAGIC, MESSAGE, MESSAGE_FIELDS
 from .mcap_summary import summary_is_sound
@@ -278,9 +278,8 @@ class _Checker:
             return
         schema = self._definitions[Schema].get(channel.schema_id)
         known = schema if isinstance(schema, Schema) else None
-        if not is_readable(channel, known, payload):
-            at_s = f"{to_seconds(log_ns):.3f} s"
-            self._warn(f"a message of {channel.topic} cannot be decoded, at {at_s}")
+        if fault := fault_of(channel, known, payload):
+            self._warn(f"a message of {channel.topic} {fault}, at {to_seconds(log_ns):.3f} s")
 
     def _compare_entry(
         self,

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from trigpoint.cdr import has_structure_of
+from trigpoint.cdr import fault_in
 
 from .mcap_records import HEAD, MESSAGE, MESSAGE_FIELDS
 
@@ -68,8 +68,18 @@ class McapIndex:
         more = len(self.problems) - _TOLD
         return f"{told}; and {more} more" if more > 0 else told
 
+    def type_of(self, channel: int) -> str:
+        """A channel's type; what none of ours can be says in which form it is."""
+        encoding = self.channels[channel].message_encoding
+        schema = self.schemas.get(self.channels[channel].schema_id)
+        name = schema.name if schema else "message without a type"
+        if encoding == "cdr":
+            return name
+        return f"{_FORMS.get(encoding, f'message in «{encoding}»')} ({name}) in MCAP"
+
 
 _TOLD = 3
+_FORMS = {"ros1": "ROS 1 message", "json": "JSON message", "protobuf": "Protobuf message"}
 
 
 def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
@@ -141,11 +151,11 @@ def counts_in(indexes: bytes) -> dict[int, int] | None:
     return counts
 
 
-def is_readable(channel: Channel, schema: Schema | None, payload: bytes) -> bool:
-    """Whether a message has the structure of its channel's type, so far as that is known."""
+def fault_of(channel: Channel, schema: Schema | None, payload: bytes) -> str:
+    """What hinders reading a message as one of its channel's type, so far as that is known."""
     if schema is None or channel.message_encoding != "cdr":
-        return True
-    return has_structure_of(schema.name, payload)
+        return ""
+    return fault_in(schema.name, payload)
 
 
 def take_channel(index: McapIndex, body: bytes) -> None:

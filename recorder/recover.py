@@ -9,7 +9,7 @@ from trigpoint.topics import topic_of
 from trigpoint.words import counted
 
 from .mcap_channels import quality_of_service
-from .mcap_file import McapIndex, RawMessage, is_readable
+from .mcap_file import McapIndex, RawMessage, fault_of
 from .mcap_writer import McapWriter
 from .recording import Recording, key_of
 from .rosbag_metadata import PartFacts, write_metadata
@@ -60,19 +60,19 @@ def _copy(
     channels = {number for number in part.channels if _counted(part, number)}
     numbers = {number: _defined(part, number, writer, defined) for number in channels}
     keys = {number: key_of(part, number) for number in channels}
-    unreadable: Counter[str] = Counter()
+    faults: Counter[tuple[str, str]] = Counter()
     for message in recording.messages(part, channels):
         channel = part.channels[message.channel]
-        if not is_readable(channel, part.schemas.get(channel.schema_id), message.payload):
-            unreadable[keys[message.channel]] += 1
+        if fault := fault_of(channel, part.schemas.get(channel.schema_id), message.payload):
+            faults[keys[message.channel], fault] += 1
             continue
         if repeated and keys[message.channel] in repeated:
             repeated.discard(keys[message.channel])
             continue
         writer.append([_row(message, numbers[message.channel])])
-    for key, count in unreadable.items():
-        words = f"{counted(count, 'message')} of {key}"
-        _LOG.warning("%s: left out: %s cannot be decoded", part.path, words)
+    for (key, fault), count in faults.items():
+        words = counted(count, "message")
+        _LOG.warning("%s: left out: %s of %s (each %s)", part.path, words, key, fault)
 
 
 def _counted(part: McapIndex, channel: int) -> bool:

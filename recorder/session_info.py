@@ -128,7 +128,7 @@ def _read_part(
             continue
         track = tracks.get(key)
         if track is None:
-            type_name = _type_of(part, message.channel)
+            type_name = part.type_of(message.channel)
             track = tracks[key] = _Track(KeyInfo(type_name), message.log_ns, message.log_ns)
         if key in repeated:
             repeated.discard(key)
@@ -151,8 +151,3 @@ def _count(track: _Track, log_ns: int, size: int) -> None:
     if gap_s > track.info.longest_gap_s:
         track.info.longest_gap_s, track.gap_ns = gap_s, track.last_ns
     track.last_ns = log_ns
-
-
-def _type_of(part: McapIndex, channel: int) -> str:
-    schema = part.schemas.get(part.channels[channel].schema_id)
-    return schema.name if schema else ""

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from .messages import (
     CAMERA_INFO,
     ODOMETRY,
     PICTURE,
+    RAW_IMAGE,
     SIGHTINGS,
     CameraInfo,
     Diagnostics,
@@ -32,6 +34,7 @@ from .messages import (
     Transform,
     Transforms,
 )
+from .picture_bytes import fault_in_compressed, fault_in_raw
 
 _BY_CLASS = {codec.message: codec for codec in CODECS}
 _BY_TYPE = {codec.type_name: codec for codec in CODECS}
@@ -80,18 +83,21 @@ def decode_by_definition(type_name: str, payload: bytes) -> Message:
         ) from None
 
 
-def has_structure_of(type_name: str, payload: bytes) -> bool:
-    """Whether bytes can be read as a message of the type, whatever it says; True for a type that is
-    not one of the contract's."""
-    if type_name not in _BY_TYPE:
-        return True
+def fault_in(type_name: str, payload: bytes) -> str:
+    """What hinders reading bytes as a message of the type, whatever it says; "" where nothing does,
+    or it is a type that has no use here."""
+    if type_name not in _BY_TYPE and type_name != RAW_IMAGE:
+        return ""
     try:
         quickly = _LAYOUTS.get(type_name)
-        if quickly is None or quickly(payload) is None:
-            store().deserialize_cdr(payload, type_name)
+        if quickly is not None and quickly(payload) is not None:
+            return ""
+        found: Any = store().deserialize_cdr(payload, type_name)
     except Exception:  # noqa: BLE001 - rosbags raises whatever the bytes lead it to
-        return False
-    return True
+        return "cannot be decoded"
+    if type_name == RAW_IMAGE:
+        return fault_in_raw(found.data.size, found.width, found.height, found.encoding)
+    return fault_in_compressed(bytes(found.data), found.format) if type_name == PICTURE else ""
 
 
 def type_name(message: Message) -> str:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from trigpoint.errors import InputError
+from trigpoint.picture_bytes import is_cut_short
 
 PICTURE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm")
@@ -27,8 +28,6 @@ _FOREIGN = {
 _FOREIGN_SUFFIXES = {suffix: what for what, suffixes in _FOREIGN.items() for suffix in suffixes}
 _HEIC = next(iter(_FOREIGN))
 _HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
-_JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
-_PNG_START, _PNG_END = b"\x89PNG", b"IEND"
 _GREY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
 # Where EXIF's block begins: after its marker in a JPEG, a PNG's chunk, a WebP's chunk and its size.
 _EXIF_MARKS = ((b"Exif\0\0", 6), (b"eXIf", 4), (b"EXIF", 8))
@@ -96,13 +95,6 @@ def decoded(data: bytes) -> np.ndarray:
     if picture is None:
         raise InputError("this is no picture that can be read")
     return picture
-
-
-def is_cut_short(data: bytes) -> bool:
-    """Whether a JPEG or PNG lacks its end. (In a JPEG's scan neither marker can occur.)"""
-    if data.startswith(_JPEG_START):
-        return data.rfind(_JPEG_END) < max(data.rfind(_JPEG_SCAN), 0)
-    return data.startswith(_PNG_START) and _PNG_END not in data
 
 
 def _decoded(data: bytes, mode: int) -> np.ndarray | None:

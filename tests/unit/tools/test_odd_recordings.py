@@ -2,6 +2,7 @@
 leave out, several parts, packed files, foreign encodings."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 from trigpoint import cdr
-from trigpoint.cdr_ros import store
+from trigpoint.cdr_ros import Builder, store
 from trigpoint.cli import run
 from trigpoint.errors import MessageError
-from trigpoint.messages import ODOMETRY, PICTURE, Picture
+from trigpoint.messages import ODOMETRY, PICTURE, RAW_IMAGE, Picture
 from trigpoint.recorder.bag import Bag, RawImage
 from trigpoint.recorder.recording import open_recording
 from trigpoint.tools.bag_pictures import grey_of
@@ -35,6 +36,7 @@ BAD = {
     "cut": SOUND[:21],
     "noise": bytes(range(256)),
     "no picture": cdr.encode(Picture(0, "", "png", b"")),
+    "half a picture": cdr.encode(Picture(0, "", "png", PNG[: len(PNG) // 2])),
     "another picture's end": cdr.encode(Picture(0, "", "png", PNG[len(PNG) // 2 :])),
 }
 
@@ -91,17 +93,51 @@ def test_nothing_but_bad_pictures_is_status_1(tmp_path: Path, target: Path, bad:
     assert run(["detect", str(bag), "--target", str(target)]) == 1
 
 
-@pytest.mark.parametrize("bad", ["nothing", "cut", "noise"])
+@pytest.mark.parametrize("bad", BAD)
 def test_check_names_what_recover_leaves_out(
     tmp_path: Path, bad: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
     assert run(["check", str(bag)]) == 1
-    assert f"a message of {TOPIC} cannot be decoded, at 1001.000 s" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert re.search(rf"a message of {TOPIC} (cannot|holds).*, at 1001\.000 s", said)
     whole = tmp_path / "whole" / "whole.mcap"
     assert run(["recover", str(bag), "--out", str(whole)]) == 0
     assert run(["check", str(whole)]) == 0
     assert open_recording(whole).counts == {TOPIC[1:]: 2}
+
+
+JPEG = cv2.imencode(".jpg", GREY)[1].tobytes()
+
+
+@settings(deadline=None)
+@given(st.sampled_from([PNG, JPEG]), st.floats(0, 1, exclude_max=True), st.binary(max_size=4))
+def test_what_check_lets_pass_can_be_decoded(whole: bytes, share: float, after: bytes) -> None:
+    for data in (whole[: int(share * len(whole))] + after, whole[-1 - len(after) :], whole + after):
+        picture = Picture(0, "", "bgr8; jpeg compressed bgr8", data)
+        if not cdr.fault_in(PICTURE, cdr.encode(picture)):
+            assert grey_of(picture).shape == GREY.shape
+    assert not cdr.fault_in(PICTURE, cdr.encode(Picture(0, "", "png", whole + after)))
+
+
+@given(
+    encoding=st.sampled_from(["", "mono8", "12FC3"]),
+    width=st.integers(0, 5),
+    height=st.integers(0, 5),
+    size=st.integers(0, 30),
+)
+def test_check_names_raw_pictures_that_hold_too_little(
+    encoding: str, width: int, height: int, size: int
+) -> None:
+    header = Builder().header(0, "")
+    shape = {"height": height, "width": width, "step": 0}
+    form = {"encoding": encoding, "is_bigendian": 0}
+    image = Builder()(
+        "sensor_msgs/Image", header=header, **shape, **form, data=np.zeros(size, np.uint8)
+    )
+    is_sound = bool(encoding) and 0 < width * height <= size
+    payload = bytes(store().serialize_cdr(image, RAW_IMAGE))
+    assert (not cdr.fault_in(RAW_IMAGE, payload)) == is_sound
 
 
 def test_a_warning_is_said_once_with_how_often(
@@ -276,6 +312,8 @@ def test_what_is_no_cdr_is_named_as_what_it_is(
     error = capsys.readouterr().err
     assert f"{TOPIC} is a {words} message ({PICTURE}) in MCAP" in error
     assert error.count("\n") == 1
+    assert run(["info", str(bag)]) == 0
+    assert f"{words} message ({PICTURE}) in MCAP" in capsys.readouterr().out
 
 
 def test_messages_that_nobody_counts_have_no_breaks(
