@@ -31,11 +31,20 @@ from .recording import NETWORK_ATTACHMENT, SITE_ATTACHMENT, Recording, open_reco
 @dataclass(frozen=True, slots=True)
 class Source:
     """What is exported; the network only where there is one, and where its map lies in the building
-    only where the site file says so."""
+    only where the site file says so. `given`: the site in place of the one that is attached."""
 
     recording: Recording
     network: Network | None
     building: Building | None = None
+    given: Site | None = None
+
+    @property
+    def site(self) -> Site:
+        """The site; raise InputError where there is none."""
+        if self.given is not None:
+            return self.given
+        text, folder = self.recording.site_text, self.recording.folder
+        return parse_site(text, directory=folder, file="attached site.toml")
 
     def need_network(self) -> Network:
         """The network; raise InputError where there is none."""
@@ -72,9 +81,8 @@ def main(
         raise InputError(f"--format {unknown[0]}: there is none such; give {', '.join(FORMATS)}")
     recording = open_recording(session)
     found = _network(recording, network)
-    source = Source(
-        recording, found, _building(recording, found, load_site(site) if site else None)
-    )
+    given = load_site(site) if site else None
+    source = Source(recording, found, _building(recording, found, given), given)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         for name in formats or FORMATS:
@@ -104,8 +112,7 @@ def _building(recording: Recording, network: Network | None, given: Site | None)
     if network is None or (given is None and SITE_ATTACHMENT not in recording.attachments):
         return None
     try:
-        text, folder = recording.site_text, recording.folder
-        site = given or parse_site(text, directory=folder, file="attached site.toml")
+        site = Source(recording, network, given=given).site
         plan = load_plan(given) if given else attached_plan(site, recording.attachments)
         tracks = _tracks(recording, ROBOT_POSE).items() if site.map and site.map.points else ()
         ways = {robot: (np.array(stamps), Pose.stack(poses)) for robot, (stamps, poses) in tracks}
@@ -173,18 +180,18 @@ def _rrd(source: Source, out: Path) -> list[Path]:
     from .review import write_rrd  # rerun takes half a second to import
 
     file = out / f"{source.recording.name}.rrd"
-    write_rrd(source.recording, file)
+    write_rrd(source.recording, file, given=source.given)
     return [file]
 
 
 def _mcap(source: Source, out: Path) -> list[Path]:
     from .drawable import foxglove_layout, rviz_configuration, write_drawable
 
-    recording = source.recording
+    recording, site = source.recording, source.site
+    recording.check_is_session()
     file = out / "drawable.mcap"
     file.unlink(missing_ok=True)
     write_drawable(recording, source.network, file, source.building)
-    site = parse_site(recording.site_text, directory=Path(), file="attached site.toml")
     layout, rviz = out / "foxglove_layout.json", out / "trigpoint.rviz"
     layout.write_text(
         foxglove_layout(site.name, list(site.cameras), list(site.robots)), encoding="utf-8"

@@ -110,6 +110,15 @@ class Recording:
         """Keys that are not in the contract; `samples` leaves them out."""
         return [key for key in self.counts if topic_of(key) is None]
 
+    def check_is_session(self) -> None:
+        """Raise RecordingError where none of its keys is in the contract: it is anybody's bag."""
+        if len(self.unknown_keys) == len(self.counts):
+            topics = ", ".join(f"/{key}" for key in self.counts)
+            raise RecordingError(
+                f"{self.path}: none of its topics ({topics}) is one of a session of Trigpoint; "
+                "detect, intrinsics and calibrate take them by --topic"
+            )
+
     @property
     def start_ns(self) -> int:
         """The first log time."""

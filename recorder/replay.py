@@ -51,6 +51,7 @@ def plan(recording: Recording, bus: Bus, *, site: str, keys: str) -> Plan:
     Diagnostics are never replayed: they would speak for nodes that do not run. Raises InputError
     where no key matches, OperationError where every matching one has a living sender.
     """
+    recording.check_is_session()
     matching = {
         key: topic for key in recording.counts if (topic := topic_of(key)) and _is_wanted(keys, key)
     }

@@ -39,6 +39,7 @@ def write_rrd(
     Messages that do not decode are left out, counted and named. Raises RecordingError where the
     session has no site.toml, OperationError where the file cannot be written.
     """
+    recording.check_is_session()
     site = given or attached_site(recording)
     plan = load_plan(given) if given else attached_plan(site, recording.attachments)
     stream = open_stream(site.name, recording.start_ns)

@@ -63,6 +63,8 @@ def main(
     """
     beside = session if session.is_dir() else session.parent
     recording = None if topic else open_recording(session)
+    if recording is not None:
+        recording.check_is_session()
     inputs = (
         session_inputs(recording, site=site, network=network)
         if recording

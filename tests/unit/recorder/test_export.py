@@ -8,11 +8,12 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from builders import site_text
+from builders import make_odometry, site_text
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from trigpoint import cdr
 from trigpoint.camera_info import parse_camera_info
 from trigpoint.cli import run
 from trigpoint.geometry import CameraModel, Pose
@@ -26,6 +27,8 @@ from trigpoint.network import (
     encode_network,
 )
 from trigpoint.recorder.mcap_check import check
+from trigpoint.recorder.mcap_writer import McapWriter
+from trigpoint.topics import ODOMETRY
 
 SITE = site_text(cameras=2, more="[map]\norigin = [20.0, 10.0, 0.5]")
 LENS = CameraModel.from_field_of_view(640, 480, 1.0)
@@ -59,6 +62,20 @@ def exported(session_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 def _formats(*names: str) -> list[str]:
     return [word for name in names for word in ("--format", name)]
+
+
+@pytest.mark.parametrize("name", ["rrd", "mcap"])
+def test_a_session_without_a_site_is_drawn_by_the_one_that_is_given(
+    tmp_path: Path, name: str
+) -> None:
+    writer = McapWriter(tmp_path / "s.mcap")
+    payload = cdr.encode(make_odometry(5))
+    writer.add(ODOMETRY, ODOMETRY.key("lab", "r1"), payload, log_ns=5, published_ns=5)
+    writer.finish()
+    (tmp_path / "site.toml").write_text(site_text(cameras=1))
+    words = ["export", str(tmp_path / "s.mcap"), "--out", str(tmp_path / "out"), "--format", name]
+    assert run([*words, "--site", str(tmp_path / "site.toml")]) == 0
+    assert run(words) == 2
 
 
 def test_trajectories_are_tum_files(exported: Path) -> None:

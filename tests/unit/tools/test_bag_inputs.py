@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import zstandard
 from boards import CAMERA, CHARUCO_TARGET, charuco, picture_of, placed, plain_picture
 from builders import make_odometry
 from drives import Session, lab_plan, make_session, write_session
@@ -168,6 +169,22 @@ def test_a_foreign_bag_is_calibrated_to_the_same_network(
     assert json.loads(capsys.readouterr().out) == expected
     assert run(["calibrate", str(bag), *words]) == 2
     assert "--site" in capsys.readouterr().err
+
+
+def test_a_packed_session_is_calibrated_as_it_was_before(
+    drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = next(write_session(drive, tmp_path / "own").glob("*.mcap"))
+    packed = tmp_path / "packed" / "session.mcap.zstd"
+    packed.parent.mkdir()
+    packed.write_bytes(zstandard.compress(file.read_bytes()))
+    said = []
+    for session in (file, packed.parent):
+        assert run(["calibrate", str(session), "--json"]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    assert (packed.parent / "calibration").is_dir()
+    assert run(["review", str(packed.parent), "--save", str(tmp_path / "a.rrd")]) == 0
 
 
 def _as_foreign(recorded: Path, path: Path) -> tuple[Path, list[str]]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import zstandard
 from boards import CHARUCO_TARGET, charuco, picture_of, placed
-from builders import make_odometry
+from builders import make_odometry, site_text
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -284,6 +284,29 @@ def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
     capsys.readouterr()
     assert run(["detect", str(bag), "--target", str(target)]) == 0
     assert capsys.readouterr().out.count("face 0") == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["review", "--save", "a.rrd"],
+        ["export", "--out", "out", "--format", "mcap"],
+        ["calibrate", "--out", "out"],
+    ],
+)
+def test_a_bag_of_no_session_is_named_as_one_with_what_takes_it(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "site.toml").write_text(site_text(cameras=1))
+    (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
+    command, *more = words
+    bag = str(write(tmp_path / "bag.mcap", [SOUND]))
+    assert run([command, bag, "--site", "site.toml", *more]) == 2
+    assert f"none of its topics ({TOPIC}) is one of a session" in capsys.readouterr().err
 
 
 def test_a_bag_of_ros_1_is_named_with_what_reads_it(
