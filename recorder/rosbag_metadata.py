@@ -36,7 +36,8 @@ def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
 
 
 def listed_files(folder: Path) -> list[Path]:
-    """The files that a folder's metadata.yaml lists, in its order; none where there is none.
+    """The files that a folder's metadata.yaml lists, in its order, packed or unpacked by hand; none
+    where there is none.
 
     Raises RecordingError where it cannot be read, or a file is not there.
     """
@@ -45,16 +46,29 @@ def listed_files(folder: Path) -> list[Path]:
         return []
     names = _information(file)["relative_file_paths"]
     # Bags of the first versions of rosbag2 name their own folder too.
-    files = [folder / Path(str(name)).name for name in names]
+    files = [_as_it_is(folder / Path(str(name)).name) for name in names]
     for one in files:
         if not one.exists():
             raise RecordingError(f"{one}: is listed in {FILE}, but not there; copy it too")
     return files
 
 
-def packs_messages(folder: Path) -> bool:
-    """Whether a bag's messages are packed one by one."""
-    return str(_information(folder / FILE).get("compression_mode")).lower() == "message"
+def _as_it_is(listed: Path) -> Path:
+    others = (listed.with_suffix(""), listed.with_name(f"{listed.name}.zstd"))
+    return next((file for file in (listed, *others) if file.is_file()), listed)
+
+
+def packs_messages(folder: Path, name: str = "") -> bool:
+    """Whether the messages of the bag in a folder are packed one by one, and its files, of which a
+    metadata.yaml tells, include the one of that name, if any."""
+    try:
+        information = _information(folder / FILE)
+    except RecordingError:
+        return False  # `listed_files` says why
+    is_listed = not name or any(
+        Path(str(n)).name == name for n in information["relative_file_paths"]
+    )
+    return is_listed and str(information.get("compression_mode")).lower() == "message"
 
 
 def _information(file: Path) -> dict[str, Any]:

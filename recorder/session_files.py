@@ -66,6 +66,10 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
     if not path.is_dir():
         if not path.exists():
             raise RecordingError(f"{path}: there is no such session; check the path")
+        if packs_messages(path.parent, path.name):
+            raise RecordingError(
+                f"{path}: each of its messages is packed, as metadata.yaml says; give its folder"
+            )
         return [path]
     files = sorted(path.glob("*.mcap"))
     parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
@@ -79,7 +83,10 @@ def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
         raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
     if len(files) > 1 and not takes_several:
         names = ", ".join(file.name for file in files)
-        raise RecordingError(f"{path}: several sessions in this folder ({names}); name one")
+        raise RecordingError(
+            f"{path}: several sessions in this folder ({names}); name one, or "
+            f"where they are one bag: ros2 bag reindex {path}"
+        )
     return files
 
 

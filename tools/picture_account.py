@@ -33,8 +33,9 @@ class PictureAccount:
         """One for what was left out, one for each depth; raises OperationError where nothing is
         left."""
         left_out = f"{counted(len(self._left_out), 'picture')} left out: {_some(self._left_out)}"
-        if self._left_out and not self._read:
-            raise OperationError(f"no picture can be read; {left_out}")
+        if not self._read:
+            why = f"can be read; {left_out}" if self._left_out else "is in what was given"
+            raise OperationError(f"no picture {why}")
         depths = [
             f"{counted(len(names), 'picture')} with {words}, and scaled by that: {_some(names)}"
             for words, names in self._depths.items()

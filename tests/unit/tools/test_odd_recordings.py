@@ -317,6 +317,35 @@ def test_a_bag_of_ros_1_is_named_with_what_reads_it(
     assert "ROS 1 bag, which only detect" in capsys.readouterr().err
 
 
+def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
+    bag = parts(tmp_path / "bag", packed=True)
+    write(bag / "a.mcap", [SOUND] * 2)
+    (bag / "a.mcap.zstd").unlink()
+    assert open_recording(bag).counts == {TOPIC[1:]: 3}
+
+
+def test_a_file_of_packed_messages_is_refused_with_what_to_give(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=False)
+    file = bag / "metadata.yaml"
+    file.write_text(
+        file.read_text().replace('"compression_mode": ""', '"compression_mode": "MESSAGE"')
+    )
+    for command in ("info", "check", "recover"):
+        assert run([command, str(bag / "z.mcap")]) == 2
+        assert "give its folder" in capsys.readouterr().err
+
+
+def test_a_topic_without_pictures_is_said_and_the_status_is_1(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [])
+    for command in ("detect", "intrinsics"):
+        assert run([command, str(bag), "--target", str(target)]) == 1
+        assert "no picture is in what was given" in capsys.readouterr().err
+
+
 def test_a_part_that_is_not_there_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
