@@ -66,6 +66,11 @@ class McapWriter:
         return counts
 
     @property
+    def types(self) -> dict[str, str]:
+        """The type of each key, the last one where it has several."""
+        return dict(zip(self._keys, self._types, strict=True))
+
+    @property
     def size(self) -> int:
         """The file's size so far, bytes."""
         return self._output.position

@@ -10,6 +10,7 @@ from pathlib import Path
 import zstandard
 
 from trigpoint.errors import RecordingError
+from trigpoint.terminal import waiting
 
 _PACKED = (".zstd", ".zst")
 
@@ -35,11 +36,12 @@ def unpacked(path: Path) -> Path:
         from .rosbag_files import RosbagFiles  # rosbags takes long to import
 
         file = folder / f"{path.name.removesuffix('.db3')}.mcap"
-        RosbagFiles(path).save(file)
+        with waiting(f"{path}: made MCAP"):
+            RosbagFiles(path).save(file)
         return file
     file = folder / path.stem
     try:
-        with path.open("rb") as source, file.open("wb") as to:
+        with path.open("rb") as source, file.open("wb") as to, waiting(f"{path}: unpacked"):
             zstandard.ZstdDecompressor().copy_stream(source, to)
     except OSError as reason:
         text = f"{path}: cannot be unpacked to {folder} ({reason.strerror}); make room there"

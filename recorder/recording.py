@@ -47,8 +47,6 @@ class Recording:
         self.parts = tuple(indexes)
         # Damaged chunks that were already reported.
         self._damaged: set[tuple[Path, int]] = set()
-        for index in self.parts:
-            check_types(index)
 
     @property
     def path(self) -> Path:
@@ -111,7 +109,10 @@ class Recording:
         return [key for key in self.counts if topic_of(key) is None]
 
     def check_is_session(self) -> None:
-        """Raise RecordingError where none of its keys is in the contract: it is anybody's bag."""
+        """Raise RecordingError where none of its keys is in the contract, or one has another type:
+        it is anybody's bag."""
+        for index in self.parts:
+            check_types(index)
         if len(self.unknown_keys) == len(self.counts):
             topics = ", ".join(f"/{key}" for key in self.counts)
             raise RecordingError(
@@ -136,9 +137,11 @@ class Recording:
         log time to another, both included.
 
         Messages with equal log times come in file order. The contents of a damaged chunk (half a
-        second of a session) are left out, which is logged as an error.
+        second of a session) are left out, which is logged as an error. Raises RecordingError where
+        a key of the contract has another type.
         """
         for number, part in enumerate(self.parts):
+            check_types(part)
             wanted: dict[int, tuple[str, Topic]] = {}
             attached: dict[int, str] = {}
             for channel in part.channels:
@@ -257,7 +260,8 @@ def check_types(index: McapIndex) -> None:
         if found != topic.type_name or channel.message_encoding != "cdr":
             raise RecordingError(
                 f"{index.path}: {channel.topic} holds {found} in {channel.message_encoding}, not "
-                f"{topic.type_name} in cdr; record it with Trigpoint"
+                f"{topic.type_name} in cdr; record it with Trigpoint, or give the topics of "
+                "another bag to detect, intrinsics or calibrate by --topic"
             )
 
 

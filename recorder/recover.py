@@ -42,8 +42,9 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
     if not writer.counts:
         out.unlink()
         raise OperationError(f"{recording.path}: no message of it can be read; nothing is written")
+    facts = PartFacts(out.name, writer.times_ns, writer.counts, writer.types)
     try:
-        write_metadata(out.parent, [PartFacts(out.name, writer.times_ns, writer.counts)])
+        write_metadata(out.parent, [facts])
     except OSError as reason:
         raise OperationError(f"{out.parent}: metadata.yaml: {reason.strerror}") from None
     return writer.counts

@@ -1,7 +1,7 @@
 """metadata.yaml beside a recording: what makes its folder a bag that `ros2 bag` opens."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,13 @@ _VERSION = 9  # rosbag2's of Jazzy
 
 @dataclass(frozen=True, slots=True)
 class PartFacts:
-    """One file of the bag: its name, first and last log time, messages of each key."""
+    """One file of the bag: its name, first and last log time, messages of each key; `types`: those
+    of keys that are not in the contract, or not of its type."""
 
     name: str
     times_ns: tuple[int, int]
     counts: Mapping[str, int]
+    types: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
@@ -90,6 +92,7 @@ def metadata_text(parts: Sequence[PartFacts]) -> str:
     for part in parts:
         for key, count in part.counts.items():
             counts[key] = counts.get(key, 0) + count
+    types = {key: name for part in parts for key, name in part.types.items()}
     started = [part.times_ns[0] for part in parts if part.counts]
     start_ns = min(started, default=0)
     end_ns = max((part.times_ns[1] for part in parts if part.counts), default=0)
@@ -99,7 +102,9 @@ def metadata_text(parts: Sequence[PartFacts]) -> str:
         "duration": {"nanoseconds": end_ns - start_ns},
         "starting_time": {"nanoseconds_since_epoch": start_ns},
         "message_count": sum(counts.values()),
-        "topics_with_message_count": [_topic(key, count) for key, count in counts.items()],
+        "topics_with_message_count": [
+            _topic(key, count, types.get(key, "")) for key, count in counts.items()
+        ],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [part.name for part in parts],
@@ -112,9 +117,9 @@ def metadata_text(parts: Sequence[PartFacts]) -> str:
     return text.getvalue()
 
 
-def _topic(key: str, count: int) -> dict[str, object]:
+def _topic(key: str, count: int, type_name: str) -> dict[str, object]:
     topic = topic_of(key)
-    name = topic.type_name if topic else "std_msgs/msg/UInt8MultiArray"
+    name = type_name or (topic.type_name if topic else "std_msgs/msg/UInt8MultiArray")
     metadata = {
         "name": "/" + key,
         "type": name,

@@ -111,8 +111,8 @@ def definition(type_name: str) -> str:
 
 
 def type_hash(type_name: str) -> str:
-    """The type's RIHS01 hash, as ROS 2 computes it."""
-    return store().hash_rihs01(type_name)
+    """The type's RIHS01 hash, as ROS 2 computes it; "" of a type that is not known here."""
+    return store().hash_rihs01(type_name) if type_name in store().types else ""
 
 
 def warm_up() -> None:

@@ -186,8 +186,10 @@ def test_keys_that_the_contract_does_not_have_are_left_out(tmp_path: Path) -> No
 
 
 def test_a_key_with_another_type_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"nav_msgs/msg/Odometry in cdr, not trigpoint_msgs"):
-        open_recording(write(tmp_path / "s.mcap", [[1]], key=SIGHTINGS.key("lab", "c1")))
+    recording = open_recording(write(tmp_path / "s.mcap", [[1]], key=SIGHTINGS.key("lab", "c1")))
+    for read in (recording.check_is_session, lambda: log_times(recording)):
+        with pytest.raises(RecordingError, match=r"msg/Odometry in cdr, not trigpoint_msgs"):
+            read()
 
 
 @pytest.mark.parametrize("topics", [None, [ODOMETRY]])

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
+from ruamel.yaml import YAML
 
 from trigpoint import cdr
 from trigpoint.cdr_ros import Builder, store
@@ -53,6 +54,7 @@ def write(
     payloads: list[bytes],
     *,
     first_s: int = 1000,
+    topic: str = TOPIC,
     encoding: str = "cdr",
     **options: Any,
 ) -> Path:
@@ -60,7 +62,7 @@ def write(
     writer = Writer(str(file), **options)
     writer.start(profile="ros2", library="theirs")
     schema = writer.register_schema(PICTURE, "ros2msg", cdr.definition(PICTURE).encode())
-    channel = writer.register_channel(TOPIC, encoding, schema)
+    channel = writer.register_channel(topic, encoding, schema)
     for number, payload in enumerate(payloads):
         time_ns = (first_s + number) * 10**9
         writer.add_message(channel, time_ns, payload, time_ns)
@@ -105,6 +107,9 @@ def test_check_names_what_recover_leaves_out(
     assert run(["recover", str(bag), "--out", str(whole)]) == 0
     assert run(["check", str(whole)]) == 0
     assert open_recording(whole).counts == {TOPIC[1:]: 2}
+    metadata = YAML(typ="safe").load((whole.parent / "metadata.yaml").read_text())
+    (topic,) = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    assert topic["topic_metadata"]["type"] == PICTURE
 
 
 JPEG = cv2.imencode(".jpg", GREY)[1].tobytes()
@@ -202,6 +207,18 @@ def test_a_topics_type_is_what_most_of_its_messages_are(
         assert f"2 of {PICTURE}, 1 of {ODOMETRY}" in capsys.readouterr().out
         if file == bag:
             assert run(["recover", str(bag), "--out", str(tmp_path / "whole.mcap")]) == 0
+
+
+def test_a_foreign_topic_may_be_named_like_a_sessions(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND], topic="/lab/robot/r1/odom")
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    for command in ("info", "check", "recover"):
+        assert run([command, str(bag)]) == 0
+    capsys.readouterr()
+    assert run(["calibrate", str(bag)]) == 2
+    assert "by --topic" in capsys.readouterr().err
 
 
 def test_nothing_is_written_where_nothing_can_be_saved(tmp_path: Path) -> None:
