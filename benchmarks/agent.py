@@ -8,13 +8,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import ClassVar
 
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import Clock, to_ns
-from trigpoint.config import CameraConfig, Site, parse_site
+from trigpoint.base.clock import Clock, to_ns
 from trigpoint.edge.node import EdgeNode
 from trigpoint.edge.sources.frames import SOURCES, Frame
 from trigpoint.geometry import CameraModel
-from trigpoint.node import Node
+from trigpoint.node.node import Node
+from trigpoint.site.config import CameraConfig, Site, parse_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 from .detection import one_thread
 from .table import Row, share_of

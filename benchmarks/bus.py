@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import zenoh
 
-from trigpoint import topics
-from trigpoint.bus import Subscription
-from trigpoint.bus_settings import Settings
+from trigpoint.bus.bus import Subscription
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_session
-from trigpoint.topics import Topic
+from trigpoint.contract import topics
+from trigpoint.contract.topics import Topic
 
 from .bus_wire import WARM_UP, Wire, free_endpoint, open_bare, sent_ns
 from .table import Row, share_of

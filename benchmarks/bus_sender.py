@@ -5,9 +5,9 @@ import time
 
 import zenoh
 
-from trigpoint.bus_settings import LOOPBACK, Settings
+from trigpoint.bus.settings import LOOPBACK, Settings
 from trigpoint.bus_zenoh import ZenohBus, open_session
-from trigpoint.topics import TOPICS
+from trigpoint.contract.topics import TOPICS
 
 from .bus_wire import WARM_UP, Wire, open_bare, stamped
 

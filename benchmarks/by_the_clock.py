@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trigpoint.clock import to_seconds
+from trigpoint.base.clock import to_seconds
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline

@@ -6,13 +6,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.recorder.recording import open_recording
-from trigpoint.tools.bound import session_bound
-from trigpoint.tools.calibrate import calibrated
-from trigpoint.tools.session_inputs import session_inputs
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.networks.bound import session_bound
+from trigpoint.tools.networks.truth import load_truth, network_error
+from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.world import load_world
-from trigpoint.tools.truth import load_truth, network_error
 
 from .table import Row, share_of
 from .timing import timed, worked

@@ -17,14 +17,14 @@ from uuid import UUID
 
 import numpy as np
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise, RobotConfig
-from trigpoint.correction import CorrectionMark
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.correction import CorrectionMark
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
-from trigpoint.odometry_noise import step_variances
-from trigpoint.robot.odometry import Stamped
-from trigpoint.robot.safety import Approved, Refused, SafetyGate
+from trigpoint.robot.gate.safety import Approved, Refused, SafetyGate
+from trigpoint.robot.odometry.odometry import Stamped
+from trigpoint.site.config import OdometryNoise, RobotConfig
 
 MAP, OTHER_MAP = UUID(int=1), UUID(int=2)
 BEGIN_NS = to_ns(1000.0)

@@ -11,14 +11,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from trigpoint.config import parse_site
+from trigpoint.contract.messages import CameraInfo, FaceSighting, Odometry, Sightings
 from trigpoint.fusion.inbox import Input
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.messages import CameraInfo, FaceSighting, Odometry, Sightings
-from trigpoint.target import Target
-from trigpoint.tools.simulation.targets import target_of
-from trigpoint.tools.simulation.visibility import seen_faces
+from trigpoint.site.config import parse_site
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces
+from trigpoint.tools.simulation.sight.targets import target_of
 
 EPOCH_NS = 1_700_000_000_000_000_000
 SPEED = 0.4

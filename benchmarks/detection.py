@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.tracker import TargetTracker
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .nasty_pictures import nasty_pictures
 from .opencv_finders import (

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from trigpoint.edge.detector import detector_for
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.site.target import Face, Pattern, Target
 
 from .timing import worked
 from .views import gallery

@@ -4,11 +4,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from trigpoint.contract.messages import Message, Odometry
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Message, Odometry
-from trigpoint.recorder.recording import open_recording
-from trigpoint.tools.calibrate import calibrated
-from trigpoint.tools.session_inputs import session_inputs
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.world import load_world
 

@@ -1,4 +1,5 @@
-"""`python -m benchmarks.fire`: ten minutes of a site under fire (tests/under_fire.py)."""
+"""`python -m benchmarks.fire`: ten minutes of a site under fire, as tests/support/site/faulty_run.py
+has it."""
 
 import socket
 import tempfile
@@ -7,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from under_fire import assert_site_stays_undisturbed
+from support.site.faulty_run import assert_site_stays_undisturbed
 
 
 def main(

@@ -19,15 +19,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trigpoint import cdr
-from trigpoint.clock import SystemClock, to_ns
+from trigpoint.base.clock import SystemClock, to_ns
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_messages import Finish, News, Order
 from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Message, Odometry, Sightings
 
 from .corridor import EPOCH_NS, Corridor
 from .machine import machine

@@ -10,7 +10,7 @@ from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
-from trigpoint.tools.cramer_rao import oracle_problem
+from trigpoint.tools.networks.cramer_rao import oracle_problem
 
 from . import factor_graph
 from .factor_graph import Graph, Solved

@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from trigpoint.closing import Closing
+from trigpoint.base.closing import Closing
 
 _TUNSETIFF, _IFF_TUN_NO_PI = 0x400454CA, 0x1001
 _CLONE_NEWNET = 0x40000000

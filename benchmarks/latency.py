@@ -24,16 +24,16 @@ from pathlib import Path
 
 import numpy as np
 
-from trigpoint import topics
-from trigpoint.bus import Subscription
+from trigpoint.base.clock import to_ns
+from trigpoint.bus.bus import Subscription
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.cdr import decode
-from trigpoint.clock import to_ns
-from trigpoint.config import load_site
+from trigpoint.contract import topics
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.site.config import load_site
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
@@ -89,7 +89,7 @@ class Lab:
         firmware = ["--world", "lab", "--seed", "1", "--robot", "r1", "--log", str(self.journal)]
         firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
         return {
-            "firmware": ["trigpoint.tools.simulation.firmware", *firmware],
+            "firmware": ["trigpoint.tools.simulation.serial.firmware", *firmware],
             "edge": ["trigpoint", "edge", *site, *cameras],
             "fusion": ["trigpoint", "fusion", *site, "--out", str(self.folder / "out")],
             "robot": ["trigpoint", "robot", *site, "--robot", "r1"],

@@ -17,12 +17,12 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from trigpoint import cdr
-from trigpoint.clock import to_ns, to_seconds
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Odometry, Sightings
 
 from .corridor import EPOCH_NS, Corridor
 from .machine import machine

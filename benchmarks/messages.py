@@ -6,9 +6,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from trigpoint import cdr
-from trigpoint.geometry import Pose
-from trigpoint.messages import (
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import (
     SIGHTINGS,
     FaceSighting,
     Message,
@@ -16,6 +15,7 @@ from trigpoint.messages import (
     Picture,
     Sightings,
 )
+from trigpoint.geometry import Pose
 
 from .table import Row, share_of
 from .timing import side_by_side

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 WIDTH, HEIGHT = 640, 480
 _DARK, _LIGHT = 30, 220

@@ -20,8 +20,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from trigpoint.access import Identity, Kind
-from trigpoint.tools.authority import Authority, addresses_of
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.tools.secure.authority import Authority, addresses_of
 
 from .impairment import Impairment, Link, Namespace
 

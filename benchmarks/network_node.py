@@ -17,14 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import UUID
 
-from trigpoint import topics
-from trigpoint.access import Kind
-from trigpoint.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.base.ending import ENDING
+from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import load_site
-from trigpoint.correction import CorrectionMark, MissedCorrections
-from trigpoint.ending import ENDING
-from trigpoint.topics import Topic
+from trigpoint.contract import topics
+from trigpoint.contract.access import Kind
+from trigpoint.contract.correction import CorrectionMark, MissedCorrections
+from trigpoint.contract.topics import Topic
+from trigpoint.site.config import load_site
 
 Row = tuple[int, int, int]
 

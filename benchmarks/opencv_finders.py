@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 from .scoring import Found
 

@@ -15,13 +15,13 @@ from typing import Protocol
 
 import numpy as np
 
-from trigpoint.clock import to_ns
-from trigpoint.config import RobotConfig, WheelConfig
+from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
-from trigpoint.robot.protocol import Reading, Setup, make_protocol
-from trigpoint.robot.protocols.create2 import DIAMETER_M, TICKS, TRACK_M, checksum
-from trigpoint.robot.protocols.mavlink_frames import dialect
+from trigpoint.robot.line.protocol import Reading, Setup, make_protocol
+from trigpoint.robot.line.protocols.create2 import DIAMETER_M, TICKS, TRACK_M, checksum
+from trigpoint.robot.line.protocols.mavlink_frames import dialect
+from trigpoint.site.config import RobotConfig, WheelConfig
 
 NOW_NS = to_ns(100.0)
 FRAMES = 16

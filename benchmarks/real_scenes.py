@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from trigpoint.edge.detector import detector_for
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.site.target import Face, Pattern, Target
 
 from .detection import one_thread
 from .empty_pictures import APRILGRID

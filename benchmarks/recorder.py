@@ -9,11 +9,11 @@ from tempfile import TemporaryDirectory
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from trigpoint import cdr, topics
-from trigpoint.clock import SystemClock
-from trigpoint.recorder.recording import open_recording
-from trigpoint.recorder.sink_mcap import McapSink
-from trigpoint.topics import Topic
+from trigpoint.base.clock import SystemClock
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.topics import Topic
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.recorder.writing.sink import McapSink
 
 from .messages import odometry, picture
 from .table import Row, share_of

@@ -15,17 +15,17 @@ from tempfile import TemporaryDirectory
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from trigpoint.access import Identity, Kind
-from trigpoint.authenticator import CorrectionSigner, CorrectionVerifier
-from trigpoint.bus import Bus
-from trigpoint.bus_opening import open_patiently
-from trigpoint.bus_settings import Settings
+from trigpoint.base.clock import SystemClock
+from trigpoint.bus.bus import Bus
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_session
-from trigpoint.clock import SystemClock
-from trigpoint.config import Site, load_site
-from trigpoint.security import node_credentials
-from trigpoint.tools.authority import Authority, addresses_of
-from trigpoint.topics import ODOMETRY
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.contract.topics import ODOMETRY
+from trigpoint.security.authenticator import CorrectionSigner, CorrectionVerifier
+from trigpoint.security.credentials import node_credentials
+from trigpoint.site.config import Site, load_site
+from trigpoint.tools.secure.authority import Authority, addresses_of
+from trigpoint.zenoh.patience import open_patiently
 
 _MESSAGES = 20_000
 _RATE = 2000.0

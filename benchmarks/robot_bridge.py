@@ -26,19 +26,19 @@ from uuid import UUID
 import numpy as np
 import zenoh
 
-from trigpoint.bus import Bus
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.bus_settings import Settings
+from trigpoint.bus.bus import Bus
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import open_session
-from trigpoint.cdr import decode, encode
-from trigpoint.config import parse_site
-from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.contract.cdr import decode, encode
+from trigpoint.contract.correction import CorrectionMark, encode_mark
+from trigpoint.contract.messages import Diagnostics, Odometry, PoseEstimate
+from trigpoint.contract.topics import CORRECTION, DIAGNOSTICS, ODOMETRY
 from trigpoint.geometry import Pose
-from trigpoint.messages import Diagnostics, Odometry, PoseEstimate
-from trigpoint.node import Node
+from trigpoint.node.node import Node
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.node import RobotNode
-from trigpoint.topics import CORRECTION, DIAGNOSTICS, ODOMETRY
+from trigpoint.site.config import parse_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 from .bus_wire import free_endpoint
 from .robot_line_ends import BARE_CORRECTION, BARE_ODOMETRY, FRAME, STEP_M

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint import cdr
-from trigpoint.clock import to_ns, to_seconds
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Sightings
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.live.memory import return_large_arrays
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Sightings
 
 from .corridor import EPOCH_NS, Corridor
 from .live import worked_s

@@ -12,15 +12,15 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import Clock, to_ns
-from trigpoint.config import CameraConfig, parse_site
+from trigpoint.base.clock import Clock, to_ns
 from trigpoint.edge.node import EdgeNode
 from trigpoint.edge.sources.frames import SOURCES, Frame
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture
 from trigpoint.geometry import CameraModel
-from trigpoint.node import Node
-from trigpoint.target import Target, load_target
+from trigpoint.node.node import Node
+from trigpoint.site.config import CameraConfig, parse_site
+from trigpoint.site.target import Target, load_target
+from trigpoint.testing.memory_bus import MemoryBroker
 
 from .detection import one_thread
 from .timing import WorkClock

@@ -27,9 +27,9 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.access import Identity, Kind
-from trigpoint.config import BusConfig, TlsConfig
-from trigpoint.tools.authority import Authority, addresses_of
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.site.config import BusConfig, TlsConfig
+from trigpoint.tools.secure.authority import Authority, addresses_of
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
@@ -226,7 +226,7 @@ class Soak:
             "router": ("server", ["trigpoint", "router", *site("router"), "--name", "hall"]),
             "fusion": ("server", ["trigpoint", "fusion", *site("server"), *out]),
             "recorder": ("server", ["trigpoint", "record", *site("server"), *out]),
-            "firmware": ("robot", ["trigpoint.tools.simulation.firmware", *firmware]),
+            "firmware": ("robot", ["trigpoint.tools.simulation.serial.firmware", *firmware]),
             "edge": ("cameras", ["trigpoint", "edge", *site("cameras"), *cameras]),
             "robot": ("robot", ["trigpoint", "robot", *site("robot"), "--robot", "r1"]),
         }

@@ -8,10 +8,10 @@ import sys
 import time
 from pathlib import Path
 
-from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import load_site
-from trigpoint.topics import IMAGE, SIGHTINGS
+from trigpoint.contract.access import Kind
+from trigpoint.contract.topics import IMAGE, SIGHTINGS
+from trigpoint.site.config import load_site
 
 _PAUSE_S = 0.001
 

@@ -13,13 +13,13 @@ import threading
 import time
 from pathlib import Path
 
-from trigpoint import topics
-from trigpoint.bus import Bus, Subscription
+from trigpoint.base.errors import MessageError
+from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.cdr import decode
-from trigpoint.config import load_site
-from trigpoint.errors import MessageError
-from trigpoint.messages import Diagnostics, Odometry, PoseEstimate, Sightings
+from trigpoint.contract import topics
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import Diagnostics, Odometry, PoseEstimate, Sightings
+from trigpoint.site.config import load_site
 
 _PERIOD_S = 0.5
 _TAKE_S = 0.05

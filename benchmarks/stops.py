@@ -14,8 +14,8 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
-from drives import lab_plan, make_session
-from field import Drive, Field, Program, lay_out, meeting_point
+from support.fusion.drives import lab_plan, make_session
+from support.site.programs import Drive, Field, Program, lay_out, meeting_point
 
 _LATEST_S = 6.0
 MORE = """

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from trigpoint.clock import SystemClock
+from trigpoint.base.clock import SystemClock
 
 ROUNDS = 7
 _Result = TypeVar("_Result")

@@ -8,10 +8,10 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Target
-from trigpoint.tools.simulation.actors import SimulatedCamera
-from trigpoint.tools.simulation.rendering import CameraRenderer
-from trigpoint.tools.simulation.visibility import SeenFace
+from trigpoint.site.target import Face, Target
+from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
+from trigpoint.tools.simulation.motion.actors import SimulatedCamera
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace
 from trigpoint.tools.simulation.world import World, load_world
 
 SEED = 1

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern, Target
-from trigpoint.tools.simulation.textures import texture
+from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.simulation.drawing.textures import texture
 
 from .photographs import backgrounds
 from .views import LEAST_SQUARE_PX, TrueFace, View

@@ -5,8 +5,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from trigpoint.checks import Check
-from trigpoint.words import install_command
+from trigpoint.base.checks import Check
+from trigpoint.base.words import install_command
 
 from .sources.v4l2_formats import Offer, offers_of
 

@@ -6,13 +6,13 @@ from typing import Annotated
 import cv2
 import typer
 
-from trigpoint.access import Kind
-from trigpoint.bus import Bus
+from trigpoint.bus.bus import Bus
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import Site, load_site
-from trigpoint.node import Node, stop_on_signals
-from trigpoint.site_option import SITE_FILE, SiteFile
-from trigpoint.watchdog import Watchdog
+from trigpoint.contract.access import Kind
+from trigpoint.node.node import Node, stop_on_signals
+from trigpoint.node.watchdog import Watchdog
+from trigpoint.site.config import Site, load_site
+from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .node import KIND, EdgeNode, load_targets
 from .sources.opencv_log import quieten_opencv

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Pattern, Target
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.site.target import Pattern, Target
 
 from .image.picture import as_grey
 from .image.time_limit import never

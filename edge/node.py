@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.bus import Bus
-from trigpoint.cdr import encode, warm_up
-from trigpoint.clock import Clock, SteadyClock, to_seconds
-from trigpoint.config import Site
-from trigpoint.errors import FrameError
+from trigpoint.base.clock import Clock, SteadyClock, to_seconds
+from trigpoint.base.errors import FrameError
+from trigpoint.bus.bus import Bus
+from trigpoint.contract.cdr import encode, warm_up
+from trigpoint.contract.messages import CameraInfo, Sightings
+from trigpoint.contract.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 from trigpoint.geometry import CameraModel
-from trigpoint.messages import CameraInfo, Sightings
-from trigpoint.node import Node
-from trigpoint.target import Target, load_target
-from trigpoint.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
+from trigpoint.node.node import Node
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target, load_target
 
 from .image.picture import depth_words, eight_bits
 from .lens.calibration_service import CalibrationService

@@ -5,12 +5,12 @@ import threading
 import cv2
 import numpy as np
 
-from trigpoint.bus import Publisher
-from trigpoint.cdr import encode
-from trigpoint.clock import to_ns
-from trigpoint.config import CameraConfig
-from trigpoint.errors import OperationError
-from trigpoint.messages import Picture
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Publisher
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import Picture
+from trigpoint.site.config import CameraConfig
 
 from .sources.frames import Frame
 

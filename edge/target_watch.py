@@ -2,8 +2,8 @@
 
 import logging
 
-from trigpoint.clock import Clock, to_ns, to_seconds
-from trigpoint.words import counted
+from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.words import counted
 
 _log = logging.getLogger(__name__)
 

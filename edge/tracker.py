@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from trigpoint.clock import Clock, SystemClock
+from trigpoint.base.clock import Clock, SystemClock
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .detector import finders_for, misdescribed
 from .image.median import median

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Polygon, PoseEstimate, Transform, Transforms
 from trigpoint.geometry import Pose
-from trigpoint.messages import Polygon, PoseEstimate, Transform, Transforms
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .coverage import coverage
 from .estimators.interface import CameraEstimate

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import msgspec
 
-from trigpoint.clock import Clock, to_ns
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.errors import OperationError
 
 _MAGIC = b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")

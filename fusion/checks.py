@@ -2,8 +2,8 @@
 
 from importlib.metadata import PackageNotFoundError, version
 
-from trigpoint.checks import Check
-from trigpoint.words import install_command
+from trigpoint.base.checks import Check
+from trigpoint.base.words import install_command
 
 
 def checks() -> list[Check]:

@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from trigpoint import cdr
-from trigpoint.access import Kind
+from trigpoint.base.clock import SteadyClock
+from trigpoint.base.errors import OperationError
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.clock import SteadyClock
-from trigpoint.config import load_site
-from trigpoint.errors import OperationError
-from trigpoint.node import Node, stopped_by_signals
-from trigpoint.site_option import SITE_FILE, SiteFile
+from trigpoint.contract import cdr
+from trigpoint.contract.access import Kind
+from trigpoint.node.node import Node, stopped_by_signals
+from trigpoint.site.config import load_site
+from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .inputs import load_inputs
 from .live.memory import return_large_arrays

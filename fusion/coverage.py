@@ -4,7 +4,7 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 # A square's side below this many pixels is too small to be found.
 _LEAST_SQUARE_PX = 6.0

@@ -6,9 +6,9 @@ Pure: no bus, no clock.
 from collections import Counter
 from collections.abc import Iterator
 
-from trigpoint import topics
-from trigpoint.clock import to_ns, to_seconds
-from trigpoint.config import Site
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract import topics
+from trigpoint.site.config import Site
 
 from .intake.admission import Admission
 from .intake.arrivals import Span

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from trigpoint import cdr, topics
-from trigpoint.bus import Bell, Bus, Sample, Subscription
-from trigpoint.clock import Clock, to_ns
-from trigpoint.errors import MessageError
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings, stamped
-from trigpoint.node import Node
-from trigpoint.topics import Topic
+from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.errors import MessageError
+from trigpoint.bus.bus import Bell, Bus, Sample, Subscription
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings, stamped
+from trigpoint.contract.topics import Topic
+from trigpoint.node.node import Node
 
 from .diagnostics import Diagnostics
 from .intake.admission import Admission

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from trigpoint.camera_info import read_camera_info
-from trigpoint.config import Site
-from trigpoint.errors import InputError
+from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
-from trigpoint.network import load_covariance, load_network
-from trigpoint.target import Target, load_target
+from trigpoint.map.network import load_covariance, load_network
+from trigpoint.site.camera_info import read_camera_info
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target, load_target
 
 from .estimators.registry import check_estimator
 from .model.dataset import KnownCameras, known_cameras

@@ -4,11 +4,11 @@ import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from trigpoint import cdr, topics
-from trigpoint.clock import Clock
-from trigpoint.config import Site
-from trigpoint.errors import MessageError, OperationError
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.base.clock import Clock
+from trigpoint.base.errors import MessageError, OperationError
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.site.config import Site
 
 from .checkpoint import Checkpoint
 from .intake.admission import AHEAD_NS

@@ -7,17 +7,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from trigpoint import cdr, topics
-from trigpoint.authenticator import correction_signer
-from trigpoint.bus import Bus, Publisher, Sample
-from trigpoint.clock import Clock, to_ns, to_seconds
-from trigpoint.ending import ENDING
-from trigpoint.errors import OperationError
-from trigpoint.messages import CameraInfo, Message, Odometry
-from trigpoint.network import encode_network
-from trigpoint.node import Node
-from trigpoint.topics import command_key
-from trigpoint.watchdog import Pulse
+from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.ending import ENDING
+from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Bus, Publisher, Sample
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry
+from trigpoint.contract.topics import command_key
+from trigpoint.map.network import encode_network
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
+from trigpoint.security.authenticator import correction_signer
 
 from .diagnostics import Diagnostics
 from .fair_lock import FairLock
@@ -41,7 +41,7 @@ _MOST_USED = 16
 _LAST_TAKING_NS = to_ns(0.25)
 # While a checkpoint is read, what comes is taken in every so many records.
 _RECORDS_AT_ONCE = 256
-# A stop may take two seconds in all (`trigpoint.ending`), of which files and the bus need some.
+# A stop may take two seconds in all (`base.ending`), of which files and the bus need some.
 _LAST_SOLUTION_S = 1.2
 _WRITING_S = 0.5
 # Where the estimator solves within its turn: the last solution takes several times the longest one.

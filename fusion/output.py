@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from trigpoint import topics
-from trigpoint.messages import Message, PoseEstimate, Transforms
-from trigpoint.topics import Topic
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Message, PoseEstimate, Transforms
+from trigpoint.contract.topics import Topic
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 from uuid import UUID
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
-from trigpoint.config import Site
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
 from trigpoint.geometry import CameraModel
-from trigpoint.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
-from trigpoint.target import Target
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target
 
 from .camera_announcements import CameraAnnouncements
 from .estimators.interface import Live

@@ -6,12 +6,12 @@ from uuid import UUID
 
 import numpy as np
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
-from trigpoint.correction import LEAST_SIGMA, CorrectionMark, encode_mark
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.correction import LEAST_SIGMA, CorrectionMark, encode_mark
+from trigpoint.contract.messages import PoseArray, PoseEstimate, Transform, Transforms
+from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseArray, PoseEstimate, Transform, Transforms
-from trigpoint.topics import Topic
 
 from .output import Output
 from .solver.filter import RobotEstimate

@@ -11,9 +11,9 @@ from collections import deque
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry
 
 from .model.increment import in_plane
 from .model.odometry import LONGEST_GAP_S, MOST_STANDING

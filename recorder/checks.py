@@ -4,8 +4,8 @@ import importlib.util
 import shutil
 from pathlib import Path
 
-from trigpoint.checks import Check
-from trigpoint.words import install_command
+from trigpoint.base.checks import Check
+from trigpoint.base.words import install_command
 
 _NEEDED = 1e9
 _TOO_LITTLE = 1e8
@@ -34,7 +34,7 @@ def room(directory: Path) -> Check:
 
 
 def _viewer() -> Check:
-    from .viewer import has_display, program
+    from .viewer.process import has_display, program
 
     if not program().exists():
         remedy = "run: pip install -c constraints.txt --force-reinstall rerun-sdk"

@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from trigpoint.access import Kind
+from trigpoint.base.clock import SystemClock, to_seconds
+from trigpoint.base.errors import InputError, OperationError
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.clock import SystemClock, to_seconds
-from trigpoint.config import Site, load_site, parse_site
-from trigpoint.errors import InputError, OperationError
-from trigpoint.node import Node, stopped_by_signals
-from trigpoint.site_option import SITE_FILE, SiteFile
-from trigpoint.target import load_target
-from trigpoint.topics import command_key
+from trigpoint.contract.access import Kind
+from trigpoint.contract.topics import command_key
+from trigpoint.node.node import Node, stopped_by_signals
+from trigpoint.site.config import Site, load_site, parse_site
+from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.site.target import load_target
 
 from . import node as recorder
-from . import replay as player
-from .recording import Recording, open_recording
-from .replay_pace import Controls, keyboard, span_of
-from .viewer import WEB_PORT, Viewer
-from .viewer_page import LOOPBACK
+from .replay import player
+from .replay.pace import Controls, keyboard, span_of
+from .session.recording import Recording, open_recording
+from .viewer.page import LOOPBACK
+from .viewer.process import WEB_PORT, Viewer
 
 if TYPE_CHECKING:
     import rerun as rr  # half a second to import, which `record` and `replay` need not wait
@@ -135,7 +135,7 @@ def view(
     site: SiteFile = SITE_FILE, web: Web = False, port: Port = WEB_PORT, host: Host = LOOPBACK
 ) -> None:
     """Show the live site in rerun until stopped (Ctrl-C) or until its window is closed."""
-    from .view import KIND, LiveView
+    from .viewer.live import KIND, LiveView
 
     loaded = load_site(site)
     targets = {
@@ -172,8 +172,8 @@ def review(
     host: Host = LOOPBACK,
 ) -> None:
     """Show a recorded session in rerun."""
-    from .overlay import load_overlay, overlays_beside
-    from .review import write_rrd
+    from .viewer.overlay import load_overlay, overlays_beside
+    from .viewer.review import write_rrd
 
     recording = open_recording(session)
     given = load_site(site) if site else None
@@ -268,7 +268,7 @@ def _attached(recording: Recording) -> Site:
 @contextmanager
 def _streaming(site: str, viewer: Viewer) -> "Iterator[rr.RecordingStream]":
     """A recording that goes to the viewer; it is ended before the viewer, as far as that runs."""
-    from .rerun_columns import open_stream
+    from .viewer.columns import open_stream
 
     stream = open_stream(site, time.time_ns())
     stream.connect_grpc(viewer.stream_url)

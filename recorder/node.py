@@ -7,26 +7,26 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from trigpoint.bus import Bus, Sample
-from trigpoint.clock import Clock, SystemClock, to_ns
-from trigpoint.config import Site
-from trigpoint.ending import ENDING
-from trigpoint.errors import InputError, OperationError
-from trigpoint.messages import Message, PoseEstimate
-from trigpoint.network import decode_network
-from trigpoint.node import Node
-from trigpoint.topics import CAMERA_POSE, Topic, command_key
-from trigpoint.watchdog import Pulse
+from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.ending import ENDING
+from trigpoint.base.errors import InputError, OperationError
+from trigpoint.bus.bus import Bus, Sample
+from trigpoint.contract.messages import Message, PoseEstimate
+from trigpoint.contract.topics import CAMERA_POSE, Topic, command_key
+from trigpoint.map.network import decode_network
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
+from trigpoint.site.config import Site
 
-from .intake import Intake, is_wanted, recorded_topics
-from .mcap_chunk import Compression
-from .recording import NETWORK_ATTACHMENT
-from .ring import MovedCameras, Ring
-from .room import Room
-from .session_files import FILE, session_path
-from .session_part import AttachedFile
-from .sink_mcap import McapSink, SinkSettings
-from .site_attachments import site_files
+from .mcap.chunk import Compression
+from .session.files import FILE, session_path
+from .session.recording import NETWORK_ATTACHMENT
+from .writing.attachments import site_files
+from .writing.free_space import Room
+from .writing.intake import Intake, is_wanted, recorded_topics
+from .writing.part import AttachedFile
+from .writing.ring import MovedCameras, Ring
+from .writing.sink import McapSink, SinkSettings
 
 __all__ = ["COMMANDS", "FILE", "KIND", "NAME", "Recorder", "session_path", "site_files"]
 

@@ -8,19 +8,20 @@ import threading
 from dataclasses import dataclass
 from uuid import UUID
 
-from trigpoint.clock import Clock, to_ns
-from trigpoint.config import RobotConfig
-from trigpoint.correction import CorrectionMark
+from trigpoint.base.clock import Clock, to_ns
+from trigpoint.contract.correction import CorrectionMark
+from trigpoint.contract.messages import Odometry, PoseEstimate
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.health import Health
-from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.node.health import Health
+from trigpoint.site.config import RobotConfig
 
-from .blend import Blend
-from .firmware_clock import FirmwareClock
-from .limits import Motion, MotionLimits
-from .odometry import OdometryStream, Stamped
-from .protocol import (
+from .gate.blend import Blend
+from .gate.safety import Approved, Refusal, Refused, SafetyGate
+from .gate.sent_covariance import as_sent
+from .line.firmware_clock import FirmwareClock
+from .line.limits import Motion, MotionLimits
+from .line.protocol import (
     Acknowledged,
     Advice,
     ClockExchange,
@@ -39,9 +40,8 @@ from .protocol import (
     Unanswered,
     Vitals,
 )
-from .safety import Approved, Refusal, Refused, SafetyGate
-from .sent_covariance import as_sent
-from .stamps import Offset, Stamps
+from .odometry.odometry import OdometryStream, Stamped
+from .odometry.stamps import Offset, Stamps
 
 _log = logging.getLogger(__name__)
 

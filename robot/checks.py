@@ -6,20 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trigpoint.checks import Check
-from trigpoint.errors import PortError
-from trigpoint.words import install_command
+from trigpoint.base.checks import Check
+from trigpoint.base.errors import PortError
+from trigpoint.base.words import install_command
 
 if TYPE_CHECKING:
-    from .guess import Guess
+    from .line.guess import Guess
 
 
 def checks() -> list[Check]:
     """Is the part installed, are there serial ports, and may this user open them?"""
     if importlib.util.find_spec("serial") is None:
         return [Check("robot", "error", "pyserial is not installed", install_command("robot"))]
-    from .guess import guessed
-    from .port import present_ports
+    from .line.guess import guessed
+    from .line.port import present_ports
 
     ports = present_ports()
     if not ports:

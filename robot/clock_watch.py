@@ -11,12 +11,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from trigpoint.bus import Bus, Reply
-from trigpoint.clock import to_seconds
-from trigpoint.config import Site
-from trigpoint.node import Node
-from trigpoint.topics import command_key
-from trigpoint.watchdog import Pulse
+from trigpoint.base.clock import to_seconds
+from trigpoint.bus.bus import Bus, Reply
+from trigpoint.contract.topics import command_key
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
+from trigpoint.site.config import Site
 
 _ASK_EVERY_S = 2.0
 _ANSWER_S = 1.0

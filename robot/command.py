@@ -4,15 +4,15 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.access import Kind
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.config import ROS2_PROTOCOL, load_site
-from trigpoint.node import Node, stopped_by_signals
-from trigpoint.site_option import SITE_FILE, SiteFile
+from trigpoint.contract.access import Kind
+from trigpoint.node.node import Node, stopped_by_signals
+from trigpoint.site.config import ROS2_PROTOCOL, load_site
+from trigpoint.site.option import SITE_FILE, SiteFile
 
 from .dry_run import look
+from .line.protocol import check_protocol
 from .node import KIND, RobotNode
-from .protocol import check_protocol
 from .ros2 import RosRobotNode
 
 # How long a dry run waits for a bus that it can do without.

@@ -2,21 +2,21 @@
 
 from collections.abc import Callable
 
-from trigpoint.authenticator import correction_verifier
-from trigpoint.bus import Bus, Sample, Subscription
-from trigpoint.cdr import decode
-from trigpoint.clock import Clock
-from trigpoint.config import Site
-from trigpoint.correction import MissedCorrections, decode_mark
-from trigpoint.errors import MessageError
-from trigpoint.health import Health
-from trigpoint.messages import PoseEstimate
-from trigpoint.node import Node
-from trigpoint.topics import CORRECTION
-from trigpoint.watchdog import Pulse
+from trigpoint.base.clock import Clock
+from trigpoint.base.errors import MessageError
+from trigpoint.bus.bus import Bus, Sample, Subscription
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.correction import MissedCorrections, decode_mark
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CORRECTION
+from trigpoint.node.health import Health
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
+from trigpoint.security.authenticator import correction_verifier
+from trigpoint.site.config import Site
 
 from .bridge import Bridge
-from .protocol import RobotCorrection
+from .line.protocol import RobotCorrection
 
 _TAKE_S = 0.2
 

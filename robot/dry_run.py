@@ -11,24 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.bus import Bus, Subscription
-from trigpoint.clock import Clock, SystemClock, to_ns
-from trigpoint.config import ROS2_PROTOCOL, Site
-from trigpoint.errors import BusError, MessageError, OperationError
-from trigpoint.health import Health, mended_count
-from trigpoint.messages import Mended
-from trigpoint.words import counted
+from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.errors import BusError, MessageError, OperationError
+from trigpoint.base.words import counted
+from trigpoint.bus.bus import Bus, Subscription
+from trigpoint.contract.messages import Mended
+from trigpoint.node.health import Health, mended_count
+from trigpoint.site.config import ROS2_PROTOCOL, Site
 
 from .bridge import Bridge
 from .corrections import Corrections, subscribed
-from .line import Line
+from .line.line import Line
+from .line.port import PortOpener
+from .line.protocol import Event, Mismatched, RobotCorrection, Takes, Traits, make_protocol
 from .node import port_url, protocol_setup
-from .port import PortOpener
-from .protocol import Event, Mismatched, RobotCorrection, Takes, Traits, make_protocol
+from .odometry.stamps import measured_offset
 from .quiet import why_nothing
 from .relocation import ask_for_map
 from .ros2 import FOREIGN, TRAITS, foreign_keys, reading_of, ros_topic
-from .stamps import measured_offset
 
 SECONDS = 5.0
 _TROUBLE = ("serial_framing_errors", "serial_checksum_errors", "serial_content_errors")

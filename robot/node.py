@@ -4,24 +4,24 @@ import logging
 import os
 from pathlib import Path
 
-from trigpoint.bus import Bus, Publisher
-from trigpoint.cdr import encode, warm_up
-from trigpoint.clock import Clock, to_seconds
-from trigpoint.config import Site
-from trigpoint.errors import ConfigError, read_text
-from trigpoint.node import Node
-from trigpoint.topics import ODOMETRY
+from trigpoint.base.clock import Clock, to_seconds
+from trigpoint.base.errors import ConfigError, read_text
+from trigpoint.bus.bus import Bus, Publisher
+from trigpoint.contract.cdr import encode, warm_up
+from trigpoint.contract.topics import ODOMETRY
+from trigpoint.node.node import Node
+from trigpoint.site.config import Site
 
 from .bridge import Bridge, first_number
 from .clock_watch import ClockWatch
 from .corrections import Corrections, subscribed
-from .line import Line
+from .line.line import Line
+from .line.port import PortOpener, is_device, lasting_name
+from .line.protocol import Event, RobotCorrection, Setup, Takes, make_protocol
+from .odometry.stamps import measured_offset
 from .places import Places
-from .port import PortOpener, is_device, lasting_name
-from .protocol import Event, RobotCorrection, Setup, Takes, make_protocol
 from .quiet import CorrectionWatch, OdometryWatch
 from .relocation import MapQuestion
-from .stamps import measured_offset
 
 _log = logging.getLogger(__name__)
 

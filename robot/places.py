@@ -1,10 +1,10 @@
 """Publishes the pose and transforms of a robot that takes no corrections itself."""
 
-from trigpoint.bus import Bus
-from trigpoint.cdr import encode
-from trigpoint.health import Health
-from trigpoint.messages import PoseEstimate, Transform, Transforms
-from trigpoint.topics import CORRECTED, ROBOT_TF
+from trigpoint.bus.bus import Bus
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import PoseEstimate, Transform, Transforms
+from trigpoint.contract.topics import CORRECTED, ROBOT_TF
+from trigpoint.node.health import Health
 
 from .bridge import Location
 

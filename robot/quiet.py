@@ -5,8 +5,8 @@ import logging
 import math
 from typing import Protocol
 
-from trigpoint.clock import to_ns, to_seconds
-from trigpoint.health import Health
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.node.health import Health
 
 from .bridge import Bridge
 

@@ -3,11 +3,11 @@
 import json
 from uuid import UUID
 
-from trigpoint.bus import Bus, Reply
-from trigpoint.clock import Clock
-from trigpoint.node import Node
-from trigpoint.topics import command_key
-from trigpoint.watchdog import Pulse
+from trigpoint.base.clock import Clock
+from trigpoint.bus.bus import Bus, Reply
+from trigpoint.contract.topics import command_key
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
 
 from .bridge import Bridge
 

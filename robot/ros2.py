@@ -9,25 +9,25 @@ result is published as a pose and as the transform from the map to the robot's o
 import logging
 from collections.abc import Callable
 
-from trigpoint.bus import Bus, Publisher, Sample, Subscription
-from trigpoint.cdr import decode, encode, warm_up
-from trigpoint.clock import Clock
-from trigpoint.config import Site
-from trigpoint.errors import MessageError
+from trigpoint.base.clock import Clock
+from trigpoint.base.errors import MessageError
+from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.contract.cdr import decode, encode, warm_up
+from trigpoint.contract.messages import Odometry
+from trigpoint.contract.topics import ODOMETRY, Delivery, Topic
 from trigpoint.geometry import Pose
-from trigpoint.health import Health, mended_count
-from trigpoint.messages import Odometry
-from trigpoint.node import Node
-from trigpoint.topics import ODOMETRY, Delivery, Topic
-from trigpoint.watchdog import Pulse
+from trigpoint.node.health import Health, mended_count
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
+from trigpoint.site.config import Site
 
 from .bridge import Bridge
 from .corrections import Corrections, subscribed
+from .line.protocol import Connected, Event, Reading, RobotCorrection, StampClock, Takes, Traits
+from .odometry.stamps import measured_offset
 from .places import Places
-from .protocol import Connected, Event, Reading, RobotCorrection, StampClock, Takes, Traits
 from .quiet import CorrectionWatch
 from .relocation import MapQuestion
-from .stamps import measured_offset
 
 _log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from trigpoint.ending import ENDING
+from trigpoint.base.ending import ENDING
 
 # As the program does it, and before numpy is loaded: BLAS threads only get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

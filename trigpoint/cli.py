@@ -13,10 +13,12 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from . import __version__, log
-from .ending import ENDING
-from .errors import MissingExtraError, TrigpointError
-from .words import install_command
+from trigpoint.base.ending import ENDING
+from trigpoint.base.errors import MissingExtraError, TrigpointError
+from trigpoint.base.words import install_command
+
+from . import __version__
+from .base import log
 
 PROGRAM = "trigpoint"
 _LOG_LEVEL = "--log-level"
@@ -43,9 +45,9 @@ COMMANDS: dict[str, Command] = {
     "demo": Command(
         "trigpoint.tools.demo.command:main", "The whole system around a simulated lab.", "all"
     ),
-    "init": Command("trigpoint.tools.init:main", "Write a first site.toml and target.toml."),
-    "doctor": Command("trigpoint.tools.doctor:main", "Say what is wrong on this machine."),
-    "status": Command("trigpoint.tools.status:main", "Show the live site."),
+    "init": Command("trigpoint.tools.site.init:main", "Write a first site.toml and target.toml."),
+    "doctor": Command("trigpoint.tools.doctor.command:main", "Say what is wrong on this machine."),
+    "status": Command("trigpoint.tools.site.status:main", "Show the live site."),
     "edge": Command(
         "trigpoint.edge.command:main", "The agent of one or several cameras.", "edge", service=True
     ),
@@ -68,63 +70,74 @@ COMMANDS: dict[str, Command] = {
         "trigpoint.recorder.commands:replay", "Put a session back on the bus.", "recorder"
     ),
     "info": Command(
-        "trigpoint.recorder.commands_files:info", "What is in a recording.", "recorder"
+        "trigpoint.recorder.session.commands:info", "What is in a recording.", "recorder"
     ),
     "check": Command(
-        "trigpoint.recorder.commands_files:check", "Is a recording sound?", "recorder"
+        "trigpoint.recorder.session.commands:check", "Is a recording sound?", "recorder"
     ),
     "recover": Command(
-        "trigpoint.recorder.commands_files:recover",
+        "trigpoint.recorder.session.commands:recover",
         "Save what is sound of a damaged recording.",
         "recorder",
     ),
     "export": Command(
-        "trigpoint.recorder.export:main", "A session in the formats of other tools.", "recorder"
+        "trigpoint.recorder.export.file:main",
+        "A session in the formats of other tools.",
+        "recorder",
     ),
     "calibrate": Command(
-        "trigpoint.tools.calibrate:main", "The estimator over a session.", "fusion,recorder"
+        "trigpoint.tools.calibrate.command:main", "The estimator over a session.", "fusion,recorder"
     ),
     "distances": Command(
-        "trigpoint.tools.distances:main", "Distances between cameras, beside a tape measure's."
+        "trigpoint.tools.networks.distances:main",
+        "Distances between cameras, beside a tape measure's.",
     ),
-    "detect": Command("trigpoint.tools.detect:main", "The sightings in pictures.", "edge"),
+    "detect": Command("trigpoint.tools.pictures.detect:main", "The sightings in pictures.", "edge"),
     "intrinsics": Command(
-        "trigpoint.tools.intrinsics:main", "One camera's intrinsics from pictures.", "edge"
+        "trigpoint.tools.pictures.intrinsics:main", "One camera's intrinsics from pictures.", "edge"
     ),
     "target draw": Command(
-        "trigpoint.tools.target_files:draw", "A printable target at true scale.", "edge,tools"
+        "trigpoint.tools.target.files:draw", "A printable target at true scale.", "edge,tools"
     ),
     "target check": Command(
-        "trigpoint.tools.target_files:check", "What is wrong with a target file.", "edge"
+        "trigpoint.tools.target.files:check", "What is wrong with a target file.", "edge"
     ),
     "target import": Command(
-        "trigpoint.tools.target_files:import_kalibr", "A target file from Kalibr's.", "edge"
+        "trigpoint.tools.target.files:import_kalibr", "A target file from Kalibr's.", "edge"
     ),
     "router": Command(
-        "trigpoint.tools.router:main", "Join the machines and segments of a site.", service=True
+        "trigpoint.tools.secure.router:main",
+        "Join the machines and segments of a site.",
+        service=True,
     ),
-    "secure init": Command("trigpoint.tools.secure:init", "Make the site's authority.", "secure"),
+    "secure init": Command(
+        "trigpoint.tools.secure.command:init", "Make the site's authority.", "secure"
+    ),
     "secure node": Command(
-        "trigpoint.tools.secure:node", "One node's key and certificate.", "secure"
+        "trigpoint.tools.secure.command:node", "One node's key and certificate.", "secure"
     ),
     "secure list": Command(
-        "trigpoint.tools.secure:list_nodes", "Who may come in, and until when.", "secure"
+        "trigpoint.tools.secure.command:list_nodes", "Who may come in, and until when.", "secure"
     ),
     "secure renew": Command(
-        "trigpoint.tools.secure:renew", "Prolong a node's certificate.", "secure"
+        "trigpoint.tools.secure.command:renew", "Prolong a node's certificate.", "secure"
     ),
-    "secure revoke": Command("trigpoint.tools.secure:revoke", "End a certificate.", "secure"),
+    "secure revoke": Command(
+        "trigpoint.tools.secure.command:revoke", "End a certificate.", "secure"
+    ),
     "secure admit": Command(
-        "trigpoint.tools.secure:admit", "Trust another site's router.", "secure"
+        "trigpoint.tools.secure.command:admit", "Trust another site's router.", "secure"
     ),
     "secure router": Command(
-        "trigpoint.tools.secure:router", "The configuration of a stock zenohd.", "secure"
+        "trigpoint.tools.secure.command:router", "The configuration of a stock zenohd.", "secure"
     ),
     "simulate": Command(
-        "trigpoint.tools.simulate:main", "A session of a simulated lab, with its truth.", "all"
+        "trigpoint.tools.simulation.command:main",
+        "A session of a simulated lab, with its truth.",
+        "all",
     ),
     "simulate robot": Command(
-        "trigpoint.tools.simulate:robot",
+        "trigpoint.tools.simulation.command:robot",
         "A live robot and a site of sim:// cameras.",
         "all",
         service=True,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.errors import TrigpointError
+from trigpoint.base.errors import TrigpointError
 
 from .files import write_composition
 from .kept import keep, kept

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import structs
 
 from trigpoint.geometry import Pose
-from trigpoint.target import Face, Pattern, Target
+from trigpoint.site.target import Face, Pattern, Target
 
 _CENTRE_HEIGHT_M = 0.72
 _HALF_THICKNESS_M = 0.003

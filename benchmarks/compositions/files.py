@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from trigpoint import cdr, topics
-from trigpoint.errors import writing
+from trigpoint.base.errors import writing
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry
 from trigpoint.geometry import Pose
-from trigpoint.messages import CameraInfo, Message, Odometry
-from trigpoint.network import encode_tum
-from trigpoint.recorder.mcap_writer import McapWriter
-from trigpoint.target import Target
-from trigpoint.tools.simulation.targets import target_text
+from trigpoint.map.network import encode_tum
+from trigpoint.recorder.mcap.writer import McapWriter
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.targets import target_text
 
 from .ride import STEP_S, told_noise
 from .room import CENTRE_SPREAD, DISTORTION_SPREAD, FOCAL_SPREAD, Camera

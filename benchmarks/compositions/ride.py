@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from trigpoint.config import OdometryNoise
+from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import wrap
-from trigpoint.odometry_noise import step_variances
-from trigpoint.tools.simulation.odometry import chained
-from trigpoint.tools.simulation.way import scattered
+from trigpoint.site.config import OdometryNoise
+from trigpoint.tools.simulation.motion.odometry import chained
+from trigpoint.tools.simulation.motion.way import scattered
 
 from .recipe import Recipe
 

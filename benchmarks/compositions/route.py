@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trigpoint.geometry.rotation import wrap
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .recipe import Recipe, Route
 from .ride import Driver, Ride

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.tools.truth import joint_error
+from trigpoint.tools.networks.truth import joint_error
 
 from .files import write_composition
 from .session import Composition, composed_session

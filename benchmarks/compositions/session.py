@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import Pose
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
 
 from .carried import mounted, target_of
 from .recipe import KINDS, Recipe, drawn

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import exp
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Pattern, Target
-from trigpoint.tools.simulation.visibility import SeenFace, may_be_seen, seen_faces_each
+from trigpoint.site.target import Pattern, Target
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, may_be_seen, seen_faces_each
 
 from .recipe import Recipe
 from .ride import Ride

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from trigpoint.tools.simulation.disturbance import Disturbance
-from trigpoint.tools.simulation.memory import simulated
+from trigpoint.tools.simulation.in_memory import simulated
 from trigpoint.tools.simulation.world import World
 
 from .oracle import bound_of

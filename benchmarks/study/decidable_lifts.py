@@ -12,14 +12,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.reading.faces import is_same_pose
 from trigpoint.fusion.solver.levenberg_marquardt import Solution, solve
 from trigpoint.geometry import Pose
-from trigpoint.tools.cramer_rao import Oracle, oracle_problem
+from trigpoint.tools.networks.cramer_rao import Oracle, oracle_problem
 
 # Within a visit a jump shows; where nothing sees the robot for so long, it may have been lifted.
 _UNSEEN_NS = to_ns(1.0)

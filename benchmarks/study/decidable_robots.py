@@ -11,14 +11,14 @@ from itertools import combinations, product
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.reading.faces import is_same_pose
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
-from trigpoint.tools.cramer_rao import Oracle, oracle_problem
+from trigpoint.tools.networks.cramer_rao import Oracle, oracle_problem
 
 # A camera that saw nothing for longer sees the next robot, or the same one again.
 _AWAY_NS = to_ns(2.0)

@@ -11,7 +11,7 @@ import numpy as np
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.cramer_rao import Bound
+from trigpoint.tools.networks.cramer_rao import Bound
 
 from .session import StudySession, simulated_session, worked_out
 

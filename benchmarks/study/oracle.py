@@ -5,7 +5,8 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.dataset import DataSet, KnownCameras
 from trigpoint.fusion.model.observations import (
     Observation,
@@ -17,9 +18,8 @@ from trigpoint.fusion.model.observations import (
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry
-from trigpoint.tools.cramer_rao import Bound, Oracle, cramer_rao
-from trigpoint.tools.simulation.memory import Simulated, Truth
+from trigpoint.tools.networks.cramer_rao import Bound, Oracle, cramer_rao
+from trigpoint.tools.simulation.in_memory import Simulated, Truth
 from trigpoint.tools.simulation.wrong_sightings import Labelled
 
 

@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from trigpoint.config import (
+from trigpoint.contract.messages import Message, Odometry, Sightings
+from trigpoint.fusion.model.dataset import KnownCameras
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.geometry import CameraModel
+from trigpoint.site.config import (
     BusConfig,
     CameraConfig,
     FusionConfig,
@@ -16,12 +20,8 @@ from trigpoint.config import (
     RobotConfig,
     Site,
 )
-from trigpoint.fusion.model.dataset import KnownCameras
-from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.geometry import CameraModel
-from trigpoint.messages import Message, Odometry, Sightings
-from trigpoint.tools.cramer_rao import Bound
-from trigpoint.tools.simulation.memory import Simulated, simulated
+from trigpoint.tools.networks.cramer_rao import Bound
+from trigpoint.tools.simulation.in_memory import Simulated, simulated
 from trigpoint.tools.simulation.world import World
 
 from .decidable_lifts import left_open

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from trigpoint.tools.simulation.actors import Lift, Move
 from trigpoint.tools.simulation.disturbance import Disturbance, LensSpread
+from trigpoint.tools.simulation.motion.actors import Lift, Move
 
 from .situation import PLAIN, Known, Situation
 

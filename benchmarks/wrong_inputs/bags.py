@@ -11,7 +11,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from trigpoint import cdr
+from trigpoint.contract import cdr
 
 from .case import LEFT_OUT, Case, Kind
 from .pictures import jpeg, png

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from trigpoint.clock import to_ns
-from trigpoint.recorder.recording import open_recording
+from trigpoint.base.clock import to_ns
+from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.site_files import write_site
 from trigpoint.tools.simulation.world import World, load_world

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from trigpoint.camera_info import read_camera_info, write_camera_info
 from trigpoint.geometry import CameraModel
+from trigpoint.site.camera_info import read_camera_info, write_camera_info
 
 from .case import LOCATED, Case, Kind
 from .odometry import calibrated

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 
 from trigpoint.geometry.rotation import exp
-from trigpoint.target import Face, Pattern
-from trigpoint.tools.site_file import toml_value
-from trigpoint.tools.target_pattern import black_rectangles
+from trigpoint.site.target import Face, Pattern
+from trigpoint.tools.site.file import toml_value
+from trigpoint.tools.target.pattern import black_rectangles
 
 from .case import Case, Kind
 

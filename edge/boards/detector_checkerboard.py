@@ -23,7 +23,7 @@ from trigpoint.edge.registration.measurement import Located, in_view, measured, 
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 from .evidence import weighed
 from .grid import Grid, GridSearch

@@ -8,7 +8,7 @@ import numpy as np
 from trigpoint.edge.registration.planar_fit import FIT, PlanarFit
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 _WEIGHED = Kernel(
     "tp_weighed",

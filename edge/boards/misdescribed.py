@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from msgspec.structs import replace
 
 from trigpoint.edge.registration.appearance import Appearance
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 
 def other_colours(look: Appearance) -> Appearance | None:

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from trigpoint.errors import InputError
+from trigpoint.base.errors import InputError
 
 _GLARING = 1e-3
 """This share of a picture may be brighter than what it is scaled by: hot pixels and glints."""

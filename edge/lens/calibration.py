@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.errors import OperationError
+from trigpoint.base.errors import OperationError
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trigpoint.errors import InputError, OperationError
+from trigpoint.base.errors import InputError, OperationError
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .calibration import calibrate, outer_pixels
 from .calibration_text import calibration_record

@@ -2,8 +2,8 @@
 
 import math
 
-from trigpoint.camera_info import format_camera_info
 from trigpoint.geometry.camera import LensModel
+from trigpoint.site.camera_info import format_camera_info
 
 from .calibration import Calibration, Rejected
 from .calibration_choice import Candidate

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Face, Target
+from trigpoint.site.target import Face, Target
 
 FEWEST_CORNERS = 8
 _FLATTEST = 0.05

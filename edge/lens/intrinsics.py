@@ -2,10 +2,10 @@
 
 import logging
 
-from trigpoint.camera_info import read_camera_info
-from trigpoint.config import CameraConfig, Site
-from trigpoint.errors import ConfigError
+from trigpoint.base.errors import ConfigError
 from trigpoint.geometry import CameraModel
+from trigpoint.site.camera_info import read_camera_info
+from trigpoint.site.config import CameraConfig, Site
 
 _log = logging.getLogger(__name__)
 

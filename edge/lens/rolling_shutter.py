@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.clock import to_seconds
+from trigpoint.base.clock import to_seconds
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
 
 from .calibration_views import FEWEST_CORNERS
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from trigpoint.edge.registration.measurement import Measured
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Pattern
+from trigpoint.site.target import Pattern
 
 from .marked_board import MarkedBoard
 from .markers import MarkerReader

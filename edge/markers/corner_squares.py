@@ -13,7 +13,7 @@ from trigpoint.edge.registration.dictionaries import dictionary_of
 from trigpoint.edge.registration.measurement import Measured, measured
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 from .marked_board import MarkedBoard
 

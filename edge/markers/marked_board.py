@@ -17,7 +17,7 @@ from trigpoint.edge.registration.measurement import (
 from trigpoint.edge.registration.planar_fit import PlanarFit
 from trigpoint.edge.registration.plane_fitting import settled_fit
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 from .marker_groups import MarkerGroup
 from .markers import MarkerReader

@@ -15,7 +15,7 @@ import numpy as np
 from trigpoint.edge.image.sampling import sampled
 from trigpoint.edge.registration.dictionaries import dictionary_of, predefined_dictionary
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 from .quads import mapped, square_to_quads
 

@@ -16,7 +16,7 @@ from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import predefined_dictionary
 from trigpoint.edge.registration.printed_pattern import charuco_layout
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 from .marker_groups import LEAST_MEMBER, MarkerGroup, group_markers
 from .markers import MarkerReader, reader_key, readers_for

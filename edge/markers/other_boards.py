@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import cv2
 from msgspec.structs import replace
 
+from trigpoint.base.errors import TargetError
 from trigpoint.edge.registration.appearance import Appearance
 from trigpoint.edge.registration.dictionaries import dictionary_of
-from trigpoint.errors import TargetError
-from trigpoint.target import Face, Numbering, Pattern
+from trigpoint.site.target import Face, Numbering, Pattern
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Face, Target
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.site.target import Face, Target
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import Handle, In, Kernel
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 from .printed_pattern import printed_patterns
 

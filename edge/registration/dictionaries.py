@@ -2,8 +2,8 @@
 
 import cv2
 
-from trigpoint.errors import TargetError
-from trigpoint.target import Face
+from trigpoint.base.errors import TargetError
+from trigpoint.site.target import Face
 
 
 def predefined_dictionary(name: str) -> cv2.aruco.Dictionary:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
 from trigpoint.native.library import Handle, In, Kernel, Out
 
 from .appearance import Appearance

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 from .dictionaries import dictionary_of
 

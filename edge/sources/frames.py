@@ -15,10 +15,10 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
-from trigpoint.clock import Clock
-from trigpoint.config import CameraConfig
-from trigpoint.errors import InputError
+from trigpoint.base.clock import Clock
+from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
+from trigpoint.site.config import CameraConfig
 
 SOURCES: dict[str, str] = {
     "dir": "trigpoint.edge.sources.frames_directory:DirectoryFrames",

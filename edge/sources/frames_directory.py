@@ -9,10 +9,10 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from trigpoint.clock import Clock, to_ns, to_seconds
-from trigpoint.config import CameraConfig
-from trigpoint.errors import InputError
+from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
+from trigpoint.site.config import CameraConfig
 
 from .frames import Frame, place_and_options
 from .picture_files import (

@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from trigpoint.clock import Clock, to_ns
-from trigpoint.errors import FrameError, TrigpointError
+from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.errors import FrameError, TrigpointError
 from trigpoint.geometry import CameraModel
 
 from .frames import Frame, Stamp

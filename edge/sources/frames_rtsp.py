@@ -9,9 +9,9 @@ import numpy as np
 from av.container import InputContainer
 from av.logging import set_level
 
-from trigpoint.clock import Clock
-from trigpoint.config import CameraConfig
-from trigpoint.errors import FrameError
+from trigpoint.base.clock import Clock
+from trigpoint.base.errors import FrameError
+from trigpoint.site.config import CameraConfig
 
 from .frames import Stamp
 from .frames_live import STALLED_S, Capture, LiveFrames

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import cv2
 
-from trigpoint.clock import Clock, to_ns
-from trigpoint.config import CameraConfig
-from trigpoint.errors import FrameError, InputError
+from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.errors import FrameError, InputError
+from trigpoint.site.config import CameraConfig
 
 from .frames import Stamp, place_and_options
 from .frames_live import STALLED_S, Capture, LiveFrames

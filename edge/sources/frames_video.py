@@ -10,10 +10,10 @@ import av.error
 import numpy as np
 from av.logging import set_level
 
-from trigpoint.clock import NANOSECONDS, Clock, to_ns, to_seconds
-from trigpoint.config import CameraConfig
-from trigpoint.errors import InputError
+from trigpoint.base.clock import NANOSECONDS, Clock, to_ns, to_seconds
+from trigpoint.base.errors import InputError
 from trigpoint.geometry import CameraModel
+from trigpoint.site.config import CameraConfig
 
 from .frames import Frame, local_path
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from trigpoint.errors import InputError
-from trigpoint.picture_bytes import is_cut_short
+from trigpoint.base.errors import InputError
+from trigpoint.contract.picture_bytes import is_cut_short
 
 PICTURE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm")

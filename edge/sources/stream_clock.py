@@ -9,7 +9,7 @@ which the picture can have been taken, it is the better one.
 from collections import deque
 from dataclasses import dataclass
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 
 from .frames import Stamp
 

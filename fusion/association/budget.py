@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
-from trigpoint.clock import to_seconds
+from trigpoint.base.clock import to_seconds
 from trigpoint.fusion.model.odometry import OdometryTrack
 
 # A fifth more than `calibrate` is meant to take: ten seconds and a tenth of the session's length.

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri
 
-from trigpoint.config import PriorConfig
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import PriorConfig
 
 # The share of the posterior that all explanations that put a camera elsewhere may hold together.
 EVIDENCE = 1e-5

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose

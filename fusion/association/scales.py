@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 from scipy.special import chdtri
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import PARTS, OdometryTrack
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import OdometryNoise
 
 from .events import EVIDENCE, Events
 from .modes import Memory, ModeFinder, VisitModes

@@ -14,7 +14,7 @@ from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .events import Events
 

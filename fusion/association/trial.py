@@ -11,7 +11,7 @@ from trigpoint.fusion.reading.best_readings import read_where_they_are
 from trigpoint.fusion.reading.faces import readings_rms_px
 from trigpoint.fusion.reading.visibility import body_of
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 Readings = tuple[tuple[Reading, ...], list[float]]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.fusion.model.dataset import CameraMove, DataSet, Lift
 from trigpoint.fusion.model.problem import State
 

@@ -2,9 +2,9 @@
 
 import importlib
 
-from trigpoint.config import Site
-from trigpoint.errors import ConfigError
+from trigpoint.base.errors import ConfigError
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.site.config import Site
 
 from .interface import Estimator
 

@@ -10,7 +10,7 @@ from trigpoint.fusion.association.explanation import Alternative
 from trigpoint.fusion.model.dataset import DataSet, Move
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.network import (
+from trigpoint.map.network import (
     AlternativeRecord,
     CameraRecord,
     EarlierPose,

@@ -8,12 +8,12 @@ is [a]× V [a]×ᵀ / 3 of place, -[a]× V / 2 between place and rotation, and V
 
 import numpy as np
 
+from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.fusion.model.motion import FLOOR_VARIANCE
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.uncertainty import lever
-from trigpoint.odometry_noise import step_variances
 
 
 def expected_motion(place: RobotPlace, start: Pose, goal: Pose, path_m: float) -> ExpectedMotion:

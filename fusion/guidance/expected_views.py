@@ -22,7 +22,7 @@ from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.solver.snapshot import GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 from .candidates import SEEN_M, Candidates
 

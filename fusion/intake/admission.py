@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from trigpoint import topics
-from trigpoint.bus import Sample
-from trigpoint.clock import to_ns, to_seconds
-from trigpoint.config import Site
-from trigpoint.topics import Topic
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.bus.bus import Sample
+from trigpoint.contract import topics
+from trigpoint.contract.topics import Topic
+from trigpoint.site.config import Site
 
 AHEAD_NS = to_ns(5.0)
 """The furthest a stamp may be ahead of its arrival: odometry from further ahead would make all that

@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 
 from msgspec import structs
 
-from trigpoint.clock import to_ns, to_seconds
-from trigpoint.config import Site
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.base.words import counted
+from trigpoint.contract.messages import Mended, Message, Odometry, Sightings
 from trigpoint.fusion.model.odometry import OdometryTrack
-from trigpoint.messages import Mended, Message, Odometry, Sightings
-from trigpoint.network import Network
-from trigpoint.words import counted
+from trigpoint.map.network import Network
+from trigpoint.site.config import Site
 
 OFFSET_SIGMAS = 3.0
 """A sighting may be later than its stamp by this many sigmas of its camera's time offset."""

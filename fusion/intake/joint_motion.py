@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS

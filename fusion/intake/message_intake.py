@@ -7,13 +7,13 @@ which is only known as well as its camera's time offset.
 import heapq
 from dataclasses import dataclass, field, replace
 
-from trigpoint.clock import to_ns
-from trigpoint.config import Site
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import FaceSighting, Sightings
 from trigpoint.fusion.estimators.interface import Live
 from trigpoint.fusion.model.observations import Observation, View, observation_of, view_of
 from trigpoint.geometry import CameraModel
-from trigpoint.messages import FaceSighting, Sightings
-from trigpoint.target import Target
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target
 
 from .arrivals import OFFSET_SIGMAS
 from .left_out import LeftOut

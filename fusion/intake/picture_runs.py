@@ -3,7 +3,7 @@ was told from it."""
 
 from collections.abc import Iterable
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.association.robots import Picture
 from trigpoint.fusion.model.observations import Observation, observation_of
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from scipy.linalg import LinAlgError
 
-from trigpoint.clock import to_ns
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import OperationError
 from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results

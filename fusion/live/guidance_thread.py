@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 
-from trigpoint import cdr
-from trigpoint.bus import Bus, Publisher
+from trigpoint.bus.bus import Bus, Publisher
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import PoseStamped
+from trigpoint.contract.topics import SUGGESTION
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.messages import PoseStamped
-from trigpoint.node import Node
-from trigpoint.topics import SUGGESTION
-from trigpoint.watchdog import Pulse
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import Pulse
 
 
 class GuidanceThread:

@@ -3,7 +3,7 @@
 While more comes, the solver does that by itself, whenever there is enough that is new to it.
 """
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 
 # Without anything new for this long, what came is settled.
 _QUIET_NS = to_ns(2.0)

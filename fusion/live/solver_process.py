@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
-from trigpoint.errors import OperationError
+from trigpoint.base.errors import OperationError
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
-from trigpoint.watchdog import Pulse
+from trigpoint.node.watchdog import Pulse
 
 from .memory import return_large_arrays
 from .solver_messages import News, Order, Suggested

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS, to_ns
-from trigpoint.config import CameraConfig
+from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.config import CameraConfig
+from trigpoint.site.target import Target
 
 from .dataset import DataSet, KnownCameras
 from .observations import Observation, moving

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS
-from trigpoint.config import OdometryNoise, Site
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.network import Network
-from trigpoint.target import Target
+from trigpoint.map.network import Network
+from trigpoint.site.config import OdometryNoise, Site
+from trigpoint.site.target import Target
 
 from .jitter import Jitter
 from .observations import Observation, Verdict, base_from_faces, moving

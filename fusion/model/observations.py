@@ -10,12 +10,12 @@ from enum import Enum
 
 import numpy as np
 
-from trigpoint.clock import to_ns, to_seconds
-from trigpoint.config import CameraConfig
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Face, Target
+from trigpoint.site.config import CameraConfig
+from trigpoint.site.target import Face, Target
 
 from .odometry import OdometryTrack
 from .rolling_shutter import Sweep, sweep_of

@@ -1,8 +1,8 @@
 """One robot's odometry, and the motion between any two moments of it with its uncertainty.
 
-The noise is the contract's random walk (`trigpoint.odometry_noise`). Between two messages the
-robot is taken to move with a constant twist, so a fraction of an increment has that fraction of the
-increment's twist and of its variance.
+The noise is the contract's random walk (`trigpoint.contract.odometry_noise`). Between two messages
+the robot is taken to move with a constant twist, so a fraction of an increment has that fraction of
+the increment's twist and of its variance.
 """
 
 import bisect
@@ -12,11 +12,11 @@ from enum import Enum
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS, to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.contract.odometry_noise import step_variances
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.odometry_noise import step_variances
+from trigpoint.site.config import OdometryNoise
 
 from .increment import in_plane, increment, planar_increment
 from .motion import (

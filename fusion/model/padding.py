@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .observations import Observation, Points, base_from_faces, joined
 

@@ -18,7 +18,7 @@ from typing import Self
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from trigpoint.clock import NANOSECONDS, to_ns
+from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.geometry import Pose
 
 RECENT_S = 2.0

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.config import CameraConfig
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import CameraConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from trigpoint.fusion.model.observations import Observation, Reading
 from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .faces import candidates, corners_of, is_same_pose, pixels_of, readings_rms_px
 from .planar_pose import least_squares_steps

@@ -8,7 +8,7 @@ import numpy as np
 from trigpoint.fusion.model.observations import Observation, Reading, View, joined
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 from .visibility import Body, are_seen, body_of, corners_in_base, ways_of
 

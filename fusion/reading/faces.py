@@ -20,7 +20,7 @@ from trigpoint.fusion.model.observations import (
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Face, Target
+from trigpoint.site.target import Face, Target
 
 from .planar_pose import planar_poses, refined_poses
 from .visibility import Body, body_of, by_reading, can_be_seen, faces_of, outermost

@@ -12,7 +12,7 @@ import numpy as np
 from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 # Faces are not mounted exactly where the target file says, so a corner at the edge of what another
 # face hides may be seen; a view most of whose corners are hidden can't.

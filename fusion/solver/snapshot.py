@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.model.problem import Layout, Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.config import OdometryNoise
+from trigpoint.site.target import Target
 
 from .filter import Filter
 

@@ -8,13 +8,12 @@ from collections import deque
 from dataclasses import dataclass
 from uuid import UUID
 
-from trigpoint.clock import to_ns
-from trigpoint.errors import MessageError
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import MessageError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.robot.interpolation import interpolated
-from trigpoint.robot.protocols.framing import Damaged, Frame, FrameReader, FrameWriter
-from trigpoint.robot.protocols.trigpoint_frames import (
+from trigpoint.robot.line.protocols.framing import Damaged, Frame, FrameReader, FrameWriter
+from trigpoint.robot.line.protocols.trigpoint_frames import (
     VERSION,
     Acknowledge,
     Content,
@@ -29,7 +28,8 @@ from trigpoint.robot.protocols.trigpoint_frames import (
     decode_payload,
     encode_payload,
 )
-from trigpoint.robot.wheels import WheelGeometry
+from trigpoint.robot.line.wheels import WheelGeometry
+from trigpoint.robot.odometry.interpolation import interpolated
 
 HISTORY_NS = to_ns(3.0)
 HEARTBEAT_EVERY_NS = to_ns(1.0)

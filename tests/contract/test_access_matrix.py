@@ -1,7 +1,7 @@
 """Every kind of node, every key, and what may be done there, over mutual TLS: as the contract says.
 
 The expected cells are written out here from the contract's table of keys; the rules under test are
-made from another one (`trigpoint.access`). Where a stock `zenohd` is installed it is tried too.
+made from another one (`contract.access`). Where a stock `zenohd` is installed it is tried too.
 """
 
 import threading
@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from builders import eventually
-from secured import NODES, SecuredSite, needs_zenohd
+from support.builders import eventually
+from support.site.secured import NODES, SecuredSite, needs_zenohd
 
-from trigpoint.access import Kind
-from trigpoint.bus_settings import session_settings
+from trigpoint.bus.settings import session_settings
 from trigpoint.bus_zenoh import open_bus, open_router, open_session
+from trigpoint.contract.access import Kind
 
 SITE = "lab"
 CAMERA_KEYS = ("image/compressed", "camera_info", "sightings", "pose", "snapshot", "calibrate")

@@ -5,15 +5,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
-from builders import eventually, make_site
+from support.builders import eventually, make_site
 
-from trigpoint.bus import Bus, Sample, Subscription
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.bus_opening import open_patiently
-from trigpoint.bus_settings import Settings
+from trigpoint.base.errors import BusError, InputError
+from trigpoint.bus.bus import Bus, Sample, Subscription
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
-from trigpoint.errors import BusError, InputError
-from trigpoint.topics import (
+from trigpoint.contract.topics import (
     CAMERA_INFO,
     CORRECTION,
     DIAGNOSTICS,
@@ -24,6 +22,8 @@ from trigpoint.topics import (
     Topic,
     alive_key,
 )
+from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.zenoh.patience import open_patiently
 
 ODOM_KEY = ODOMETRY.key("lab", "r1")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from boards import (
+from support.pictures.boards import (
     aprilgrid,
     charuco,
     checkerboard,
@@ -12,10 +12,10 @@ from boards import (
     target_of,
 )
 
-from trigpoint.cdr import decode, encode, type_name
+from trigpoint.contract.cdr import decode, encode, type_name
+from trigpoint.contract.messages import Sightings
 from trigpoint.edge.detector import DETECTORS, TargetDetector, detector_for
-from trigpoint.messages import Sightings
-from trigpoint.target import Face, Pattern
+from trigpoint.site.target import Face, Pattern
 
 FACES = {
     Pattern.CHECKERBOARD: checkerboard(8, 5),

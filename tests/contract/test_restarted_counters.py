@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import EPOCH_NS, Sent, Session, lab_plan, make_session, pushed
-from honesty import assert_honest
+from support.fusion.drives import EPOCH_NS, Sent, Session, lab_plan, make_session, pushed
+from support.fusion.honesty import assert_honest
 
-from trigpoint.clock import to_ns
-from trigpoint.messages import Odometry
-from trigpoint.robot.odometry import OdometryStream
-from trigpoint.robot.protocol import Reading
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
+from trigpoint.robot.line.protocol import Reading
+from trigpoint.robot.odometry.odometry import OdometryStream
 
 CUT_NS = EPOCH_NS + to_ns(12.0)
 

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trigpoint.clock import to_ns
-from trigpoint.config import RobotConfig, WheelConfig
+from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
-from trigpoint.robot.protocol import PROTOCOLS, Protocol, Reading, Setup, Takes, make_protocol
-from trigpoint.robot.protocols.create2 import checksum
-from trigpoint.robot.protocols.mavlink_frames import dialect
+from trigpoint.robot.line.protocol import PROTOCOLS, Protocol, Reading, Setup, Takes, make_protocol
+from trigpoint.robot.line.protocols.create2 import checksum
+from trigpoint.robot.line.protocols.mavlink_frames import dialect
+from trigpoint.site.config import RobotConfig, WheelConfig
 
 START_NS = to_ns(100.0)
 

@@ -13,18 +13,25 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from builders import eventually
-from secured import SecuredSite, needs_zenohd
+from support.builders import eventually
+from support.site.secured import SecuredSite, needs_zenohd
 
-from trigpoint.access import Identity, Kind
-from trigpoint.bus import Bus
-from trigpoint.bus_opening import open_patiently
-from trigpoint.bus_settings import Multicast, Settings, TlsFiles
-from trigpoint.bus_urgent import AGAIN_S
+from trigpoint.base.errors import BusError, ConfigError
+from trigpoint.bus.bus import Bus
+from trigpoint.bus.settings import Multicast, Settings, TlsFiles
+from trigpoint.bus.urgent import AGAIN_S
 from trigpoint.bus_zenoh import Datagrams, ZenohBus, open_bus, open_router, open_session
-from trigpoint.errors import BusError, ConfigError
-from trigpoint.tools import authority as authority_module
-from trigpoint.topics import CAMERA_INFO, CORRECTION, DIAGNOSTICS, IMAGE, ODOMETRY, SIGHTINGS
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.contract.topics import (
+    CAMERA_INFO,
+    CORRECTION,
+    DIAGNOSTICS,
+    IMAGE,
+    ODOMETRY,
+    SIGHTINGS,
+)
+from trigpoint.tools.secure import authority as authority_module
+from trigpoint.zenoh.patience import open_patiently
 
 OUTSIDE = "from outside"
 FUSION, CAMERA, ROBOT = (Kind.FUSION, "fusion"), (Kind.CAMERA, "c1"), (Kind.ROBOT, "r1")

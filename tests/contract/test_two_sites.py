@@ -7,21 +7,21 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from builders import eventually
-from secured import SecuredSite
+from support.builders import eventually
+from support.site.secured import SecuredSite
 
-from trigpoint.access import Identity, Kind
-from trigpoint.authenticator import correction_signer
-from trigpoint.bus import Bus
+from trigpoint.base.clock import SystemClock
+from trigpoint.bus.bus import Bus
 from trigpoint.bus_zenoh import ZenohBus, open_router
-from trigpoint.cdr import encode
-from trigpoint.clock import SystemClock
-from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.correction import CorrectionMark, encode_mark
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CORRECTION, ODOMETRY
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
-from trigpoint.node import Node
+from trigpoint.node.node import Node
 from trigpoint.robot.node import RobotNode
-from trigpoint.topics import CORRECTION, ODOMETRY
+from trigpoint.security.authenticator import correction_signer
 
 
 class Fusion:

@@ -15,25 +15,25 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from builders import TARGET_TEXT, eventually, site_text, told
+from support.builders import TARGET_TEXT, eventually, site_text, told
 
-from trigpoint import topics
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import ManualClock, SystemClock
-from trigpoint.config import Site, load_site
-from trigpoint.errors import PortError
+from trigpoint.base.clock import ManualClock, SystemClock
+from trigpoint.base.errors import PortError
+from trigpoint.contract import topics
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.node import Node
-from trigpoint.recorder.mcap_writer import McapWriter
+from trigpoint.node.node import Node
+from trigpoint.node.watchdog import SOCKET, Watchdog
+from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.recorder.node import Recorder
-from trigpoint.recorder.sink_mcap import McapSink
+from trigpoint.recorder.writing.sink import McapSink
 from trigpoint.robot.corrections import Corrections
+from trigpoint.robot.line.port import Port
 from trigpoint.robot.node import RobotNode
-from trigpoint.robot.port import Port
-from trigpoint.watchdog import SOCKET, Watchdog
+from trigpoint.site.config import Site, load_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 LATER_S = 1000.0
 TICK_S = 0.05

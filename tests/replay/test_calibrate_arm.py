@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_session import ABOUT, ARM, write_arm_session
+from support.pictures.arm_session import ABOUT, ARM, write_arm_session
 
-from trigpoint.recorder.recording import open_recording
-from trigpoint.tools.calibrate import calibrated
-from trigpoint.tools.session_inputs import session_inputs
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.sessions.inputs import session_inputs
 
 pytestmark = pytest.mark.skipif(not ARM.is_dir(), reason=f"the arm's pictures are not at {ARM}")
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import lab_plan, make_session, write_session
+from support.fusion.drives import lab_plan, make_session, write_session
 
 from benchmarks.compositions.files import write_composition
 from benchmarks.compositions.session import composed_session
 from trigpoint.cli import run
-from trigpoint.network import load_network
-from trigpoint.tools.truth import load_truth, network_error
+from trigpoint.map.network import load_network
+from trigpoint.tools.networks.truth import load_truth, network_error
 
 
 @pytest.fixture(scope="module")

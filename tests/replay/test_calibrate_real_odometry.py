@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from builders import REAL_DATA
+from support.builders import REAL_DATA
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.sightings import by_itself
@@ -17,11 +17,11 @@ from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.solver.relinearisation import solve_consistently
 from trigpoint.geometry import Pose
-from trigpoint.network import encode_network
-from trigpoint.recorder.recording import open_recording
-from trigpoint.tools.calibrate import worked_out
-from trigpoint.tools.session_inputs import session_inputs
-from trigpoint.tools.truth import TruthFile, load_truth, network_error
+from trigpoint.map.network import encode_network
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.calibrate.command import worked_out
+from trigpoint.tools.networks.truth import TruthFile, load_truth, network_error
+from trigpoint.tools.sessions.inputs import session_inputs
 
 FOLDER = REAL_DATA / "real-odometry"
 # Of corners about the board that fits them best, over what they were drawn with.

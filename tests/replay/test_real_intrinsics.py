@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import NOWHERE, target_of
-from builders import REAL_DATA
+from support.builders import REAL_DATA
+from support.pictures.boards import NOWHERE, target_of
 
 from trigpoint.cli import run
 from trigpoint.edge.lens.calibration import calibrate
 from trigpoint.geometry.camera import LensModel
-from trigpoint.target import Face, Pattern
-from trigpoint.tools.intrinsics_search import Searched, search
+from trigpoint.site.target import Face, Pattern
+from trigpoint.tools.pictures.intrinsics_search import Searched, search
 
 FISHEYE = REAL_DATA / "boards" / "camodocal"
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"

@@ -5,13 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import NOWHERE, target_of
-from builders import REAL_DATA
+from support.builders import REAL_DATA
+from support.pictures.boards import NOWHERE, target_of
 
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.picture_files import pictures_in, read_picture
-from trigpoint.target import Face, Numbering, Pattern
+from trigpoint.site.target import Face, Numbering, Pattern
 
 ARM, VIDEO = REAL_DATA / "charuco-arm", REAL_DATA / "charuco-video"
 ARM_BOARD = Face(

@@ -6,16 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from trigpoint.clock import to_ns
-from trigpoint.config import Site, load_site
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Odometry, Sightings
-from trigpoint.network import PoseRecord
-from trigpoint.tools.simulation.rendering import CameraRenderer
+from trigpoint.map.network import PoseRecord
+from trigpoint.site.config import Site, load_site
+from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
+from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
 from trigpoint.tools.simulation.site_files import write_site
 from trigpoint.tools.simulation.world import World, load_world
-from trigpoint.tools.truth import NetworkError, TruthFile, network_error
 
 EPOCH_NS = 1_700_000_000_000_000_000
 LINE_DELAY_S = 60e-6  # 480 rows in 29 ms: a webcam's at 30 Hz

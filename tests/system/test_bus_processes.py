@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
-from builders import eventually, make_site
+from support.builders import eventually, make_site
 
-from trigpoint.bus import Bus, Subscription
-from trigpoint.bus_opening import open_patiently
-from trigpoint.bus_settings import Settings
+from trigpoint.bus.bus import Bus, Subscription
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
-from trigpoint.config import Site
-from trigpoint.topics import ODOMETRY, SIGHTINGS
+from trigpoint.contract.topics import ODOMETRY, SIGHTINGS
+from trigpoint.site.config import Site
+from trigpoint.zenoh.patience import open_patiently
 
 KEY = ODOMETRY.key("lab", "r1")
 
@@ -25,7 +25,7 @@ COUNTER = """
 import sys, time
 from builders import make_site
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.topics import ODOMETRY
+from trigpoint.contract.topics import ODOMETRY
 with open_bus(make_site(bus=sys.argv[1])) as bus:
     bus.declare_alive("lab/alive/robot/r1")
     publisher = bus.publisher(ODOMETRY, ODOMETRY.key("lab", "r1"))
@@ -36,7 +36,7 @@ with open_bus(make_site(bus=sys.argv[1])) as bus:
 
 MEETING_POINT = """
 import sys, time
-from trigpoint.bus_settings import Settings
+from trigpoint.bus.settings import Settings
 from trigpoint.bus_zenoh import open_session
 session = open_session(Settings("peer", listen=(sys.argv[1],)))
 time.sleep(600)

@@ -13,25 +13,25 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.cdr import decode, encode
-from trigpoint.config import parse_site
-from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.contract.cdr import decode, encode
+from trigpoint.contract.correction import CorrectionMark, encode_mark
+from trigpoint.contract.messages import Odometry, PoseEstimate
+from trigpoint.contract.topics import CORRECTION, ODOMETRY
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, PoseEstimate
-from trigpoint.node import Node
-from trigpoint.robot.node import RobotNode
-from trigpoint.robot.protocols.framing import Frame, decode_frame
-from trigpoint.robot.protocols.trigpoint_frames import (
+from trigpoint.node.node import Node
+from trigpoint.robot.line.protocols.framing import Frame, decode_frame
+from trigpoint.robot.line.protocols.trigpoint_frames import (
     Acknowledge,
     Content,
     OdometryFrame,
     Pong,
     decode_payload,
 )
-from trigpoint.topics import CORRECTION, ODOMETRY
+from trigpoint.robot.node import RobotNode
+from trigpoint.site.config import parse_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 HERE = Path(__file__).parents[1] / "firmware"
 HEADER = Path(__file__).parents[2] / "robot" / "firmware"

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.network import load_network
-from trigpoint.recorder.recording import open_recording
+from trigpoint.map.network import load_network
+from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.demo.folder import DemoFolder
 
 pytestmark = pytest.mark.timeout(400)

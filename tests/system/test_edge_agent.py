@@ -10,17 +10,17 @@ from pathlib import Path
 
 import cv2
 import pytest
-from boards import charuco, picture_of, placed, plain_picture, worst_error
-from builders import REAL_DATA, eventually
+from support.builders import REAL_DATA, eventually
+from support.pictures.boards import charuco, picture_of, placed, plain_picture, worst_error
 
-from trigpoint.bus import Subscription
+from trigpoint.bus.bus import Subscription
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.camera_info import format_camera_info
-from trigpoint.cdr import decode
-from trigpoint.config import Site, parse_site
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import CameraInfo, Sightings
+from trigpoint.contract.topics import CAMERA_INFO, SIGHTINGS, alive_key, command_key
 from trigpoint.geometry import CameraModel
-from trigpoint.messages import CameraInfo, Sightings
-from trigpoint.topics import CAMERA_INFO, SIGHTINGS, alive_key, command_key
+from trigpoint.site.camera_info import format_camera_info
+from trigpoint.site.config import Site, parse_site
 
 VIDEO = REAL_DATA / "charuco-video" / "cam_0.mp4"
 BOARD = charuco()

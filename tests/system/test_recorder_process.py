@@ -11,13 +11,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from builders import TARGET_TEXT, eventually, make_odometry, make_site, site_text
+from support.builders import TARGET_TEXT, eventually, make_odometry, make_site, site_text
 
-from trigpoint import cdr
-from trigpoint.bus import Bus
+from trigpoint.bus.bus import Bus
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.recorder.recording import open_recording
-from trigpoint.topics import DIAGNOSTICS, ODOMETRY
+from trigpoint.contract import cdr
+from trigpoint.contract.topics import DIAGNOSTICS, ODOMETRY
+from trigpoint.recorder.session.recording import open_recording
 
 KEY = ODOMETRY.key("lab", "r1")
 PERIOD_S = 0.01

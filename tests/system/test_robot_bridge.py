@@ -9,15 +9,15 @@ import tty
 from contextlib import suppress
 
 import numpy as np
-from builders import eventually
-from robot_desk import MAP, PERIOD_NS, SITE, Desk, desk
+from support.builders import eventually
+from support.site.robot_desk import MAP, PERIOD_NS, SITE, Desk, desk
 
-from trigpoint.cdr import encode
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CORRECTION
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.tools.simulation.world import load_world
-from trigpoint.topics import CORRECTION
 
 __all__ = ["desk"]  # the fixture
 

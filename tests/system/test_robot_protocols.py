@@ -9,17 +9,17 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from robot_desk import MAP, PERIOD_NS, Desk, desk
+from support.site.robot_desk import MAP, PERIOD_NS, Desk, desk
 
-from trigpoint.cdr import decode
-from trigpoint.clock import to_ns
-from trigpoint.config import parse_site
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import Odometry, PoseEstimate
+from trigpoint.contract.topics import CORRECTED
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, PoseEstimate
 from trigpoint.robot.dry_run import look
-from trigpoint.robot.guess import guessed
+from trigpoint.robot.line.guess import guessed
+from trigpoint.site.config import parse_site
 from trigpoint.tools.simulation.world import load_world
-from trigpoint.topics import CORRECTED
 
 __all__ = ["desk"]  # the fixture
 

@@ -8,22 +8,28 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from builders import eventually
-from field import answers
-from nursery import Nursery
+from support.builders import eventually
+from support.site.forks import Nursery
+from support.site.programs import answers
 
-from trigpoint import topics
-from trigpoint.bus import Bus
+from trigpoint.base.clock import SteadyClock, to_ns
+from trigpoint.bus.bus import Bus
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.cdr import decode, encode
-from trigpoint.clock import SteadyClock, to_ns
-from trigpoint.config import BusConfig, load_site
-from trigpoint.correction import decode_mark
+from trigpoint.contract import topics
+from trigpoint.contract.cdr import decode, encode
+from trigpoint.contract.correction import decode_mark
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
+    Odometry,
+    Sightings,
+)
 from trigpoint.fusion.checkpoint import Checkpoint
-from trigpoint.messages import CameraInfo, Diagnostics, DiagnosticStatus, Odometry, Sightings
+from trigpoint.site.config import BusConfig, load_site
 from trigpoint.tools.simulation.site_files import sim_url, stamps_ns, write_site
 from trigpoint.tools.simulation.world import World, load_world
-from trigpoint.tools.site_status import SiteStatus, summarise, table
+from trigpoint.tools.site.state import SiteStatus, summarise, table
 
 pytestmark = pytest.mark.timeout(400)
 

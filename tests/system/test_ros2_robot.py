@@ -11,20 +11,20 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.bus import Subscription
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.cdr import decode, encode, type_hash
-from trigpoint.clock import to_ns
-from trigpoint.config import parse_site
-from trigpoint.correction import CorrectionMark, encode_mark
+from trigpoint.base.clock import to_ns
+from trigpoint.bus.bus import Subscription
+from trigpoint.contract.cdr import decode, encode, type_hash
+from trigpoint.contract.correction import CorrectionMark, encode_mark
+from trigpoint.contract.messages import ODOMETRY as ODOMETRY_TYPE
+from trigpoint.contract.messages import Odometry, PoseEstimate, Transforms
+from trigpoint.contract.topics import CORRECTED, CORRECTION, ODOMETRY, ROBOT_TF, Delivery, Topic
 from trigpoint.geometry import Pose
-from trigpoint.messages import ODOMETRY as ODOMETRY_TYPE
-from trigpoint.messages import Odometry, PoseEstimate, Transforms
-from trigpoint.node import Node
+from trigpoint.node.node import Node
 from trigpoint.robot.ros2 import RosRobotNode
-from trigpoint.topics import CORRECTED, CORRECTION, ODOMETRY, ROBOT_TF, Delivery, Topic
+from trigpoint.site.config import parse_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 MAP = UUID(int=7)
 MAP_FROM_ODOM = Pose.planar(10.0, 3.0, 1.0)
@@ -169,7 +169,7 @@ def test_dds_peer_reads_our_bytes_and_its_odometry_is_read(
         "</Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
         "<Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>",
     )
-    from dds_peer import DdsOdometry
+    from support.site.dds_peer import DdsOdometry
 
     desk = Desk(tmp_path, stack)
     desk.start()

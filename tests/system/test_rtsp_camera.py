@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.clock import SystemClock
-from trigpoint.config import CameraConfig
+from trigpoint.base.clock import SystemClock
+from trigpoint.base.errors import FrameError
 from trigpoint.edge.sources.frames import Frame
 from trigpoint.edge.sources.frames_rtsp import RtspFrames
-from trigpoint.errors import FrameError
+from trigpoint.site.config import CameraConfig
 
 SERVER = Path(__file__).parents[1] / "rtsp_server.py"
 SYSTEM_PYTHON = "/usr/bin/python3"

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import eventually
-from drives import lab_plan, make_session
-from field import Drive, Field, Program, answers, lay_out, meeting_point, running
+from support.builders import eventually
+from support.fusion.drives import lab_plan, make_session
+from support.site.programs import Drive, Field, Program, answers, lay_out, meeting_point, running
 
-from trigpoint.bus import Bus
-from trigpoint.network import load_network
+from trigpoint.bus.bus import Bus
+from trigpoint.map.network import load_network
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from under_fire import assert_site_stays_undisturbed
+from support.site.faulty_run import assert_site_stays_undisturbed
 
 
 @pytest.mark.timeout(300)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from agreement import disagreements
-from oracle_verdict import Place, Verdict
+from support.oracle.agreement import disagreements
+from support.oracle.verdict import Place, Verdict
 
 from trigpoint.geometry import Pose
-from trigpoint.network import CameraRecord, PoseRecord
+from trigpoint.map.network import CameraRecord, PoseRecord
 
 _COVARIANCE = 1e-4 * np.eye(6)
 

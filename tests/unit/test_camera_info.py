@@ -10,15 +10,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from trigpoint.camera_info import (
+from trigpoint.base.errors import InputError
+from trigpoint.geometry import CameraModel
+from trigpoint.geometry.camera import LensModel
+from trigpoint.site.camera_info import (
     format_camera_info,
     parse_camera_info,
     read_camera_info,
     write_camera_info,
 )
-from trigpoint.errors import InputError
-from trigpoint.geometry import CameraModel
-from trigpoint.geometry.camera import LensModel
 
 FOCAL = st.floats(100.0, 1e5)
 COEFFICIENT = st.floats(-2.0, 2.0)

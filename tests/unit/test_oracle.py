@@ -7,17 +7,17 @@ import math
 import numpy as np
 import oracle as oracle_module
 import pytest
-from oracle import Oracle
-from oracle_solver import gaps_of
-from oracle_verdict import Scored
-from oracle_views import Priors, corners_of, readings_of, residuals
 from scipy.optimize import least_squares
-from small_sessions import Shape, SmallSession, drawn_shape, small_session
+from support.oracle.posterior import Oracle
+from support.oracle.sessions import Shape, SmallSession, drawn_shape, small_session
+from support.oracle.solver import gaps_of
+from support.oracle.verdict import Scored
+from support.oracle.views import Priors, corners_of, readings_of, residuals
 
-from trigpoint.config import OdometryNoise
+from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import wrap
-from trigpoint.messages import Odometry
+from trigpoint.site.config import OdometryNoise
 
 _PLAIN = Shape(0, (0, 0), is_alike=False)
 

@@ -10,15 +10,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from trigpoint.errors import OperationError, writing
-from trigpoint.tools.demo.evidence import load_results
-from trigpoint.tools.demo.folder import DemoFolder
-from trigpoint.tools.demo.progress import Progress
-from trigpoint.tools.demo.run import Run, has_display
-from trigpoint.tools.demo.table import table
-from trigpoint.tools.report.page import report_page
+from trigpoint.base.errors import OperationError, writing
+from trigpoint.tools.report.demo.lines import table
+from trigpoint.tools.report.demo.page import report_page
 from trigpoint.tools.simulation.world import load_world
 from trigpoint.tools.simulation.world_file import TargetChoice
+
+from .folder import DemoFolder
+from .measured import load_results
+from .progress import Progress
+from .run import Run, has_display
 
 _WORLD = "lab"
 RobotProtocol = Literal["trigpoint", "create2", "mavlink", "ros_arduino_bridge"]

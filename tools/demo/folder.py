@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from trigpoint.config import BusConfig
-from trigpoint.errors import InputError, OperationError, read_text, writing
+from trigpoint.base.errors import InputError, OperationError, read_text, writing
+from trigpoint.site.config import BusConfig
 from trigpoint.tools.simulation.site_files import sim_url, write_site, write_truth
 from trigpoint.tools.simulation.world import World
 

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
+from trigpoint.contract.topics import alive_key
 from trigpoint.tools.simulation.world import World
-from trigpoint.topics import alive_key
 
 from .folder import DemoFolder, DemoRecord
 from .supervisor import PartSpec
@@ -16,7 +16,7 @@ then fusion."""
 
 _VIEWER = 0
 _AGENT_PROCESSES = 2
-_FIRMWARE_MODULE = "trigpoint.tools.simulation.firmware"
+_FIRMWARE_MODULE = "trigpoint.tools.simulation.serial.firmware"
 # -P: a folder in the working directory that is called like a module must not be taken for it.
 _PYTHON = (sys.executable, "-P", "-m")
 

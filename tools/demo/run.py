@@ -10,11 +10,11 @@ from pathlib import Path
 
 import msgspec
 
-from trigpoint.bus import Bus
+from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Bus
 from trigpoint.bus_zenoh import open_bus
-from trigpoint.clock import NANOSECONDS, to_ns
-from trigpoint.config import BusConfig, FusionConfig, RecorderConfig, Site
-from trigpoint.errors import OperationError
+from trigpoint.site.config import BusConfig, FusionConfig, RecorderConfig, Site
 from trigpoint.tools.simulation.world import World
 
 from .folder import DemoFolder, DemoRecord

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from trigpoint.errors import OperationError
+from trigpoint.base.errors import OperationError
 
 STOP_S = 5.0
 """A part that has not stopped by then is killed; each promises to stop within two seconds."""

@@ -6,14 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from trigpoint.cdr import decode
-from trigpoint.clock import NANOSECONDS
-from trigpoint.errors import RecordingError
-from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
-from trigpoint.messages import Odometry, PoseEstimate, PoseStamped
-from trigpoint.recorder.recording import Recording, open_recording
-from trigpoint.topics import (
+from trigpoint.base.clock import NANOSECONDS
+from trigpoint.base.errors import RecordingError
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import Odometry, PoseEstimate, PoseStamped
+from trigpoint.contract.topics import (
     CAMERA_POSE,
     CORRECTED,
     CORRECTION,
@@ -23,8 +20,10 @@ from trigpoint.topics import (
     Topic,
     node_of,
 )
-
-from .results import Series, Track
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.recorder.session.recording import Recording, open_recording
+from trigpoint.tools.report.demo.results import Series, Track
 
 _TOPICS = (ODOMETRY, ROBOT_POSE, CAMERA_POSE, CORRECTION, CORRECTED, SUGGESTION)
 

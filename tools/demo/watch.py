@@ -4,11 +4,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from trigpoint.bus import Bus, Subscription
-from trigpoint.cdr import decode
-from trigpoint.errors import MessageError
-from trigpoint.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
-from trigpoint.topics import (
+from trigpoint.base.errors import MessageError
+from trigpoint.bus.bus import Bus, Subscription
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
+from trigpoint.contract.topics import (
     CAMERA_POSE,
     DIAGNOSTICS,
     ROBOT_POSE,

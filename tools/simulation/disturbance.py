@@ -11,11 +11,11 @@ import numpy as np
 from msgspec import structs
 
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.target import Face, Target
+from trigpoint.site.target import Face, Target
 
-from .actors import Lift, Move, SimulatedCamera, SimulatedRobot
-from .odometry import chained, drawn_scales
-from .way import Way, scattered
+from .motion.actors import Lift, Move, SimulatedCamera, SimulatedRobot
+from .motion.odometry import chained, drawn_scales
+from .motion.way import Way, scattered
 from .world import World
 
 _MOST_DRAWS = 100

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
 
-from trigpoint.clock import Clock, to_ns, to_seconds
-from trigpoint.config import CameraConfig
+from trigpoint.base.clock import Clock, to_ns, to_seconds
+from trigpoint.base.errors import FrameError, InputError
 from trigpoint.edge.sources.frames import Frame
-from trigpoint.errors import FrameError, InputError
 from trigpoint.geometry import CameraModel
+from trigpoint.site.config import CameraConfig
 
-from .actors import SimulatedCamera
-from .rendering import CameraRenderer
+from .drawing.rendering import CameraRenderer
+from .motion.actors import SimulatedCamera
 from .world import load_world
 
 _KEYS = ("world", "seed", "epoch_ns", "target")

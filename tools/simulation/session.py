@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from trigpoint import cdr, topics
-from trigpoint.clock import to_ns
-from trigpoint.errors import writing
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
-from trigpoint.recorder.mcap_writer import McapWriter
-from trigpoint.terminal import Progress
-from trigpoint.topics import Topic
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import writing
+from trigpoint.base.terminal import Progress
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.contract.topics import Topic
+from trigpoint.recorder.mcap.writer import McapWriter
 
 from .site_files import stamps_ns, write_site, write_truth
 from .world import World

@@ -8,14 +8,14 @@ from urllib.parse import urlencode
 import msgspec
 import numpy as np
 
-from trigpoint.camera_info import write_camera_info
-from trigpoint.clock import to_ns
-from trigpoint.config import BusConfig, OdometryNoise, WheelConfig
+from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
-from trigpoint.network import encode_tum
+from trigpoint.map.network import encode_tum
+from trigpoint.site.camera_info import write_camera_info
+from trigpoint.site.config import BusConfig, OdometryNoise, WheelConfig
 
-from .speakers import WHEELS
-from .targets import target_text
+from .serial.speakers import WHEELS
+from .sight.targets import target_text
 from .world import World
 
 

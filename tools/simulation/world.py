@@ -15,18 +15,18 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from trigpoint.errors import InputError
+from trigpoint.base.errors import InputError
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Pattern, Target
+from trigpoint.site.target import Pattern, Target
 
-from .actors import SimulatedCamera, SimulatedRobot
-from .odometry import OdometryLog, chained, drawn_scales, reported
-from .path import Drive, rounded_path
-from .rolling import rolled
-from .targets import target_of
-from .visibility import SeenFace, Wall, seen_faces_each
+from .motion.actors import SimulatedCamera, SimulatedRobot
+from .motion.odometry import OdometryLog, chained, drawn_scales, reported
+from .motion.path import Drive, rounded_path
+from .sight.rolling import rolled
+from .sight.seen_corners import SeenFace, Wall, seen_faces_each
+from .sight.targets import target_of
 from .world_file import CameraSpec, RobotSpec, WorldFile, load_world_file
 
 _Item = TypeVar("_Item")

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from trigpoint.config import Count, NotNegative, OdometryNoise, Positive
-from trigpoint.errors import InputError
-from trigpoint.toml_file import load_toml
+from trigpoint.base.errors import InputError
+from trigpoint.site.config import Count, NotNegative, OdometryNoise, Positive
+from trigpoint.site.toml_file import load_toml
 
 TargetChoice = Literal["charuco", "checkerboard"]
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.site.target import Target
 
 from .disturbance import Disturbance
 from .world import Shown

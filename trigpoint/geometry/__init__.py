@@ -1,6 +1,6 @@
 """Rotations, poses, camera models and their uncertainty, in numpy alone."""
 
-from .camera import CameraModel
-from .pose import Pose
+from trigpoint.geometry.camera import CameraModel
+from trigpoint.geometry.pose import Pose
 
 __all__ = ["CameraModel", "Pose"]

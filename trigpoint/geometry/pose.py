@@ -6,7 +6,8 @@ from typing import Self, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import rotation as so3
+from trigpoint.geometry import rotation as so3
+
 from .rotation import Array
 
 

@@ -16,7 +16,7 @@ from trigpoint.fusion.reading.visibility import (
 )
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 # What a corner costs at most, pixels: beyond it a view fits not at all.
 WORST_PX = 20.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from trigpoint.clock import to_ns, to_seconds
+from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
 from trigpoint.fusion.model.problem import CameraState

@@ -5,7 +5,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from trigpoint.clock import to_ns, to_seconds
+from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation

@@ -16,7 +16,7 @@ from trigpoint.fusion.model.projection import projected
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.target import Target
+from trigpoint.site.target import Target
 
 _LEAST_CORNERS = 4
 # A sighting determines a pose where the weakest direction is known at least this much, relative to

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.problem import CameraState

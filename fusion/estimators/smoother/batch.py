@@ -14,7 +14,6 @@ from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
-from trigpoint.fusion.estimators.smoother import odometry_noise, standstill_noise
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.filter import Filter
@@ -22,6 +21,7 @@ from trigpoint.fusion.solver.levenberg_marquardt import Solution
 from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry.rotation import Array
 
+from . import odometry_noise, standstill_noise
 from .contradicting_sightings import leave_out_contradicting
 from .second_look import take_back
 

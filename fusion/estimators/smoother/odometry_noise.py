@@ -19,8 +19,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.odometry import SLIP, OdometryTrack
@@ -28,6 +27,7 @@ from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import OdometryNoise
 
 # Drifts that go on for seconds add up over such a window; of longer ones there would be few.
 _WINDOW_NS = to_ns(4.0)

@@ -13,13 +13,13 @@ from mcap.reader import make_reader
 from benchmarks.compositions.files import truth_of, write_composition
 from benchmarks.compositions.recipe import KINDS, Recipe, Route, drawn
 from benchmarks.compositions.session import composed_session, session_of
-from trigpoint import cdr
-from trigpoint.config import load_site
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import wrap
-from trigpoint.messages import CameraInfo, Message, Odometry, Sightings
-from trigpoint.network import decode_tum
-from trigpoint.target import load_target
+from trigpoint.map.network import decode_tum
+from trigpoint.site.config import load_site
+from trigpoint.site.target import load_target
 
 # A tenth of a degree of freedom's root over some hundred corners.
 _TOLERANCE = 0.1

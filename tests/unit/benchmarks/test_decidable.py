@@ -1,7 +1,7 @@
 """Whether the data decide: what an oracle says of one picture, of a turn, and of a drive."""
 
 import pytest
-from drives import (
+from support.fusion.drives import (
     CameraPlan,
     Plan,
     RobotPlan,
@@ -17,7 +17,7 @@ from benchmarks.study.decidable import data_decide, lead_of_truth
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.geometry import Pose
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from boards import checkerboard
+from support.pictures.boards import checkerboard
 
 from benchmarks.scoring import Found, Score, score_of
 from benchmarks.views import TrueFace, View

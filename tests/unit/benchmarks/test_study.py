@@ -16,7 +16,7 @@ from benchmarks.study.store import Store
 from benchmarks.study.summary import summary_of
 from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.fusion.solver.normal_equations import linearise
-from trigpoint.tools.cramer_rao import oracle_problem
+from trigpoint.tools.networks.cramer_rao import oracle_problem
 
 MEASURE = Measure(
     situation="drive",

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from boards import checkerboard, picture_of, placed, target_of, worst_error
-from builders import eventually
-from edge_desk import EMPTY, SEEN, VIEW, Desk, desk, taken
+from support.builders import eventually
+from support.pictures.boards import checkerboard, picture_of, placed, target_of, worst_error
+from support.site.edge_desk import EMPTY, SEEN, VIEW, Desk, desk, taken
 
-from trigpoint.messages import Picture, Sightings
-from trigpoint.topics import IMAGE, SIGHTINGS, command_key
+from trigpoint.contract.messages import Picture, Sightings
+from trigpoint.contract.topics import IMAGE, SIGHTINGS, command_key
 
 __all__ = ["desk"]  # the fixture
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import (
+from support.pictures.boards import (
     aprilgrid,
     charuco,
     checkerboard,
@@ -15,12 +15,12 @@ from boards import (
     true_pixels,
 )
 
-from trigpoint.clock import ManualClock
+from trigpoint.base.clock import ManualClock
 from trigpoint.edge import tracker as tracker_module
 from trigpoint.edge.boards import detector_checkerboard
 from trigpoint.edge.image.time_limit import never
 from trigpoint.edge.tracker import TargetTracker
-from trigpoint.target import Face
+from trigpoint.site.target import Face
 
 FACES = [checkerboard(8, 5), charuco(), aprilgrid()]
 STEP_NS = 100_000_000

@@ -1,7 +1,7 @@
 """Drives that many tests look at, made and solved once."""
 
 import pytest
-from drives import Session, lab_plan, make_session, offline, pushed, standing_plan
+from support.fusion.drives import Session, lab_plan, make_session, offline, pushed, standing_plan
 
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Pipeline

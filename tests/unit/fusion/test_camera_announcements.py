@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import PoseEstimate, Transforms
 from trigpoint.fusion.camera_announcements import CameraAnnouncements
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.output import Output
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.messages import PoseEstimate, Transforms
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 LENS = CameraModel.from_field_of_view(640, 480, np.radians(62.0))
 LOOKING_DOWN = Pose(np.array([[0, -0.5, 0.9], [-1, 0, 0], [0, -0.9, -0.5]]), np.array([0, 0, 1.5]))

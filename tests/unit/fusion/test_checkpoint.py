@@ -7,16 +7,16 @@ from random import Random
 
 import msgspec
 import pytest
-from builders import largest_file
 from hypothesis import given
 from hypothesis import strategies as st
+from support.builders import largest_file
 
-from trigpoint.cdr import encode
-from trigpoint.clock import ManualClock
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import ManualClock
+from trigpoint.base.errors import OperationError
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry
 
 RECORDS = [(f"lab/robot/r1/odom{i}", Random(i).randbytes(10 * i)) for i in range(8)]
 

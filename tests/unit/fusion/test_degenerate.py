@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from msgspec import structs
+from support.fusion.drives import (
     EPOCH_NS,
     CameraPlan,
     Plan,
@@ -22,13 +23,12 @@ from drives import (
     straight,
     turning,
 )
-from msgspec import structs
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 # A pose that is this many of its sigmas off in any direction is a confident wrong one: a normal
 # error is so with 3e-7.

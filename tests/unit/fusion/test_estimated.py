@@ -5,15 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import Plan, RobotPlan, circle, lab_cameras, lab_plan, make_session, offline
-from honesty import assert_honest
 from msgspec import structs
+from support.fusion.drives import (
+    Plan,
+    RobotPlan,
+    circle,
+    lab_cameras,
+    lab_plan,
+    make_session,
+    offline,
+)
+from support.fusion.honesty import assert_honest
 
-from trigpoint.config import OdometryNoise
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.site.config import OdometryNoise
+from trigpoint.tools.simulation.sight.targets import target_of
 
 
 def uneven(*, radius: float = 1.2) -> object:

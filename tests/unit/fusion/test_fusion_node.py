@@ -10,16 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import eventually, largest_file
-from drives import EPOCH_NS, Session
-from networks import assert_same_place
+from support.builders import eventually, largest_file
+from support.fusion.drives import EPOCH_NS, Session
+from support.fusion.networks import assert_same_place
 
-from trigpoint import cdr, topics
-from trigpoint.bus import Reply, Subscription
-from trigpoint.bus_memory import MemoryBroker, MemoryBus
-from trigpoint.clock import ManualClock
-from trigpoint.correction import decode_mark
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import ManualClock
+from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Reply, Subscription
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.correction import decode_mark
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.contract.topics import Topic
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inbox import INPUT_TOPICS
@@ -27,10 +28,9 @@ from trigpoint.fusion.intake.standstills import MOST_ALIKE
 from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
-from trigpoint.network import decode_network, load_network
-from trigpoint.node import Node
-from trigpoint.topics import Topic
+from trigpoint.map.network import decode_network, load_network
+from trigpoint.node.node import Node
+from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
 
 @dataclass(slots=True)

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import EPOCH_NS, Session, live, make_session, pushed
 from msgspec import structs
-from networks import assert_same_places
+from support.fusion.drives import EPOCH_NS, Session, live, make_session, pushed
+from support.fusion.networks import assert_same_places
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
-from trigpoint.correction import decode_mark
-from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.pipeline import Output, Pipeline
-from trigpoint.messages import (
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.correction import decode_mark
+from trigpoint.contract.messages import (
     CameraInfo,
     Message,
     Odometry,
@@ -21,7 +19,9 @@ from trigpoint.messages import (
     Sightings,
     Transforms,
 )
-from trigpoint.topics import Topic
+from trigpoint.contract.topics import Topic
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.pipeline import Output, Pipeline
 
 Arrivals = list[tuple[int, str, Message]]
 Sent = list[tuple[int, Output]]

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import STANDS_S, Session, pushed
-from networks import apart_sigmas
-from solvers import SlowSolver
+from support.fusion.drives import STANDS_S, Session, pushed
+from support.fusion.networks import apart_sigmas
+from support.fusion.solvers import SlowSolver
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.intake import standstills
 from trigpoint.fusion.intake.standstills import MOST_ALIKE
@@ -17,7 +18,6 @@ from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import about_z
-from trigpoint.messages import Odometry
 
 PICTURES = 120  # of the standstill, before c1 alone
 

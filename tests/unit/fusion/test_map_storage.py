@@ -3,17 +3,17 @@
 from pathlib import Path
 
 import pytest
-from builders import make_site
+from support.builders import make_site
 
-from trigpoint import cdr
-from trigpoint.clock import SystemClock, to_ns
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import SystemClock, to_ns
+from trigpoint.base.errors import OperationError
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
 from trigpoint.fusion.intake.admission import AHEAD_NS
 from trigpoint.fusion.map_storage import MapStorage
 from trigpoint.fusion.model.odometry import MOST_STANDING
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
 
 SITE = make_site()
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from support.fusion.drives import (
     CameraPlan,
     Session,
     lab_plan,
@@ -17,12 +17,12 @@ from drives import (
     straight,
     turning,
 )
-from honesty import Messages, assert_honest, assert_sound, changed, statuses
+from support.fusion.honesty import Messages, assert_honest, assert_sound, changed, statuses
 
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
-from trigpoint.network import encode_network
+from trigpoint.map.network import encode_network
 
 # -- the plain drive ------------------------------------------------------------------------------
 

@@ -4,15 +4,15 @@ from uuid import UUID
 
 import numpy as np
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
-from trigpoint.correction import decode_mark
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.correction import decode_mark
+from trigpoint.contract.messages import PoseArray, Transforms
+from trigpoint.contract.topics import Topic
 from trigpoint.fusion.output import Output
 from trigpoint.fusion.robot_announcements import RobotAnnouncements
 from trigpoint.fusion.solver.filter import RobotEstimate
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseArray, Transforms
-from trigpoint.topics import Topic
 
 MAP = UUID(int=7)
 ODOM_FROM_BASE = Pose.planar(1.0, 2.0, 0.3)

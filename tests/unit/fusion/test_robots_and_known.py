@@ -4,15 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import RobotPlan, Session, circle, lab_plan, make_session, offline, pushed
-from honesty import assert_honest
 from msgspec import structs
+from support.fusion.drives import (
+    RobotPlan,
+    Session,
+    circle,
+    lab_plan,
+    make_session,
+    offline,
+    pushed,
+)
+from support.fusion.honesty import assert_honest
 
+from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_known
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry, Sightings
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 
 def two_robots(seconds: float = 22.0) -> Session:

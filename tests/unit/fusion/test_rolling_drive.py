@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from trigpoint.config import Site, parse_site
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Odometry
+from trigpoint.site.config import Site, parse_site
 from trigpoint.tools.simulation.disturbance import Disturbance
-from trigpoint.tools.simulation.memory import Simulated, simulated
+from trigpoint.tools.simulation.in_memory import Simulated, simulated
 from trigpoint.tools.simulation.world import load_world
 
 LINE_DELAY_S = 60e-6

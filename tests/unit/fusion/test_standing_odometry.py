@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack
 from trigpoint.fusion.standing_odometry import StandingOdometry
 from trigpoint.geometry import Pose
-from trigpoint.messages import Odometry
+from trigpoint.site.config import OdometryNoise
 
 HOUR_S = 3600
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import EPOCH_NS, Session, pushed
+from support.fusion.drives import EPOCH_NS, Session, pushed
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.fusion.diagnostics import Diagnostics
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.intake.admission import Admission
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Message, Odometry, Sightings
 
 
 def first_picture(session: Session, camera: str = "c1") -> Sightings:

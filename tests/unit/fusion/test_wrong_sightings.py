@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import EPOCH_NS, Session, offline, pushed
-from honesty import Messages, assert_honest, assert_sound, changed, statuses
+from support.fusion.drives import EPOCH_NS, Session, offline, pushed
+from support.fusion.honesty import Messages, assert_honest, assert_sound, changed, statuses
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.geometry import Pose
-from trigpoint.messages import Message, Odometry, Sightings
 
 
 def disturbed(messages: Messages, change) -> Messages:

@@ -9,11 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from trigpoint import cdr, topics
-from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry.rotation import Array, about_z
-from trigpoint.geometry.uncertainty import planar_covariance
-from trigpoint.messages import (
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import (
     CameraInfo,
     Diagnostics,
     DiagnosticStatus,
@@ -29,8 +26,11 @@ from trigpoint.messages import (
     Transform,
     Transforms,
 )
-from trigpoint.recorder.mcap_writer import McapWriter
-from trigpoint.target import Target, parse_target
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.rotation import Array, about_z
+from trigpoint.geometry.uncertainty import planar_covariance
+from trigpoint.recorder.mcap.writer import McapWriter
+from trigpoint.site.target import Target, parse_target
 
 START_NS = 1_760_000_000_000_000_000
 CAMERAS = ("c1", "c2", "c3", "c4")

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import eventually, make_odometry
+from support.builders import eventually, make_odometry
 
-from trigpoint import cdr
-from trigpoint.bus import Bus
-from trigpoint.bus_memory import MemoryBroker
+from trigpoint.bus.bus import Bus
 from trigpoint.cli import run
-from trigpoint.config import Site, load_site, parse_site
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CAMERA_INFO, CAMERA_POSE, ODOMETRY, SIGHTINGS
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
-from trigpoint.node import Node
-from trigpoint.recorder.mcap_check import check
+from trigpoint.node.node import Node
+from trigpoint.recorder.mcap.check import check
 from trigpoint.recorder.node import Recorder, settings_of
-from trigpoint.recorder.recording import open_recording
-from trigpoint.recorder.ring import MovedCameras, Ring
-from trigpoint.recorder.site_attachments import without_passwords
-from trigpoint.topics import CAMERA_INFO, CAMERA_POSE, ODOMETRY, SIGHTINGS
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.recorder.writing.attachments import without_passwords
+from trigpoint.recorder.writing.ring import MovedCameras, Ring
+from trigpoint.site.config import Site, load_site, parse_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 KEY = ODOMETRY.key("lab", "r1")
 PAYLOAD = cdr.encode(make_odometry(1))

@@ -3,17 +3,17 @@
 from pathlib import Path
 
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.bus import Bus
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.config import Site, load_site
-from trigpoint.errors import ConfigError, OperationError, TargetError
-from trigpoint.network import Network, Statistics, encode_network
-from trigpoint.node import Node
+from trigpoint.base.errors import ConfigError, OperationError, TargetError
+from trigpoint.bus.bus import Bus
+from trigpoint.contract.topics import DIAGNOSTICS
+from trigpoint.map.network import Network, Statistics, encode_network
+from trigpoint.node.node import Node
 from trigpoint.recorder.node import Recorder, session_path, site_files
-from trigpoint.recorder.recording import open_recording
-from trigpoint.topics import DIAGNOSTICS
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.site.config import Site, load_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 NETWORK = encode_network(Network("lab", "id", "smoother", {}, {}, Statistics(None, 0)))
 

@@ -6,14 +6,13 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from trigpoint.clock import ManualClock, to_ns
-from trigpoint.config import RobotConfig, SafetyConfig
-from trigpoint.correction import CorrectionMark
+from trigpoint.base.clock import ManualClock, to_ns
+from trigpoint.contract.correction import CorrectionMark
+from trigpoint.contract.messages import Odometry, PoseEstimate
 from trigpoint.geometry import Pose
-from trigpoint.health import Health
-from trigpoint.messages import Odometry, PoseEstimate
+from trigpoint.node.health import Health
 from trigpoint.robot.bridge import Bridge, first_number
-from trigpoint.robot.protocol import (
+from trigpoint.robot.line.protocol import (
     Acknowledged,
     ClockExchange,
     Connected,
@@ -30,7 +29,8 @@ from trigpoint.robot.protocol import (
     Unanswered,
     Vitals,
 )
-from trigpoint.robot.stamps import Offset, measured_offset
+from trigpoint.robot.odometry.stamps import Offset, measured_offset
+from trigpoint.site.config import RobotConfig, SafetyConfig
 
 UNIX_NS = to_ns(1_700_000_000.0)
 FIRMWARE_NS = to_ns(77.0)

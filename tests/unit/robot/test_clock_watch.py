@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
-from builders import make_site
+from support.builders import make_site
 
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.node import Node
+from trigpoint.node.node import Node
 from trigpoint.robot.clock_watch import ClockOffset, ClockWatch
+from trigpoint.testing.memory_bus import MemoryBroker
 
 NOW_NS = 1_800_000_000_000_000_000
 LIMIT_S = 0.006

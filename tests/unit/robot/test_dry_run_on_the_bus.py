@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trigpoint import cdr
-from trigpoint.bus_memory import MemoryBroker, MemoryBus
-from trigpoint.cdr_ros import store
-from trigpoint.clock import ManualClock, to_ns
-from trigpoint.config import parse_site
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import ManualClock, to_ns
+from trigpoint.base.errors import OperationError
+from trigpoint.contract import cdr
+from trigpoint.contract.cdr_ros import store
+from trigpoint.contract.messages import ODOMETRY, Odometry
+from trigpoint.contract.topics import ODOMETRY as ODOMETRY_TOPIC
 from trigpoint.geometry import Pose
-from trigpoint.messages import ODOMETRY, Odometry
 from trigpoint.robot.dry_run import look
-from trigpoint.topics import ODOMETRY as ODOMETRY_TOPIC
+from trigpoint.site.config import parse_site
+from trigpoint.testing.memory_bus import MemoryBroker, MemoryBus
 
 SITE = """
 site = "lab"

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from trigpoint.clock import ManualClock, to_ns
-from trigpoint.config import RobotConfig
-from trigpoint.health import Health
+from trigpoint.base.clock import ManualClock, to_ns
+from trigpoint.node.health import Health
 from trigpoint.robot.bridge import Bridge
-from trigpoint.robot.protocol import Connected, Damaged, DamageKind, Event
+from trigpoint.robot.line.protocol import Connected, Damaged, DamageKind, Event
+from trigpoint.robot.odometry.stamps import Offset
 from trigpoint.robot.quiet import CorrectionWatch, OdometryWatch, why_nothing
-from trigpoint.robot.stamps import Offset
+from trigpoint.site.config import RobotConfig
 
 
 @dataclass

@@ -7,21 +7,21 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from builders import eventually, site_text
+from support.builders import eventually, site_text
 
-from trigpoint.authenticator import Signer, correction_signer
-from trigpoint.bus import Publisher
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.cdr import encode
+from trigpoint.base.clock import SystemClock
+from trigpoint.bus.bus import Publisher
 from trigpoint.cli import run
-from trigpoint.clock import SystemClock
-from trigpoint.config import load_site
-from trigpoint.correction import CorrectionMark, MissedCorrections, encode_mark
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.correction import CorrectionMark, MissedCorrections, encode_mark
+from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.topics import CORRECTION
 from trigpoint.geometry import Pose
-from trigpoint.messages import PoseEstimate
-from trigpoint.node import Node
+from trigpoint.node.node import Node
 from trigpoint.robot.node import RobotNode
-from trigpoint.topics import CORRECTION
+from trigpoint.security.authenticator import Signer, correction_signer
+from trigpoint.site.config import load_site
+from trigpoint.testing.memory_bus import MemoryBroker
 
 KEY = CORRECTION.key("lab", "r1")
 MAP = UUID(int=5)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from trigpoint.cdr import definition
+from trigpoint.contract.cdr import definition
 
 PACKAGE = Path(__file__).parents[3] / "tools" / "ros2" / "trigpoint_msgs"
 

@@ -15,6 +15,7 @@ import typer
 
 import trigpoint
 from trigpoint import __version__
+from trigpoint.base.errors import BusError, ConfigError
 from trigpoint.cli import (
     COMMANDS,
     EXTRAS,
@@ -25,7 +26,6 @@ from trigpoint.cli import (
     log_level_in_front,
     run,
 )
-from trigpoint.errors import BusError, ConfigError
 
 
 def put_command(monkeypatch: pytest.MonkeyPatch, function: object) -> None:
@@ -51,7 +51,7 @@ def test_help_lists_every_command_without_importing_one() -> None:
         group = name.split()[0]
         shown, text = (group, GROUPS[group]) if group in GROUPS else (name, command.help)
         assert re.search(rf"^  {shown} +{re.escape(text)}", listing, re.MULTILINE)
-    heavy = {"numpy", "zenoh", "cv2", "msgspec", "trigpoint.node", "trigpoint.bus"}
+    heavy = {"numpy", "zenoh", "cv2", "msgspec", "trigpoint.node.node", "trigpoint.bus.bus"}
     assert heavy.isdisjoint(modules.split())
 
 

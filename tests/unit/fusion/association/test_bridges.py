@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_sessions import Shape, data_of, graph_of
+from support.oracle.sessions import Shape, data_of, graph_of
 
 from trigpoint.fusion.association.bridges import tied_twice
 from trigpoint.fusion.association.engine import explain

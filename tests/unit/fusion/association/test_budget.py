@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_sessions import Shape, data_of
+from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association import engine, search
 from trigpoint.fusion.association.budget import Budget

@@ -13,9 +13,9 @@ from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.smoother import batch
 from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry import Pose
-from trigpoint.recorder.recording import open_recording
-from trigpoint.tools.calibrate import worked_out
-from trigpoint.tools.session_inputs import session_inputs
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.calibrate.command import worked_out
+from trigpoint.tools.sessions.inputs import session_inputs
 
 
 @pytest.mark.parametrize(

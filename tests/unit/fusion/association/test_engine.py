@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from agreement import disagreements
 from msgspec import structs
-from small_sessions import Shape, SmallSession, small_session
+from support.oracle.agreement import disagreements
+from support.oracle.sessions import Shape, SmallSession, small_session
 
-from trigpoint.config import PriorConfig
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Odometry
-from trigpoint.network import Network
+from trigpoint.map.network import Network
+from trigpoint.site.config import PriorConfig
 
 
 def network_of(session: SmallSession) -> Network:

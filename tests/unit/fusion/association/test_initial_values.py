@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_sessions import Shape, graph_of
+from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.graph import Graph, Tie, Variant
 from trigpoint.fusion.association.initial_values import initial_values

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from small_sessions import Shape, data_of
+from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.learning import learnt_noise

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_sessions import Shape, data_of
+from support.oracle.sessions import Shape, data_of
 
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.engine import explain

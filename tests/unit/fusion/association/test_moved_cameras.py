@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from support.fusion.drives import (
     EPOCH_NS,
     CameraPlan,
     Plan,
@@ -20,13 +20,13 @@ from drives import (
     straight,
 )
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.model.dataset import KnownCameras
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
-from trigpoint.messages import Odometry
-from trigpoint.network import CameraRecord
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.map.network import CameraRecord
+from trigpoint.tools.simulation.sight.targets import target_of
 
 
 def assert_there(camera: CameraRecord, map_from_camera: Pose) -> None:

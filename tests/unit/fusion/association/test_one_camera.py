@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from support.fusion.drives import (
     CameraPlan,
     Plan,
     RobotPlan,
@@ -17,15 +17,15 @@ from drives import (
     straight,
 )
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.association.engine import explain
 from trigpoint.fusion.association.explanation import CameraFinding
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.reading.visibility import body_of, can_be_seen
 from trigpoint.geometry import Pose
-from trigpoint.target import Face, Pattern, Target
-from trigpoint.tools.simulation.targets import target_of
-from trigpoint.tools.simulation.visibility import seen_faces
+from trigpoint.site.config import OdometryNoise
+from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces
+from trigpoint.tools.simulation.sight.targets import target_of
 
 EYE = looking_at((0.3, -1.8, 1.5), (0.2, 0.0, 0.65))
 QUIET = OdometryNoise(0.001, 0.001, 0.001, 0.001)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from support.fusion.drives import (
     Plan,
     RobotPlan,
     Session,
@@ -20,7 +20,7 @@ from trigpoint.fusion.association.modes import ModeFinder
 from trigpoint.fusion.association.visits import visits_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 
 def graph_of(session: Session) -> Graph:

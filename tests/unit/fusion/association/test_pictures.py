@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from drives import Session, observed
+from support.fusion.drives import Session, observed
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.mode import Mode

@@ -4,17 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import Plan, RobotPlan, Way, circle, lab_cameras, make_session, observed, standing
 from msgspec import structs
+from support.fusion.drives import (
+    Plan,
+    RobotPlan,
+    Way,
+    circle,
+    lab_cameras,
+    make_session,
+    observed,
+    standing,
+)
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.association.events import Events, window
 from trigpoint.fusion.association.robots import Picture, RobotFit, fits, runs
 from trigpoint.fusion.intake import robot_identity
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.geometry import Pose
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.tools.simulation.sight.targets import target_of
 
 
 def beside(way: Way, *, seconds: float = 8.0) -> DataSet:

@@ -1,7 +1,7 @@
 """What a search tries beside its first answer."""
 
 import pytest
-from small_sessions import Shape, graph_of
+from support.oracle.sessions import Shape, graph_of
 
 from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from builders import make_target
-from drives import lens
+from support.builders import make_target
+from support.fusion.drives import lens
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.sightings import all_without_wild, by_itself

@@ -2,7 +2,7 @@
 
 import math
 
-from small_problems import small_data
+from support.fusion.small_problems import small_data
 
 from trigpoint.fusion.estimators.noise_lines import noise_lines
 from trigpoint.fusion.model.jitter import Jitter

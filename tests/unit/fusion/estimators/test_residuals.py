@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import Session, lab_plan, make_session, pushed
+from support.fusion.drives import Session, lab_plan, make_session, pushed
 
+from trigpoint.contract.messages import Sightings
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Sightings
 
 SHIFT_PX = np.array([9.0, -4.0])
 

@@ -6,13 +6,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from builders import eventually
-from drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make_session
+from support.builders import eventually
+from support.fusion.drives import EPOCH_NS, STEP_S, Session, Way, lab_plan, make_session
 
-from trigpoint import cdr, topics
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import NANOSECONDS, to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.contract import cdr, topics
+from trigpoint.contract.messages import Odometry, PoseStamped, Sightings
 from trigpoint.fusion.guidance.candidates import DRIVEN_M, SEEN_M, Ground
 from trigpoint.fusion.guidance.expected_motion import expected_motion
 from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, options, suggestions
@@ -23,9 +22,10 @@ from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.messages import Odometry, PoseStamped, Sightings
-from trigpoint.node import Node
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.node.node import Node
+from trigpoint.site.config import OdometryNoise
+from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.tools.simulation.sight.targets import target_of
 
 SECONDS = 20.0
 HOLD_S = 1.6

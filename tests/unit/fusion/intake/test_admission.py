@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from builders import make_site
+from support.builders import make_site
 
-from trigpoint import topics
-from trigpoint.bus import Sample
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.bus.bus import Sample
+from trigpoint.contract import topics
 from trigpoint.fusion.intake.admission import AHEAD_NS, Admission, Budget
 
 NOW_NS = to_ns(1e9)

@@ -4,18 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import make_target
-from drives import EPOCH_NS, lens
+from support.builders import make_target
+from support.fusion.drives import EPOCH_NS, lens
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise, parse_site
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import FaceSighting, Sightings
 from trigpoint.fusion.inputs import Inputs
 from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.intake.robot_identity import RobotIdentification
 from trigpoint.fusion.intake.standstills import MOST_ALIKE, Standstills
 from trigpoint.fusion.model.odometry import OdometryTrack
-from trigpoint.messages import FaceSighting, Sightings
-from trigpoint.target import Target
+from trigpoint.site.config import OdometryNoise, parse_site
+from trigpoint.site.target import Target
 
 SITE = """
 site = "lab"

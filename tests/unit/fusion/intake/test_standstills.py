@@ -4,12 +4,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.intake.standstills import MOST_ALIKE, Standstills
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.geometry import Pose
+from trigpoint.site.config import OdometryNoise
 
 PERIOD_NS = to_ns(0.2)
 SIGMA = 0.1

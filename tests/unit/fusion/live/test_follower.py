@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
-from builders import eventually
-from drives import Session
-from networks import assert_same_places
-from solvers import SlowSolver
+from support.builders import eventually
+from support.fusion.drives import Session
+from support.fusion.networks import assert_same_places
+from support.fusion.solvers import SlowSolver
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Message, Odometry, PoseEstimate, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
 from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.live.follower import catching_up
 from trigpoint.fusion.pipeline import Output, Pipeline
 from trigpoint.fusion.solver import gaussian
-from trigpoint.messages import Message, Odometry, PoseEstimate, Sightings
-from trigpoint.network import Network
+from trigpoint.map.network import Network
 
 # What is waited for comes by work alone, of which a busy machine does a twentieth of the usual.
 PATIENCE_S = 500.0

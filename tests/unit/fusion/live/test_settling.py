@@ -1,6 +1,6 @@
 """When a live session is settled."""
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.live.settling import SettlingSchedule
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Protocol
 
 import pytest
-from builders import eventually
-from drives import Session
-from networks import assert_same_places
-from solvers import SlowSolver, StuckSolver
+from support.builders import eventually
+from support.fusion.drives import Session
+from support.fusion.networks import assert_same_places
+from support.fusion.solvers import SlowSolver, StuckSolver
 
-from trigpoint import cdr
-from trigpoint.bus import Publisher
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.clock import SystemClock
-from trigpoint.errors import OperationError
+from trigpoint.base.clock import SystemClock
+from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Publisher
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Message, Odometry
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inbox import INPUT_TOPICS
@@ -26,9 +26,9 @@ from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.model.dataset import Event
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
-from trigpoint.messages import Message, Odometry
-from trigpoint.network import load_network
-from trigpoint.node import Node
+from trigpoint.map.network import load_network
+from trigpoint.node.node import Node
+from trigpoint.testing.memory_bus import MemoryBroker
 
 # What is waited for comes by work alone, of which a busy machine does a twentieth of the usual.
 PATIENCE_S = 500.0

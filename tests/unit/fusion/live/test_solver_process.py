@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from builders import eventually
-from drives import Session
+from support.builders import eventually
+from support.fusion.drives import Session
 
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.live.solver_messages import (
     Finish,
@@ -20,7 +21,6 @@ from trigpoint.fusion.live.solver_messages import (
 from trigpoint.fusion.live.solver_process import Alive, Heartbeat, SolverProcess
 from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.messages import Odometry
 
 
 class Desk:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from trigpoint.clock import NANOSECONDS, to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import Carried, Chain
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import OdometryNoise
 
 PERIOD_NS = to_ns(0.05)
 STOPS, STARTS, ENDS = 4, 20, 30

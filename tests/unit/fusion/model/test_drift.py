@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, turned_axes
+from trigpoint.site.config import OdometryNoise
 
 NOISE = OdometryNoise(distance=0.03, lateral=0.0005, heading_drive=0.01, heading_turn=0.006)
 STAMPS_NS = np.arange(8) * 250_000_000

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model import odometry
 from trigpoint.fusion.model.odometry import MOST_STANDING, Added, OdometryTrack
 from trigpoint.geometry import Pose
+from trigpoint.site.config import OdometryNoise
 
 PERIOD_NS = to_ns(0.02)
 STANDS = 3 * MOST_STANDING

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from builders import make_target
+from support.builders import make_target
 
-from trigpoint.config import CameraConfig
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.model.observations import (
     LEAST_SIGMA_PX,
     Observation,
@@ -13,7 +13,7 @@ from trigpoint.fusion.model.observations import (
     view_of,
 )
 from trigpoint.fusion.model.observations import observation_of as observed
-from trigpoint.messages import FaceSighting
+from trigpoint.site.config import CameraConfig
 
 TARGET = make_target()
 

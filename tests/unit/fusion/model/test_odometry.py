@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trigpoint.clock import to_ns
-from trigpoint.config import OdometryNoise
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.odometry import ABOUT_S, Added, OdometryTrack
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import OdometryNoise
 
 PERIOD_NS = to_ns(0.05)
 NO_SCALES = np.zeros(2)

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from trigpoint.config import CameraConfig
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
@@ -12,8 +11,9 @@ from trigpoint.fusion.model.observations import (
 )
 from trigpoint.fusion.model.padding import padded_points
 from trigpoint.fusion.model.rolling_shutter import sweep_of
-from trigpoint.target import Target
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.site.config import CameraConfig
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.targets import target_of
 
 ROLLING = CameraConfig("sim://c1", line_delay=30e-6)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_problems import (
+from support.fusion.small_problems import (
     first_state,
     shaken,
     small_data,

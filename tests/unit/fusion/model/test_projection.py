@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from drives import lens
 from numpy.testing import assert_allclose
+from support.fusion.drives import lens
 
 from trigpoint.fusion.model.projection import NEAREST_M, by_disturbance, projected
 from trigpoint.geometry import Pose

@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.odometry import MOST_STANDING, OdometryTrack
 from trigpoint.fusion.model.rest import Rest
 from trigpoint.geometry import Pose
+from trigpoint.site.config import OdometryNoise
 
 S = 10**9
 REST_S = 90.0

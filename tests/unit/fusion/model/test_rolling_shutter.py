@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_problems import SIGMA, first_state, small_data, true_pose
+from support.fusion.small_problems import SIGMA, first_state, small_data, true_pose
 
-from trigpoint.clock import to_ns
-from trigpoint.config import CameraConfig
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import (
@@ -22,7 +21,8 @@ from trigpoint.fusion.model.rolling_shutter import sweep_of
 from trigpoint.fusion.reading.visibility import body_of, by_reading
 from trigpoint.fusion.solver.normal_equations import linearise
 from trigpoint.geometry import rotation as so3
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.site.config import CameraConfig
+from trigpoint.tools.simulation.sight.targets import target_of
 
 LINE_DELAY_S = 1e-4
 SLOW_S = 3e-4

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.trajectory import interpolated
 from trigpoint.geometry import Pose
+from trigpoint.site.config import OdometryNoise
 
 SECOND = 1_000_000_000
 

@@ -9,8 +9,8 @@ from trigpoint.fusion.reading import faces
 from trigpoint.fusion.reading.best_readings import best_readings, read_where_they_are
 from trigpoint.fusion.reading.visibility import by_reading, outermost
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.target import Target
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.targets import target_of
 
 LENS = CameraModel.from_field_of_view(640, 480, np.radians(60.0))
 

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from drives import lens, looking_at
+from support.fusion.drives import lens, looking_at
 
-from trigpoint.config import CameraConfig
+from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of, view_of
 from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
 from trigpoint.fusion.reading import alignment, faces
 from trigpoint.geometry import Pose
-from trigpoint.messages import FaceSighting
-from trigpoint.target import Target
-from trigpoint.tools.simulation.targets import target_of
-from trigpoint.tools.simulation.visibility import seen_faces
+from trigpoint.site.config import CameraConfig
+from trigpoint.site.target import Target
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces
+from trigpoint.tools.simulation.sight.targets import target_of
 
 LENS = lens()
 EYE = looking_at((0.0, -1.6, 1.4), (0.0, 0.0, 0.7))

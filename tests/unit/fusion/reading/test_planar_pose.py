@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from drives import lens
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from support.fusion.drives import lens
 
 from trigpoint.fusion.reading.planar_pose import planar_poses, refined_poses
 from trigpoint.geometry import CameraModel, Pose

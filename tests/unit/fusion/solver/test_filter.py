@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import Session
-from small_problems import EPOCH_NS, first_state, small_data, true_pose
+from support.fusion.drives import Session
+from support.fusion.small_problems import EPOCH_NS, first_state, small_data, true_pose
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.robot_alignment import align_before, camera_sigma_px
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.assembly import assemble

@@ -4,8 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_problems import first_state, shaken, small_data, small_problem, unknowns, whole_matrix
-from small_problems import whole_gradient as gradient_of
+from support.fusion.small_problems import (
+    first_state,
+    shaken,
+    small_data,
+    small_problem,
+    unknowns,
+    whole_matrix,
+)
+from support.fusion.small_problems import whole_gradient as gradient_of
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.problem import Problem, State

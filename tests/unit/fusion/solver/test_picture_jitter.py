@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from small_problems import small_problem
+from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.prediction import base_jacobian, batch_residual

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from builders_demo import (
+from support.builders_demo import (
     make_camera,
     make_key,
     make_results,
@@ -11,7 +11,7 @@ from builders_demo import (
     make_unlocated,
 )
 
-from trigpoint.tools.demo.results import Track
+from trigpoint.tools.report.demo.results import Track
 
 
 def test_run_in_which_all_went_well_has_no_failure():

@@ -1,7 +1,7 @@
 import numpy as np
-from builders_demo import make_camera, make_key, make_results, make_unlocated
+from support.builders_demo import make_camera, make_key, make_results, make_unlocated
 
-from trigpoint.tools.demo.table import aligned, grouped, table
+from trigpoint.tools.report.demo.lines import aligned, grouped, table
 
 
 def line_of(text: str, start: str) -> str:

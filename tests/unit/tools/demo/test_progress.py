@@ -1,6 +1,6 @@
-from builders_demo import make_results
+from support.builders_demo import make_results
 
-from trigpoint.bus_memory import MemoryBroker
+from trigpoint.testing.memory_bus import MemoryBroker
 from trigpoint.tools.demo.progress import Progress, status_line
 from trigpoint.tools.demo.watch import Watch
 

@@ -6,9 +6,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from builders import eventually
+from support.builders import eventually
 
-from trigpoint.errors import OperationError
+from trigpoint.base.errors import OperationError
 from trigpoint.tools.demo import supervisor as module
 from trigpoint.tools.demo.supervisor import PartSpec, Supervisor, last_line
 

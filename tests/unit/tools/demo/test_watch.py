@@ -4,13 +4,13 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from trigpoint.bus import Bus
-from trigpoint.bus_memory import MemoryBroker
-from trigpoint.cdr import encode
+from trigpoint.bus.bus import Bus
+from trigpoint.contract.cdr import encode
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, PoseEstimate
+from trigpoint.contract.topics import CAMERA_POSE, DIAGNOSTICS, ROBOT_POSE, Topic, alive_key
 from trigpoint.geometry import Pose
-from trigpoint.messages import Diagnostics, DiagnosticStatus, PoseEstimate
+from trigpoint.testing.memory_bus import MemoryBroker
 from trigpoint.tools.demo.watch import Watch, totals
-from trigpoint.topics import CAMERA_POSE, DIAGNOSTICS, ROBOT_POSE, Topic, alive_key
 
 SIGHTINGS_KEY = "lab/camera/c1/sightings"
 

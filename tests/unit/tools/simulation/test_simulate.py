@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trigpoint import cdr, cli
-from trigpoint.camera_info import read_camera_info
-from trigpoint.clock import to_ns
-from trigpoint.config import BusConfig, TlsConfig, load_site, parse_site
-from trigpoint.errors import OperationError
-from trigpoint.messages import Odometry, Sightings
-from trigpoint.network import decode_tum
-from trigpoint.recorder.recording import open_recording
-from trigpoint.target import load_target, parse_target
+from trigpoint import cli
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import OperationError
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Odometry, Sightings
+from trigpoint.map.network import decode_tum
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.site.camera_info import read_camera_info
+from trigpoint.site.config import BusConfig, TlsConfig, load_site, parse_site
+from trigpoint.site.target import load_target, parse_target
+from trigpoint.tools.simulation.serial.speakers import WHEELS
 from trigpoint.tools.simulation.session import EPOCH_NS, write_session
 from trigpoint.tools.simulation.site_files import write_site
-from trigpoint.tools.simulation.speakers import WHEELS
 from trigpoint.tools.simulation.world import World, load_world
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trigpoint.clock import ManualClock
-from trigpoint.config import CameraConfig
-from trigpoint.errors import FrameError
+from trigpoint.base.clock import ManualClock
+from trigpoint.base.errors import FrameError
+from trigpoint.site.config import CameraConfig
 from trigpoint.tools.simulation.frames import SimulatedFrames
 from trigpoint.tools.simulation.world import load_world
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from trigpoint.config import OdometryNoise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import wrap
-from trigpoint.tools.simulation.odometry import chained, drawn_scales, increments, reported
+from trigpoint.site.config import OdometryNoise
+from trigpoint.tools.simulation.motion.odometry import chained, drawn_scales, increments, reported
 from trigpoint.tools.simulation.world import load_world
 
 NOISE = OdometryNoise(distance=0.006, lateral=0.002, heading_drive=0.004, heading_turn=0.006)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trigpoint.tools.simulation.path import Drive, rounded_path
+from trigpoint.tools.simulation.motion.path import Drive, rounded_path
 
 CORNER = rounded_path([[0, 0], [2, 0], [2, 2]], 0.5)
 

@@ -10,8 +10,8 @@ import pytest
 
 from trigpoint.geometry import CameraModel
 from trigpoint.geometry.camera import LensModel
-from trigpoint.tools.simulation.lens_grid import directions_on_grid
-from trigpoint.tools.simulation.rendering import CameraRenderer
+from trigpoint.tools.simulation.drawing.lens_grid import directions_on_grid
+from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
 from trigpoint.tools.simulation.world import World, load_world
 
 TWO_ROBOTS = """

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trigpoint.errors import InputError
+from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
-from trigpoint.target import parse_target
-from trigpoint.tools.simulation.targets import target_of, target_text
-from trigpoint.tools.simulation.visibility import Wall, hidden_by_walls, seen_faces
+from trigpoint.site.target import parse_target
+from trigpoint.tools.simulation.sight.seen_corners import Wall, hidden_by_walls, seen_faces
+from trigpoint.tools.simulation.sight.targets import target_of, target_text
 from trigpoint.tools.simulation.world import World, load_world
 
 TWO_ROBOTS = """

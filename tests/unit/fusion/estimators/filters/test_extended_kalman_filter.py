@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from small_problems import EPOCH_NS, SECONDS, eyes, see, small_data, true_pose
+from support.fusion.small_problems import EPOCH_NS, SECONDS, eyes, see, small_data, true_pose
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.filters.extended_kalman_filter import KalmanFilterState
 from trigpoint.fusion.estimators.filters.filter_state import ReadSighting
 from trigpoint.fusion.model.dataset import DataSet

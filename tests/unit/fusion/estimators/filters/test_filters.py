@@ -7,7 +7,7 @@ from typing import cast
 import msgspec
 import numpy as np
 import pytest
-from drives import (
+from support.fusion.drives import (
     EPOCH_NS,
     CameraPlan,
     Session,
@@ -19,16 +19,16 @@ from drives import (
     pushed,
 )
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
-from trigpoint.errors import ConfigError
+from trigpoint.base.clock import to_ns
+from trigpoint.base.errors import ConfigError
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Message, Odometry, PoseArray, Sightings
 from trigpoint.fusion.estimators.filters.history import Step, contradictions
 from trigpoint.fusion.estimators.registry import check_estimator
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.observations import Verdict
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.messages import Message, Odometry, PoseArray, Sightings
-from trigpoint.network import encode_network
+from trigpoint.map.network import encode_network
 
 FILTERS = ["ekf", "particle"]
 

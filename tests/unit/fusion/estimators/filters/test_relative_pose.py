@@ -1,9 +1,9 @@
 """A sighting as a measurement of camera_from_base."""
 
 import numpy as np
-from small_problems import EPOCH_NS, eyes, see, small_data, true_pose
+from support.fusion.small_problems import EPOCH_NS, eyes, see, small_data, true_pose
 
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
 from trigpoint.fusion.estimators.filters.relative_pose import relative_view
 
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import (
+from msgspec.structs import replace as replace_struct
+from support.fusion.drives import (
     EPOCH_NS,
     STEP_S,
     Plan,
@@ -16,14 +17,13 @@ from drives import (
     pictures_of,
     pushed,
 )
-from msgspec.structs import replace as replace_struct
 
-from trigpoint import topics
-from trigpoint.clock import to_ns
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Message, PoseEstimate, Sightings
 from trigpoint.fusion.model.dataset import known_cameras
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.geometry import Pose
-from trigpoint.messages import Message, PoseEstimate, Sightings
 
 SHIFT = np.array([0.25, -0.15, 0.1, 0.02, -0.03, 0.12])
 PUT_DOWN = Pose.planar(0.8, 0.5, 0.9)

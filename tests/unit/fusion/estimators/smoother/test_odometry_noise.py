@@ -5,11 +5,19 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from drives import RobotPlan, Session, circle, lab_cameras, lab_plan, make_session, offline
+from support.fusion.drives import (
+    RobotPlan,
+    Session,
+    circle,
+    lab_cameras,
+    lab_plan,
+    make_session,
+    offline,
+)
 
-from trigpoint.config import OdometryNoise
 from trigpoint.fusion.estimators.smoother.odometry_noise import Windows, likeliest
-from trigpoint.tools.simulation.targets import target_of
+from trigpoint.site.config import OdometryNoise
+from trigpoint.tools.simulation.sight.targets import target_of
 
 STATED = np.array([0.05, 0.01, 0.003, 0.1, 0.001, 0.001])
 

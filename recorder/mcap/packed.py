@@ -1,0 +1,51 @@
+"""Bags of rosbag2 that are no plain MCAP file, as one: packed file by file or message by message
+(`--compression-mode`), or in SQLite."""
+
+import atexit
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import zstandard
+
+from trigpoint.base.errors import RecordingError
+from trigpoint.base.terminal import waiting
+
+_PACKED = (".zstd", ".zst")
+
+
+@cache
+def unpacked(path: Path) -> Path:
+    """The file itself, or what is in it as MCAP: that lies in the system's folder for temporary
+    files until the program ends. Raises RecordingError where it cannot be unpacked.
+
+    `path`: one of `session_files`.
+    """
+    if path.suffix == ".bag":
+        raise RecordingError(
+            f"{path}: this is a ROS 1 bag, which only detect, intrinsics and calibrate read; for "
+            f"the rest convert it: rosbags-convert --src {path} --dst {path.stem}"
+        )
+    is_packed, is_foreign = path.suffix in _PACKED, path.suffix == ".db3" or path.is_dir()
+    if not is_packed and not is_foreign:
+        return path
+    folder = Path(tempfile.mkdtemp(prefix="trigpoint-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    if is_foreign:
+        from .rosbag_files import RosbagFiles  # rosbags takes long to import
+
+        file = folder / f"{path.name.removesuffix('.db3')}.mcap"
+        with waiting(f"{path}: made MCAP"):
+            RosbagFiles(path).save(file)
+        return file
+    file = folder / path.stem
+    try:
+        with path.open("rb") as source, file.open("wb") as to, waiting(f"{path}: unpacked"):
+            zstandard.ZstdDecompressor().copy_stream(source, to)
+    except OSError as reason:
+        text = f"{path}: cannot be unpacked to {folder} ({reason.strerror}); make room there"
+        raise RecordingError(text) from None
+    except zstandard.ZstdError as reason:
+        raise RecordingError(f"{path}: cannot be unpacked ({reason}); copy it again") from None
+    return unpacked(file)

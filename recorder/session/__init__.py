@@ -1,0 +1,1 @@
+"""A recorded session, or anybody's bag: its files, what is in it, and what can be saved."""

@@ -1,0 +1,99 @@
+"""The commands `info`, `check` and `recover`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trigpoint.base.errors import InputError
+from trigpoint.base.terminal import table
+from trigpoint.base.words import numberless
+from trigpoint.recorder.mcap.check import check as check_file
+
+from .files import session_files
+from .info import KeyInfo, info_json, info_lines, session_info
+from .recording import open_recording
+from .recover import recover as save_sound
+
+Session = Annotated[Path, typer.Argument(help="An .mcap file, or a folder with a session.")]
+
+_SHOWN = 20
+
+
+def info(
+    session: Session,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """What is in a recording: keys with their types, rates, gaps and losses."""
+    found = session_info(open_recording(session))
+    if json:
+        typer.echo(info_json(found))
+        return
+    for line in info_lines(found):
+        typer.echo(line)
+    keys = sorted(found.keys.items())
+    head = ("key", "messages", "Hz", "gap s", "lost", "breaks", "type")
+    rows = [_row(key, one) for key, one in keys]
+    styles = ["red" if one.lost or one.sequence_breaks else "" for _, one in keys]
+    typer.echo(table(head, rows, left=(0, 6), styles=styles))
+
+
+def check(session: Session) -> None:
+    """Is a recording sound? Every rule of the MCAP format, strict order of log times included.
+
+    Ends with status 1 where it is not.
+    """
+    is_sound = True
+    for file in session_files(session):
+        verdict = check_file(file)
+        is_sound = is_sound and verdict.is_sound
+        kinds = {"error": verdict.errors, "warning": verdict.warnings, "note": verdict.remarks}
+        for kind, texts in kinds.items():
+            alike = _alike(texts)
+            for text in alike[:_SHOWN]:
+                typer.echo(f"{file}: {kind}: {text}")
+            if len(alike) > _SHOWN:
+                typer.echo(f"{file}: and {len(alike) - _SHOWN} more kinds of {kind}s")
+        if verdict.is_sound:
+            typer.echo(f"{file}: sound")
+    if not is_sound:
+        typer.echo("`trigpoint recover` saves what is sound of a damaged recording", err=True)
+        raise typer.Exit(1)
+
+
+def recover(
+    session: Session,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Without it: beside the file, in recovered/."),
+    ] = None,
+) -> None:
+    """Save what is sound of a damaged recording into a new file; it also makes one of parts."""
+    recording = open_recording(session)
+    folder = session if session.is_dir() else session.parent
+    file = out or folder / "recovered" / f"{recording.name}.mcap"
+    if file.suffix != ".mcap":
+        raise InputError(f"{file}: a recording's name ends in .mcap; write another --out")
+    if file.exists():
+        raise InputError(f"{file}: is there already; write another --out")
+    counts = save_sound(recording, file)
+    for key, count in counts.items():
+        typer.echo(f"{count:8d}  {key}")
+    typer.echo(f"{sum(counts.values()):8d}  messages saved: {file}")
+
+
+def _alike(texts: Sequence[str]) -> list[str]:
+    """One for all that differ in numbers alone, with how many there are."""
+    kinds: dict[str, list[str]] = {}
+    for text in texts:
+        kinds.setdefault(numberless(text), []).append(text)
+    return [
+        first + (f" (and {len(more)} more like it)" if more else "")
+        for first, *more in kinds.values()
+    ]
+
+
+def _row(key: str, one: KeyInfo) -> tuple[str, ...]:
+    numbers = (f"{one.rate_hz:.1f}", f"{one.longest_gap_s:.2f}", str(one.lost))
+    return (key, str(one.messages), *numbers, str(one.sequence_breaks), one.type)

@@ -1,0 +1,96 @@
+"""The files of a session: where it is written, and which files in a folder are its parts."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from trigpoint.base.clock import NANOSECONDS
+from trigpoint.base.errors import RecordingError
+from trigpoint.recorder.mcap.file import McapIndex
+from trigpoint.recorder.mcap.index import read_index
+from trigpoint.recorder.mcap.rosbag_metadata import BAGS, listed_files, packs_messages
+from trigpoint.site.config import Site
+
+FILE = "session.mcap"
+PART = "trigpoint.part"
+"""Metadata of each part: `session`, an identity that all parts have, `part`, counted from 1, and
+`repeated`, the keys whose first message here is the last one of the part before."""
+
+LOSSES, CLOCK = "trigpoint.losses", "trigpoint.clock"
+"""Metadata: key -> how many of its messages were lost so far in the session; log time -> by how
+many seconds the clock was set then."""
+
+
+def session_folder(site: Site, *, now_ns: int) -> Path:
+    """A new folder for a session, named by the site and the time, in the recorder's directory."""
+    time = datetime.fromtimestamp(now_ns // NANOSECONDS, UTC).strftime("%Y%m%dT%H%M%SZ")
+    return site.path(site.recorder.directory) / f"{site.name}_{time}"
+
+
+def session_path(site: Site, out: Path | None, *, now_ns: int) -> Path:
+    """Where to record: `session.mcap` in `out`, or in a new folder of the recorder's directory.
+
+    Where `out` has a session already (a recorder that was killed and started again), the next free
+    name is taken: nothing is ever written over.
+    """
+    folder = out if out is not None else session_folder(site, now_ns=now_ns)
+    taken = {file.name for file in folder.glob("*.mcap")}
+    number = 1
+    while (name := FILE if number == 1 else f"session_{number}.mcap") in taken:
+        number += 1
+    return folder / name
+
+
+def part_path(first: Path, part: int) -> Path:
+    """The file of a session's part, counted from 1."""
+    return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is the file of a bag or session, packed or not, or a folder with one."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return any(file.with_suffix("").suffix in BAGS or file.suffix in BAGS for file in files)
+
+
+def _is_mcap(file: Path) -> bool:
+    """Whether a file is MCAP, packed as a whole or not."""
+    return ".mcap" in file.suffixes and not file.is_dir()
+
+
+def session_files(path: Path, *, takes_several: bool = False) -> list[Path]:
+    """The file, or the session's parts in a folder in their order; the folder itself where they are
+    no MCAP or have their messages packed. Raises RecordingError where there is none, or, unless it
+    `takes_several`, there are several sessions.
+
+    A rosbag2's metadata.yaml decides, unless all files are one session of ours: what a killed
+    recorder wrote last is not in it.
+    """
+    if not path.is_dir():
+        if not path.exists():
+            raise RecordingError(f"{path}: there is no such session; check the path")
+        if packs_messages(path.parent, path.name):
+            raise RecordingError(
+                f"{path}: each of its messages is packed, as metadata.yaml says; give its folder"
+            )
+        return [path]
+    files = sorted(path.glob("*.mcap"))
+    parts = {file: read_index(file).metadata.get(PART, {}) for file in files}
+    sessions = {part.get("session", str(file)) for file, part in parts.items()}
+    if len(sessions) == 1 and all(parts.values()):
+        return sorted(files, key=lambda file: int(parts[file].get("part", "1")))
+    if listed := listed_files(path):
+        return listed if all(map(_is_mcap, listed)) and not packs_messages(path) else [path]
+    files = files or sorted(file for file in path.iterdir() if file.is_file() and is_bag(file))
+    if not files:
+        raise RecordingError(f"{path}: there is no .mcap file in this folder; check the path")
+    if len(files) > 1 and not takes_several:
+        names = ", ".join(file.name for file in files)
+        raise RecordingError(
+            f"{path}: several sessions in this folder ({names}); name one, or "
+            f"where they are one bag: ros2 bag reindex {path}"
+        )
+    return files
+
+
+def repeated_keys(part: McapIndex) -> set[str]:
+    """Keys whose first message in this part repeats the part before."""
+    return set(filter(None, part.metadata.get(PART, {}).get("repeated", "").split(",")))

@@ -1,0 +1,1 @@
+"""Which corrections reach the robot: plausible ones, smoothly."""

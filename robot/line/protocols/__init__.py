@@ -1,0 +1,1 @@
+"""One module per protocol; `trigpoint.robot.line.protocol` has the table of them."""

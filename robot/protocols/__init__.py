@@ -1,1 +1,0 @@
-"""One module per protocol; `trigpoint.robot.protocol` has the table of them."""

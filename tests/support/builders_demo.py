@@ -1,0 +1,106 @@
+"""A run of the demo made up for tests: two cameras beside a straight drive."""
+
+from typing import Any
+
+import numpy as np
+
+from trigpoint.geometry import Pose
+from trigpoint.tools.networks.truth import CameraError
+from trigpoint.tools.report.demo.results import (
+    CameraResult,
+    DemoResults,
+    KeyCount,
+    RobotResult,
+    Series,
+    Track,
+)
+
+LOOKING_DOWN_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def make_camera(
+    name: str,
+    place: tuple[float, float, float] = (0.0, 1.0, 1.5),
+    *,
+    error: tuple[float, float, float] = (0.01, 0.0, 0.0),
+    sigma: float = 0.01,
+    **more: Any,
+) -> CameraResult:
+    """A located camera that looks along x; `error` and `sigma` in metres."""
+    truth = Pose(LOOKING_DOWN_X, np.array(place))
+    covariance = np.diag([sigma**2] * 3 + [1e-6] * 3)
+    shift = np.array(error)
+    sigmas = float(np.linalg.norm(shift) / sigma)
+    fields: dict[str, Any] = {
+        "status": "located",
+        "came_by": True,
+        "estimate": truth.disturbed([*error, 0.001, 0.0, 0.0]),
+        "covariance": covariance,
+        "error": CameraError(float(np.linalg.norm(shift)), 0.001, sigmas),
+        "sightings": 20,
+        "pictures": 100,
+        "skipped": 0,
+    }
+    return CameraResult(name, truth, **(fields | more))
+
+
+def make_unlocated(
+    name: str, *, came_by: bool, status: str = "unseen", undetermined: tuple[str, ...] = ()
+) -> CameraResult:
+    """A camera without a pose."""
+    truth = Pose(LOOKING_DOWN_X, np.array([4.0, 1.0, 1.5]))
+    return CameraResult(name, truth, status, came_by, undetermined=undetermined)
+
+
+def make_track(offset: float = 0.0, heading: float = 0.0, count: int = 51) -> Track:
+    """Ten seconds along x at 1 m/s, `offset` metres to the left of it."""
+    t_s = np.linspace(0.0, 10.0, count)
+    places = np.stack([t_s, np.full(count, offset)], axis=-1)
+    return Track(t_s, places, np.full(count, heading))
+
+
+def make_robot(**more: Any) -> RobotResult:
+    """A robot that odometry has 10 cm aside, fusion 1 cm."""
+    fields: dict[str, Any] = {
+        "truth": make_track(),
+        "odometry": make_track(0.10),
+        "live": make_track(0.01),
+        "believed": make_track(0.02, count=11),
+        "smoothed": make_track(0.005),
+        "corrections": 3,
+    }
+    return RobotResult("r1", **(fields | more))
+
+
+def make_key(path: str = "camera/c1/sightings", **more: Any) -> KeyCount:
+    """A reliable key that lost nothing."""
+    fields: dict[str, Any] = {
+        "is_reliable": True,
+        "sent": 100,
+        "received": {"fusion/fusion": 100},
+        "recorded": 100,
+    }
+    return KeyCount(path, **(fields | more))
+
+
+def make_results(**more: Any) -> DemoResults:
+    """A run that did what it should."""
+    cameras = more.pop("cameras", (make_camera("c1"), make_camera("c2", (8.0, -1.0, 1.5))))
+    located = sum(camera.error is not None for camera in cameras)
+    t_s = np.linspace(1.0, 10.0, 10)
+    fields: dict[str, Any] = {
+        "site": "lab",
+        "world": "lab",
+        "seed": 3,
+        "target": "charuco",
+        "seconds": 10.0,
+        "cameras": cameras,
+        "covariance": np.eye(6 * located) * 1e-4,
+        "mean_distance_error_m": 0.004 if located > 1 else None,
+        "robots": (make_robot(),),
+        "keys": (make_key(), make_key("diagnostics", is_reliable=False, sent=None, received={})),
+        "latencies_s": np.array([0.03, 0.04, 0.05]),
+        "series": (Series("c1", t_s, 0.1 / t_s),),
+        "walls": np.array([[[-1.0, -2.0], [10.0, -2.0]], [[-1.0, 2.0], [10.0, 2.0]]]),
+    }
+    return DemoResults(**(fields | more))

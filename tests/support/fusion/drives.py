@@ -1,0 +1,339 @@
+"""Simulated drives for the tests of fusion: what robots report, what cameras see, and the truth.
+
+The noise comes as the contract states it: the report first, and the truth is the report with scale
+errors and a random walk. The truth has a step of its own, half an odometry period, so that pictures
+fall on odometry messages and between them.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from trigpoint.base.clock import to_ns
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import CameraInfo, FaceSighting, Message, Odometry, Sightings
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
+from trigpoint.fusion.intake.message_intake import Intake
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.pipeline import Inputs, Output, Pipeline
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+from trigpoint.map.network import PoseRecord, encode_tum
+from trigpoint.recorder.mcap.writer import McapWriter
+from trigpoint.site.config import OdometryNoise, parse_site
+from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces
+from trigpoint.tools.simulation.sight.targets import target_of, target_text
+
+EPOCH_NS = 1_700_000_000_000_000_000
+STEP_S = 0.025
+_FEWEST_CORNERS = 6
+
+Sent = Input
+
+Way = Callable[[Array], Pose]
+
+
+def lens(horizontal_deg: float = 62.0, distortion: tuple[float, ...] = (-0.2, 0.05)) -> CameraModel:
+    """A camera of 640 × 480."""
+    plain = CameraModel.from_field_of_view(640, 480, np.radians(horizontal_deg))
+    return replace(plain, distortion=(*distortion, *[0.0] * (5 - len(distortion))))
+
+
+def looking_at(position: tuple[float, ...], goal: tuple[float, ...]) -> Pose:
+    """map_from_camera of a camera that looks at a point, its picture upright."""
+    ahead = np.subtract(goal, position)
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    return Pose(np.stack([right, np.cross(ahead, right), ahead], axis=1), np.array(position, float))
+
+
+def circle(*, radius: float = 1.2, speed: float = 0.4, hold_s: float = 0.5) -> Way:
+    """Anticlockwise from the origin, after standing for a moment."""
+
+    def at(seconds: Array) -> Pose:
+        turn = np.maximum(seconds - hold_s, 0.0) * speed / radius
+        return Pose.planar(radius * np.sin(turn), radius * (1 - np.cos(turn)), turn)
+
+    return at
+
+
+def straight(*, speed: float = 0.4, hold_s: float = 0.5) -> Way:
+    """Along x."""
+    return lambda seconds: Pose.planar(
+        np.maximum(seconds - hold_s, 0.0) * speed, 0.0, 0.0 * seconds
+    )
+
+
+def turning(*, rate: float = 0.6) -> Way:
+    """On the spot."""
+    return lambda seconds: Pose.planar(0.0, 0.0, rate * seconds)
+
+
+def standing() -> Way:
+    return turning(rate=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPlan:
+    """A camera as it truly is; `told`: the lens that fusion is told, None: the true one."""
+
+    map_from_camera: Pose
+    lens: CameraModel = field(default_factory=lens)
+    told: CameraModel | None = None
+    time_offset_s: float = 0.0
+    more: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPlan:
+    """A robot: `way`: odom_from_base as it is reported, by seconds (n,); `scales`: true errors."""
+
+    way: Way
+    target: Target
+    noise: OdometryNoise = field(default_factory=OdometryNoise)
+    planar: bool = True
+    scales: tuple[float, float] = (0.0, 0.0)
+    map_from_odom: Pose = field(default_factory=Pose.identity)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A whole drive. `sigma`: of a corner's coordinate as it is drawn; `stated`: as it is said."""
+
+    cameras: dict[str, CameraPlan]
+    robots: dict[str, RobotPlan]
+    seconds: float = 22.0
+    picture_rate: float = 2.0
+    sigma: float = 0.15
+    stated: float = 0.15
+    seed: int = 1
+    more: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What came in, in order of the stamps, and the truth: map_from_base every STEP_S."""
+
+    plan: Plan
+    inputs: Inputs
+    messages: tuple[tuple[str, Sent], ...]
+    truth: dict[str, Pose]
+
+    def map_from_base(self, robot: str, true_ns: int) -> Pose:
+        """The true pose at a moment that is a multiple of STEP_S."""
+        return self.truth[robot][round((true_ns - EPOCH_NS) / to_ns(STEP_S))]
+
+    @property
+    def truth_file(self) -> TruthFile:
+        """The truth as it lies beside a session."""
+        cameras = {n: PoseRecord.of(c.map_from_camera) for n, c in self.plan.cameras.items()}
+        return TruthFile(cameras, {name: f"{name}_truth.tum" for name in self.plan.robots})
+
+    def error(self, results: Results) -> NetworkError:
+        """The located cameras against the truth."""
+        return network_error(results.network, results.covariance, self.truth_file)
+
+
+def lab_cameras(count: int = 3, *, radius: float = 1.2, more: str = "") -> dict[str, CameraPlan]:
+    """Cameras around the circle of `circle`, each looking at its own part of it."""
+    cameras = {}
+    for index in range(count):
+        angle = -np.pi / 2 + 2 * np.pi * index / count
+        out = np.array([np.cos(angle), np.sin(angle)])
+        eye = np.array([0, radius]) + (radius + 1.0) * out
+        goal = np.array([0, radius]) + radius * out
+        pose = looking_at((*eye, 1.6), (*goal, 0.65))
+        model = lens(52.0 + index, (-0.2 + 0.01 * index, 0.05))
+        cameras[f"c{index + 1}"] = CameraPlan(pose, model, more=more)
+    return cameras
+
+
+def lab_plan(target: str = "charuco", **changes: object) -> Plan:
+    """Three cameras around one robot on a circle."""
+    robot = RobotPlan(circle(), target_of(target))
+    return replace(Plan(lab_cameras(), {"r1": robot}), **changes)  # pyright: ignore[reportArgumentType]
+
+
+STANDS_S = 60.0
+
+
+def standing_plan() -> Plan:
+    """The lab's robot stands before its first camera for STANDS_S before it drives."""
+    plan = lab_plan()
+    robot = RobotPlan(circle(hold_s=STANDS_S), target_of("charuco"))
+    return replace(plan, robots={"r1": robot}, seconds=STANDS_S + plan.seconds)
+
+
+def make_session(plan: Plan) -> Session:
+    """Simulate a drive."""
+    truth, found = {}, []
+    for name, robot in plan.robots.items():
+        random = np.random.default_rng([plan.seed, len(truth)])
+        count = round(plan.seconds / STEP_S) + 1
+        reported = robot.way(np.arange(count) * STEP_S)
+        truth[name] = _truth(robot, reported, random)
+        for index in range(0, count, 2):
+            stamp_ns = EPOCH_NS + index * to_ns(STEP_S)
+            message = Odometry(stamp_ns, f"{name}/odom", f"{name}/base", reported[index])
+            found.append((stamp_ns, 0, name, message))
+    found += [(m.stamp_ns, 1, name, m) for name, m in pictures_of(plan, truth)]
+    found.sort(key=lambda item: item[:3])
+    return Session(plan, _inputs(plan), tuple((n, m) for *_, n, m in found), truth)
+
+
+def _truth(robot: RobotPlan, reported: Pose, random: np.random.Generator) -> Pose:
+    steps = reported[:-1].inverse() @ reported[1:]
+    turns = so3.log(steps.rotation)
+    moves = np.linalg.solve(so3.left_jacobian(turns), steps.translation[..., None])[..., 0]
+    length, turned = np.linalg.norm(moves, axis=1), np.linalg.norm(turns, axis=1)
+    noise, draw = robot.noise, random.standard_normal((len(turns), 6))
+    along = np.array([noise.distance, noise.lateral, noise.vertical])
+    shift = so3.exp(0.5 * turns) @ (along * np.sqrt(length)[:, None] * draw[:, :3])[..., None]
+    heading = np.sqrt(noise.heading_drive**2 * length + noise.heading_turn**2 * turned)
+    tilt = np.sqrt(noise.tilt**2 * length + noise.tilt_turn**2 * turned)
+    spin = draw[:, 3:] * np.column_stack([tilt, tilt, heading])
+    turns, moves = turns * (1 + robot.scales[1]), moves * (1 + robot.scales[0])
+    true = Pose(so3.exp(turns), (so3.left_jacobian(turns) @ moves[..., None])[..., 0])
+    true = true.disturbed(np.concatenate([shift[..., 0], spin], axis=1))
+    poses = [robot.map_from_odom @ reported[0]]
+    for index in range(len(turns)):
+        poses.append(poses[-1] @ true[index])
+    return Pose.stack(poses)
+
+
+def pictures_of(plan: Plan, truth: dict[str, Pose]) -> list[tuple[str, Sightings]]:
+    """What the cameras see of robots on these ways."""
+    found = []
+    for number, name in enumerate(plan.cameras):
+        random = np.random.default_rng([plan.seed, 100, number])
+        found += [(name, m) for m in _pictures(plan, name, number, truth, random)]
+    return found
+
+
+def _pictures(
+    plan: Plan, name: str, number: int, truth: dict[str, Pose], random: np.random.Generator
+) -> Iterator[Sightings]:
+    camera = plan.cameras[name]
+    every = round(1 / plan.picture_rate / STEP_S)
+    for index in range(3 * number + 1, round(plan.seconds / STEP_S), every):
+        faces = []
+        for robot, plan_of_robot in plan.robots.items():
+            pose = truth[robot][index]
+            for seen in seen_faces(
+                plan_of_robot.target, pose, camera.map_from_camera, camera.lens, ()
+            ):
+                sighting = _sighting(plan, plan_of_robot.target, seen, random)
+                faces += [sighting] if sighting else []
+        stamp_ns = EPOCH_NS + index * to_ns(STEP_S) + to_ns(camera.time_offset_s)
+        yield Sightings(stamp_ns, f"{name}/optical", 640, 480, tuple(faces))
+
+
+def _sighting(plan: Plan, target: Target, seen, random: np.random.Generator) -> FaceSighting | None:
+    face: Face = seen.face
+    needed = face.corner_count if face.pattern is Pattern.CHECKERBOARD else _FEWEST_CORNERS
+    if len(seen.corners) < needed or seen.smallest_square_px < 6.0:
+        return None
+    pixels = seen.pixels + random.normal(0.0, 1.0, seen.pixels.shape) * plan.sigma
+    if face.reads_from_both_ends and random.random() < 0.5:
+        pixels = pixels[::-1]
+    number = face.id if len(target.look_alikes(face.appearance)) == 1 else -1
+    pixels = pixels.astype(np.float32)
+    return FaceSighting(target.name, number, seen.corners, pixels, plan.stated)
+
+
+def _inputs(plan: Plan) -> Inputs:
+    lines = ['site = "lab"']
+    for name, camera in plan.cameras.items():
+        lines += [f"[cameras.{name}]", f'source = "sim://{name}"', camera.more]
+    for name, robot in plan.robots.items():
+        noise = msgspec.structs.asdict(robot.noise)
+        lines += [f"[robots.{name}]", 'port = "loop://"', f'target = "{name}.toml"']
+        lines += [f"planar = {str(robot.planar).lower()}", f"[robots.{name}.odometry]"]
+        lines += [f"{key} = {value!r}" for key, value in noise.items()]
+    site = parse_site("\n".join([*lines, plan.more]), directory=Path())
+    return Inputs(
+        site,
+        {name: robot.target for name, robot in plan.robots.items()},
+        {name: camera.told or camera.lens for name, camera in plan.cameras.items()},
+    )
+
+
+def observed(session: Session, *, most: int | None = None) -> DataSet:
+    """What the session's cameras saw of r1, without a place, up to so many observations."""
+    inputs = session.inputs
+    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
+    intake = Intake(inputs.site, inputs.targets)
+    for node, message in session.messages:
+        if isinstance(message, Odometry):
+            data.tracks[node].add(message.stamp_ns, message.pose)
+        elif isinstance(message, Sightings):
+            intake.add(node, message, data.lenses[node])
+    track = data.tracks["r1"]
+    observations = intake.ready("r1", track.first_ns, track.last_ns)[:most]
+    data.entries.extend(Entry(observation) for observation in observations)
+    return data
+
+
+def offline(session: Session) -> Results:
+    """As `calibrate` does it."""
+    return pushed(session.inputs, session.messages).results()
+
+
+def pushed(inputs: Inputs, messages: tuple[tuple[str, Message], ...]) -> Pipeline:
+    """A pipeline after everything was pushed in this order and it was finished."""
+    pipeline = Pipeline(inputs, is_live=False)
+    for node, message in messages:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+    pipeline.finish()
+    return pipeline
+
+
+def live(
+    inputs: Inputs, arrivals: list[tuple[int, str, Message]]
+) -> tuple[Pipeline, list[tuple[int, Output]]]:
+    """A pipeline that got everything at its time of arrival (ns); what it sent, and when."""
+    pipeline, sent = Pipeline(inputs), []
+    for now_ns, node, message in sorted(arrivals, key=lambda item: item[0]):
+        pipeline.push(node, message)
+        sent += [(now_ns, output) for output in pipeline.advance(now_ns)]
+    sent += [(0, output) for output in pipeline.finish()]
+    return pipeline, sent
+
+
+def write_session(session: Session, folder: Path) -> Path:
+    """The session as `calibrate` reads it: session.mcap with its attachments, and truth.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    writer = McapWriter(folder / "session.mcap")
+    files = {"site.toml": session.inputs.site.text}
+    files |= {f"{name}.toml": target_text(t) for name, t in session.inputs.targets.items()}
+    for name, text in files.items():
+        writer.attach(name, text.encode(), "application/toml", time_ns=EPOCH_NS)
+    infos: list[tuple[str, Sent]] = [
+        (name, CameraInfo(EPOCH_NS, f"{name}/optical", model))
+        for name, model in session.inputs.lenses.items()
+    ]
+    for node, message in (*infos, *session.messages):
+        topic = INPUT_TOPICS[type(message)]
+        writer.add(
+            topic,
+            topic.key("lab", node),
+            cdr.encode(message),
+            log_ns=message.stamp_ns,
+            published_ns=message.stamp_ns,
+        )
+    writer.finish()
+    (folder / "truth.json").write_bytes(msgspec.json.encode(session.truth_file))
+    for name, poses in session.truth.items():
+        stamps_ns = EPOCH_NS + to_ns(STEP_S) * np.arange(len(poses))
+        (folder / f"{name}_truth.tum").write_bytes(encode_tum(stamps_ns, poses))
+    return folder

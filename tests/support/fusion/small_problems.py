@@ -1,0 +1,269 @@
+"""A least-squares problem with every kind of unknown, small enough to be looked at as a whole."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from support.builders import make_target
+from support.fusion.drives import EPOCH_NS, lens, looking_at
+
+from trigpoint.base.clock import to_ns
+from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras
+from trigpoint.fusion.model.observations import (
+    Observation,
+    Reading,
+    Verdict,
+    View,
+    base_from_faces,
+    face_points,
+    observation_of,
+)
+from trigpoint.fusion.model.odometry import OdometryTrack
+from trigpoint.fusion.model.problem import CameraState, Problem, RobotState, State
+from trigpoint.fusion.model.rolling_shutter import sweep_of
+from trigpoint.fusion.solver.levenberg_marquardt import moved_state
+from trigpoint.fusion.solver.normal_equations import NormalEquations
+from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
+from trigpoint.geometry.rotation import Array
+from trigpoint.site.config import parse_site
+
+SITE = """
+site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "sim://c1"
+intrinsics = "estimate"
+time_offset_sigma = 0.01
+[cameras.c2]
+source = "sim://c2"
+intrinsics = "estimate"
+time_offset_sigma = 0.02
+[robots.r1]
+port = "loop://"
+[robots.r1.odometry]
+distance_scale = 0.03
+heading_scale = 0.02
+[robots.r2]
+port = "loop://"
+planar = false
+[robots.r2.odometry]
+vertical = 0.004
+tilt = 0.003
+tilt_turn = 0.005
+distance_scale = 0.02
+heading_scale = 0.03
+[fusion]
+target_translation = 0.004
+target_rotation = 0.01
+"""
+SIGMA = 0.2
+SECONDS = 4.0
+EVERY_CORNER = 7  # only every seventh corner of a face is seen
+
+
+def eyes() -> dict[str, Pose]:
+    """The cameras' true poses."""
+    return {
+        "c1": looking_at((3.0, -1.0, 1.4), (0.5, 0.2, 0.5)),
+        "c2": looking_at((2.2, 2.4, 1.2), (0.6, 0.2, 0.5)),
+    }
+
+
+def reported(robot: str, seconds: Array) -> Pose:
+    """odom_from_base: r1 on an arc in the plane, r2 on a screw in space."""
+    if robot == "r1":
+        heading = 0.25 * seconds
+        return Pose.planar(
+            0.3 * np.sin(heading) / 0.25, 0.3 * (1 - np.cos(heading)) / 0.25, heading
+        )
+    turns = np.stack([0.1 * seconds, -0.15 * seconds, 0.3 * np.sin(seconds)], axis=-1)
+    shifts = np.stack([0.2 * seconds, 0.1 * np.sin(seconds), 0.1 * seconds], axis=-1)
+    return Pose(so3.exp(turns), shifts)
+
+
+MAP_FROM_ODOM = {"r1": Pose.identity(), "r2": Pose.planar(0.4, -0.6, 0.7)}
+
+
+def small_data(
+    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, seed: int = 0
+) -> DataSet:
+    """Two robots that two cameras see at a few moments; all is true where there is no noise.
+
+    `known`: the cameras have a joint prior instead of r1's first pose; `line_delay_s`: of c2's
+    rolling shutter.
+    """
+    text = SITE.replace("[robots.r1]", f"line_delay = {line_delay_s}\n[robots.r1]", 1)
+    site, random = parse_site(text, directory=Path()), np.random.default_rng(seed)
+    lenses = {name: lens(62.0, (-0.2, 0.05, 1e-3, -5e-4, 0.01)) for name in site.cameras}
+    targets = {name: make_target() for name in site.robots}
+    data = DataSet(site, targets, lenses, known_eyes(random) if known else KnownCameras.none())
+    for robot, track in data.tracks.items():
+        fill_track(track, robot)
+    for number in range(12):
+        robot, camera = ("r1", "r2")[number % 2], ("c1", "c2")[number // 2 % 2]
+        stamp_ns = EPOCH_NS + to_ns(SECONDS * (number + 0.63) / 13)
+        observation = see(data, camera, robot, stamp_ns, noise_px, random)
+        pose = true_pose(data, robot, observation.stamp_ns)
+        data.entries.append(Entry(observation, pose))
+    return data
+
+
+def known_eyes(random: np.random.Generator) -> KnownCameras:
+    """A joint prior of centimetres and milliradians with correlations."""
+    sigma = np.tile(np.repeat([0.01, 0.004], 3), 2)
+    mixed = np.eye(12) + 0.2 * random.standard_normal((12, 12))
+    covariance = sigma[:, None] * (mixed @ mixed.T) * sigma
+    return KnownCameras(eyes(), np.linalg.inv(covariance))
+
+
+def fill_track(track: OdometryTrack, robot: str) -> None:
+    seconds = np.arange(0.0, SECONDS, 0.05)
+    poses = reported(robot, seconds)
+    for index, second in enumerate(seconds):
+        track.add(EPOCH_NS + to_ns(float(second)), poses[index])
+
+
+def true_pose(data: DataSet, robot: str, stamp_ns: int) -> Pose:
+    """map_from_base by the robot's odometry, which is true where there is no noise."""
+    track = data.tracks[robot]
+    moved = track.motion(np.array([track.first_ns, stamp_ns]), np.zeros(2)).earlier_from_later[0]
+    return MAP_FROM_ODOM[robot] @ track.odom_from_base[0] @ moved
+
+
+def see(
+    data: DataSet,
+    camera: str,
+    robot: str,
+    stamp_ns: int,
+    noise_px: float,
+    random: np.random.Generator,
+) -> Observation:
+    """Both faces, whichever way they look: their readings are chosen already."""
+    views, config = [], data.site.cameras[camera]
+    for index, face in enumerate(data.targets[robot].faces):
+        corners = np.arange(index, face.corner_count, EVERY_CORNER)
+        points = face.base_from_face @ face_points(face, corners, is_turned=False)
+        pixels = exposed(data, camera, robot, stamp_ns, points)
+        pixels = pixels + noise_px * random.standard_normal(pixels.shape)
+        sweep = sweep_of(config, pixels)
+        views.append(View(corners, pixels, SIGMA, (Reading(index),), sweep))
+    return observation_of(camera, robot, stamp_ns, tuple(views)).judged(Verdict.ACCEPTED)
+
+
+def exposed(data: DataSet, camera: str, robot: str, stamp_ns: int, points: Array) -> Array:
+    """The pixels (n, 2) of points (n, 3) on a robot, each while its row is exposed."""
+    config, camera_from_map = data.site.cameras[camera], eyes()[camera].inverse()
+
+    def project(point: Array, at_ns: int) -> Array:
+        return data.lenses[camera].project(camera_from_map @ true_pose(data, robot, at_ns) @ point)
+
+    pixels = np.array([project(point, stamp_ns) for point in points])
+    for _ in range(3 if config.line_delay else 0):
+        after_s = config.line_delay * (pixels[:, 1] - (config.height - 1) / 2)
+        at = zip(points, after_s, strict=True)
+        pixels = np.array([project(p, stamp_ns + to_ns(float(s))) for p, s in at])
+    return pixels
+
+
+def first_state(data: DataSet, *, off: float = 0.0) -> State:
+    """The truth, or `off` (1: as far as is usual) in scales and time offsets; no nodes yet."""
+    cameras = {
+        name: CameraState(pose, data.lenses[name], off * offset_s)
+        for (name, pose), offset_s in zip(eyes().items(), (0.008, -0.005), strict=True)
+    }
+    nowhere = Pose(np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    robots = {
+        name: RobotState(nowhere, off * np.array([0.02, -0.03]), base_from_faces(target))
+        for name, target in data.targets.items()
+    }
+    return State(cameras, robots)
+
+
+def small_problem(
+    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, off: float = 0.0
+) -> Assembled:
+    """The problem over everything."""
+    data = small_data(known=known, noise_px=noise_px, line_delay_s=line_delay_s)
+    return assemble(data, first_state(data, off=off), list(range(len(data.entries))))
+
+
+SHAKE = {"pose": 0.01, "lens": 1e-3, "faces": 2e-3, "last": 0.01, "nodes": 0.01}
+
+
+def shaken(assembled: Assembled, *, seed: int = 1, amount: float = 1.0) -> State:
+    """The start, moved at random by about SHAKE; scales and time offsets stay at what the problem
+    was made for, as it is made anew until they do."""
+    random, problem = np.random.default_rng(seed), assembled.problem
+    layout = problem.layout
+    dense = np.zeros(layout.size)
+    for kind in ("pose", "lens", "faces", "last"):
+        for column in getattr(layout, kind).values():
+            dense[column] = SHAKE[kind] * random.standard_normal(len(column))
+    for column in layout.lens.values():
+        dense[column[:4]] *= 1e3  # pixels
+    nodes = {}
+    for name, chain in problem.chains.items():
+        nodes[name] = SHAKE["nodes"] * random.standard_normal((len(chain) - 1, len(chain.tangent)))
+        if chain.is_anchored:
+            nodes[name][0] = 0.0
+    moves = {name: amount * move for name, move in nodes.items()}
+    return moved_state(problem, assembled.start, amount * dense, moves)
+
+
+def unknowns(problem: Problem) -> list[tuple[str, int]]:
+    """Every unknown in one order: each chain's inner nodes, then the dense part («»)."""
+    found = []
+    for name, chain in problem.chains.items():
+        found += [(name, i) for i in range((len(chain) - 1) * len(chain.tangent))]
+    return found + [("", i) for i in range(problem.layout.size)]
+
+
+def stepped(problem: Problem, state: State, unknown: tuple[str, int], step: float) -> State:
+    """The state with one unknown moved."""
+    name, index = unknown
+    dense, moves = np.zeros(problem.layout.size), {}
+    if not name:
+        dense[index] = step
+    else:
+        chain = problem.chains[name]
+        move = np.zeros((len(chain) - 1) * len(chain.tangent))
+        move[index] = step
+        moves[name] = move.reshape(len(chain) - 1, len(chain.tangent))
+    return moved_state(problem, state, dense, moves)
+
+
+def whole_gradient(problem: Problem, equations: NormalEquations) -> Array:
+    """The gradient in the order of `unknowns`."""
+    nodes = [equations.chains[name].gradient.reshape(-1) for name in problem.chains]
+    return np.concatenate([*nodes, equations.gradient])
+
+
+def whole_matrix(problem: Problem, equations: NormalEquations) -> Array:
+    """The normal equations' matrix with nothing eliminated, in the order of `unknowns`."""
+    sizes = [equations.chains[name].gradient.size for name in problem.chains]
+    total = sum(sizes) + problem.layout.size
+    matrix, start = np.zeros((total, total)), 0
+    dense = slice(sum(sizes), total)
+    matrix[dense, dense] = equations.dense
+    for name, size in zip(problem.chains, sizes, strict=True):
+        chain, d = equations.chains[name], len(problem.chains[name].tangent)
+        coupling = chain.coupling.reshape(size, -1)
+        matrix[start : start + size, dense] = coupling
+        matrix[dense, start : start + size] = coupling.T
+        for node in range(size // d):
+            at = slice(start + node * d, start + (node + 1) * d)
+            matrix[at, at] = chain.diagonal[node]
+            if node + 1 < size // d:
+                after = slice(at.stop, at.stop + d)
+                matrix[after, at] = chain.lower[node]
+                matrix[at, after] = chain.lower[node].T
+        start += size
+    return matrix
+
+
+def with_faces_known(state: State, robot: str, base_from_face: Pose) -> State:
+    """The state with other faces of a robot."""
+    changed = replace(state.robots[robot], base_from_face=base_from_face)
+    return State(state.cameras, state.robots | {robot: changed})

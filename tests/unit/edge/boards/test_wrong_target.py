@@ -1,0 +1,87 @@
+"""A target file that is not the one in the picture: nothing is found, and what to write is said."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from support.pictures.boards import aprilgrid, charuco, checkerboard, picture_of, placed, target_of
+
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.tracker import TargetTracker
+from trigpoint.site.target import Face, Numbering
+
+WRONG = [
+    # the board, what the file has of it, and what is said
+    (charuco(5, 4, legacy=True), {"legacy": False}, "write legacy = true"),
+    (charuco(8, 6), {"legacy": True}, "write legacy = false"),
+    (charuco(5, 8), {"columns": 8, "rows": 5}, "write columns = 5 and rows = 8"),
+    (charuco(5, 7), {"columns": 7, "rows": 5}, "so it is not used; write columns = 5 and rows = 7"),
+    (charuco(6, 5), {"columns": 6, "rows": 4}, "compare columns, rows"),
+    (charuco(5, 4), {"inverted": True}, "write inverted = false"),
+    (charuco(5, 4), {"dictionary": "DICT_6X6_250"}, 'write dictionary = "DICT_4X4_250"'),
+    (
+        replace(charuco(6, 8), dictionary="DICT_6X6_250"),
+        {"dictionary": "DICT_4X4_250"},
+        'write dictionary = "DICT_6X6_250"',
+    ),
+    (aprilgrid(4, 3), {"columns": 3, "rows": 4}, "write columns = 4 and rows = 3"),
+    (aprilgrid(4, 3), {"numbering": Numbering.KALIBR}, 'write numbering = "top-left"'),
+    (aprilgrid(4, 3), {"border_bits": 2}, "write border_bits = 1"),
+    (checkerboard(10, 7), {"columns": 9, "rows": 6}, "write columns = 10 and rows = 7"),
+    (checkerboard(7, 9), {"columns": 6, "rows": 8}, "write columns = 7 and rows = 9"),
+]
+
+
+@pytest.mark.parametrize(("true", "described", "remedy"), WRONG)
+def test_board_that_the_picture_contradicts_is_not_found_and_said_at_once(
+    true: Face, described: dict[str, object], remedy: str
+) -> None:
+    detector = detector_for([target_of(replace(true, **described))])
+    for turn_deg in (0, 25, 200):
+        view = placed(true, distance=0.9, turn_deg=turn_deg, yaw_deg=20)
+        assert detector.detect(picture_of([view])) == ()
+    [line] = detector.misdescribed
+    assert remedy in line
+    assert line.endswith(remedy) or "compare" in remedy
+
+
+@pytest.mark.parametrize("face", [charuco(6, 8), aprilgrid(6, 4)], ids=lambda f: f.pattern.value)
+def test_mirrored_pictures_are_called_mirrored(face: Face) -> None:
+    detector = detector_for([target_of(face)])
+    for turn_deg in (0, 25, 200):
+        view = placed(face, distance=1.0, turn_deg=turn_deg)
+        assert detector.detect(np.fliplr(picture_of([view])).copy()) == ()
+    [line] = detector.misdescribed
+    assert "mirrored" in line
+
+
+def test_board_that_drives_in_is_dropped_when_the_part_that_disagrees_comes_into_view() -> None:
+    face = charuco(8, 6, legacy=True)
+    tracker = TargetTracker([target_of(replace(face, legacy=False))])
+    found = ()
+    for index in range(14):
+        view = placed(face, distance=0.9, x=0.75 - 0.055 * index)
+        found = tracker.detect(picture_of([view]), index * 50_000_000)
+    assert found == ()
+    [line] = tracker.misdescribed
+    assert "write legacy = true" in line
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.sampled_from([charuco(5, 4), charuco(8, 6, legacy=True), aprilgrid(4, 3)]),
+    st.floats(0.5, 1.4),
+    st.floats(0, 360),
+    st.floats(-40, 40),
+    st.integers(0, 9),
+)
+def test_board_as_described_is_never_contradicted(
+    face: Face, distance: float, turn_deg: float, tilt_deg: float, seed: int
+) -> None:
+    view = placed(face, distance=distance, turn_deg=turn_deg, tilt_deg=tilt_deg)
+    picture = picture_of([view], noise=2.0, seed=seed)
+    picture[:, : 100 + 20 * seed] = np.uint8(90)  # something stands before it
+    detector = detector_for([target_of(face)])
+    detector.detect(picture)
+    assert detector.misdescribed == ()

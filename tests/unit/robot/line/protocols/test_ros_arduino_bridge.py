@@ -1,0 +1,257 @@
+"""ros_arduino_bridge's commands; the bytes are those of its sketch (ROSArduinoBridge.ino)."""
+
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from trigpoint.base.clock import to_ns
+from trigpoint.robot.line.protocol import (
+    Advice,
+    Connected,
+    Damaged,
+    Event,
+    Mismatched,
+    Missing,
+    Reading,
+    Setup,
+)
+from trigpoint.robot.line.protocols.ros_arduino_bridge import RosArduinoBridge
+from trigpoint.site.config import RobotConfig, WheelConfig
+
+# The README's robot: 0.146 m wheels, 0.2969 m apart, 8384 counts a turn.
+README = WheelConfig(0.146, 0.2969, 8384)
+NOW_NS = to_ns(10.0)
+ANSWER_NS = to_ns(0.004)
+
+
+class Board:
+    """The sketch, as far as it is needed: commands end with CR, answers with CR LF."""
+
+    def __init__(self) -> None:
+        self.left = self.right = 5
+        self._command = b""
+
+    def receive(self, data: bytes) -> bytes:
+        answer = b""
+        for byte in data:
+            if byte != 13:
+                self._command += bytes([byte])
+                continue
+            command, self._command = self._command, b""
+            if command == b"e":
+                answer += b"%d %d\r\n" % (self.left, self.right)
+            elif command == b"r":
+                self.left = self.right = 0
+                answer += b"OK\r\n"
+            else:
+                answer += b"Invalid Command\r\n"
+        return answer
+
+
+def opened(wheels: WheelConfig = README) -> RosArduinoBridge:
+    config = RobotConfig(port="x", protocol="ros_arduino_bridge", wheels=wheels)
+    return RosArduinoBridge(Setup("r1", config, 1))
+
+
+def asked(protocol: RosArduinoBridge, board: Board, now_ns: int) -> list[Event]:
+    """One question and its answer."""
+    events = protocol.elapse(now_ns)
+    answer = board.receive(protocol.data_to_send(now_ns))
+    return events + (protocol.receive(answer, now_ns + ANSWER_NS) if answer else [])
+
+
+def readings(events: list[Event]) -> list[Reading]:
+    return [event for event in events if isinstance(event, Reading)]
+
+
+def test_bytes_are_those_of_the_sketch() -> None:
+    protocol = opened()
+    assert protocol.data_to_send(NOW_NS) == b"\rr\re\r"
+    assert protocol.receive(b"Invalid Command\r\nOK\r\n", NOW_NS) == []
+    events = protocol.receive(b"0 0\r\n", NOW_NS)
+    assert [type(event) for event in events] == [Connected, Reading]
+    later_ns = NOW_NS + to_ns(0.05)
+    assert protocol.data_to_send(later_ns) == b"e\r"
+    [reading] = readings(protocol.receive(b"8384 8384\r\n", later_ns))
+    np.testing.assert_allclose(reading.pose.translation[0], np.pi * 0.146)
+
+
+def test_reading_is_stamped_between_question_and_answer() -> None:
+    protocol, board = opened(), Board()
+    [reading] = readings(asked(protocol, board, NOW_NS))
+    assert reading.firmware_ns == NOW_NS + ANSWER_NS // 2
+
+
+def test_counters_are_set_to_zero_once_and_not_when_the_port_comes_back() -> None:
+    protocol, board = opened(), Board()
+    asked(protocol, board, NOW_NS)
+    board.left = board.right = 700
+    protocol.reset()
+    [reading] = readings(asked(protocol, board, NOW_NS + to_ns(1.0)))
+    assert board.left == 700
+    np.testing.assert_allclose(reading.pose.translation[0], 700 * np.pi * 0.146 / 8384)
+
+
+def test_question_without_an_answer_is_counted_and_asked_again() -> None:
+    protocol, board = opened(), Board()
+    asked(protocol, board, NOW_NS)
+    lost_ns = NOW_NS + to_ns(0.05)
+    assert protocol.data_to_send(lost_ns) == b"e\r"
+    assert protocol.data_to_send(lost_ns + to_ns(0.05)) == b""
+    events = asked(protocol, board, lost_ns + to_ns(0.11))
+    assert Missing(1) in events
+    assert len(readings(events)) == 1
+
+
+def test_late_answer_is_no_reading() -> None:
+    protocol = opened()
+    protocol.data_to_send(NOW_NS)
+    protocol.receive(b"0 0\r\n", NOW_NS)
+    assert readings(protocol.receive(b"5 5\r\n", NOW_NS + to_ns(0.01))) == []
+
+
+@pytest.mark.parametrize("line", [b"12", b"1 2 3", b"1.5 2", b"x 4", b"99999999999 1", b"-- 1"])
+def test_line_that_is_no_answer_is_damage(line: bytes) -> None:
+    protocol, board = opened(), Board()
+    asked(protocol, board, NOW_NS)
+    protocol.data_to_send(NOW_NS + to_ns(0.05))
+    events = protocol.receive(line + b"\r\n", NOW_NS + to_ns(0.06))
+    assert [type(event) for event in events] == [Damaged]
+
+
+def test_missing_wheel_numbers_are_asked_for_by_name() -> None:
+    protocol, board = opened(WheelConfig()), Board()
+    [event] = asked(protocol, board, NOW_NS)
+    assert isinstance(event, Mismatched)
+    assert "write diameter, track and ticks under [robots.r1.wheels]" in event.text
+
+
+def test_endless_line_takes_no_memory() -> None:
+    protocol, board = opened(), Board()
+    asked(protocol, board, NOW_NS)
+    for _ in range(100):
+        protocol.receive(b"1" * 1000, NOW_NS)
+    assert len(protocol._buffer) <= 64
+    assert [type(event) for event in protocol.receive(b"\n", NOW_NS)] == [Damaged]
+
+
+# A robot at 0.5 m/s, asked nearly 30 times a second.
+ASKED_S, COUNTS_A_SECOND = 0.034, 0.5 * 8384 / (np.pi * 0.146)
+Answer = Callable[[int], str]
+
+
+def driven(
+    protocol: RosArduinoBridge,
+    lefts: Iterable[tuple[float, int]],
+    answer: Answer = lambda n: f"{n} {n}",
+) -> list[Event]:
+    """The events of answers at given times (s), of wheels that turn alike."""
+    events: list[Event] = []
+    for seconds, count in lefts:
+        now_ns = NOW_NS + to_ns(seconds)
+        events += protocol.elapse(now_ns)
+        protocol.data_to_send(now_ns)
+        events += protocol.receive(f"{answer(count)}\r\n".encode(), now_ns + 1000)
+    return events
+
+
+def way(events: list[Event]) -> float:
+    """How far a robot that drives straight came, restarts told by the reading at the origin."""
+    last = total = 0.0
+    for reading in readings(events):
+        x = float(reading.pose.translation[0])
+        total, last = total + (x - last if x else 0.0), x
+    return total
+
+
+def steady(start_s: float, seconds: float, first: float = 0.0) -> list[tuple[float, int]]:
+    times = np.arange(start_s, start_s + seconds, ASKED_S)
+    return [(t, int(first + COUNTS_A_SECOND * (t - start_s))) for t in times.tolist()]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda n: f"{n} {n} ",
+        lambda n: f" {n}\t{n}\r\r",
+        lambda n: f"{n},{n}",
+        lambda n: f"{n}; {n}",
+        lambda n: f"{n}.00 {n}.00",
+        lambda n: f"e\r\n{n} {n}",
+    ],
+)
+def test_answers_of_forks_are_read_where_their_meaning_is_plain(answer: Answer) -> None:
+    events = driven(opened(), steady(0.0, 1.0), answer)
+    assert len(readings(events)) == 30
+    assert way(events) == pytest.approx(0.5 * 29 * ASKED_S, abs=0.001)
+
+
+@pytest.mark.parametrize("answer", [lambda n: f"{n},5 {n},5", lambda n: f"L:{n} R:{n}"])
+def test_answer_that_could_mean_anything_is_told_with_its_line(answer: Answer) -> None:
+    events = driven(opened(), steady(0.0, 1.0), answer)
+    [told] = [event for event in events if isinstance(event, Damaged) and event.text]
+    assert f"«{answer(int(COUNTS_A_SECOND * 2 * ASKED_S))}»" in told.text
+    assert readings(events) == []
+
+
+def test_board_that_refuses_the_question_is_told_now_and_then() -> None:
+    events = driven(opened(), steady(0.0, 9.0), lambda _: "Invalid Command")
+    told = [event for event in events if isinstance(event, Mismatched)]
+    assert ["«Invalid Command»" in event.text for event in told] == [True, True]
+
+
+@pytest.mark.parametrize("order", ["lrlr", "llrr", "lr--"])
+def test_four_counts_are_read_by_their_order(order: str) -> None:
+    columns = {"l": "100", "r": "300", "-": "77"}
+    answer = " ".join(columns[side] for side in order)
+    events = driven(opened(), [(0.1 * k, k) for k in range(4)], lambda _: answer)
+    assert 'order = "lrlr"' in next(e.text for e in events if isinstance(e, Mismatched))
+    ordered = opened(WheelConfig(0.146, 0.2969, 8384, order=order))
+    driven(ordered, [(0.0, 0)], lambda _: "0 0 0 0")
+    [reading] = readings(driven(ordered, [(0.1, 0)], lambda _: answer))
+    assert reading.pose.heading == pytest.approx(200 * np.pi * 0.146 / 8384 / 0.2969)
+
+
+@given(st.integers(-(2**15), 2**16), st.sampled_from([16, None]))
+def test_counters_of_16_bits_wrap_without_a_jump(first: int, bits: int | None) -> None:
+    """Stated, or noticed where a step is possible in no other way, which is told once."""
+    protocol = opened(WheelConfig(0.146, 0.2969, 8384, bits=bits))
+    counts = [(t, (count + 2**15) % 2**16 - 2**15) for t, count in steady(0.0, 12.0, first)]
+    events = driven(protocol, counts)
+    wraps = any(abs(b[1] - a[1]) > 2**15 for a, b in pairwise(counts))
+    assert sum(isinstance(event, Advice) for event in events) == (wraps and bits is None)
+    xs = [float(reading.pose.translation[0]) for reading in readings(events)]
+    np.testing.assert_allclose(np.diff(xs), 0.5 * ASKED_S, atol=0.001)
+
+
+@example(7.17, 0.3, 0.0)  # counts that 16 bits would just not hold
+@given(st.floats(0.5, 20.0), st.floats(0.3, 8.0), st.floats(0.0, 0.1))
+def test_board_that_counts_from_zero_goes_on_where_it_was(
+    drove_s: float, silent_s: float, begun_s: float
+) -> None:
+    protocol, again_s = opened(), drove_s + silent_s
+    events = driven(protocol, steady(0.0, drove_s))
+    [*_, last] = readings(events)
+    events = driven(protocol, steady(again_s, 1.0, COUNTS_A_SECOND * begun_s))
+    [connected] = [event for event in events if isinstance(event, Connected)]
+    assert connected.boot == 1
+    assert float(readings(events)[0].pose.translation[0]) == 0.0
+    assert way(events) == pytest.approx(0.5 * 29 * ASKED_S, abs=0.02)
+    assert float(last.pose.translation[0]) > 0.2
+
+
+@given(st.floats(0.5, 20.0), st.floats(0.3, 8.0), st.booleans())
+def test_board_that_was_only_silent_went_on_counting(
+    drove_s: float, silent_s: float, stands: bool
+) -> None:
+    protocol, again_s = opened(), drove_s + silent_s
+    driven(protocol, steady(0.0, drove_s))
+    count = COUNTS_A_SECOND * (drove_s if stands else again_s)
+    events = driven(protocol, [(again_s, int(count))])
+    assert all(event.boot == 0 for event in events if isinstance(event, Connected))
+    x = count * np.pi * 0.146 / 8384
+    assert float(readings(events)[0].pose.translation[0]) == pytest.approx(x, abs=0.001)

@@ -1,0 +1,151 @@
+import json
+import shutil
+from collections import namedtuple
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+from support.builders import TARGET_TEXT, make_site, site_text
+from support.pictures.boards import checkerboard, picture_of, placed
+
+from trigpoint.base.checks import Check
+from trigpoint.cli import run
+from trigpoint.site.config import load_site
+from trigpoint.tools.doctor import command as doctor
+from trigpoint.tools.doctor import machine as machine_checks
+from trigpoint.tools.doctor.command import examine
+from trigpoint.tools.doctor.machine import (
+    EXTRAS,
+    check_clock,
+    check_disk,
+    check_extra,
+    check_loopback,
+    check_python,
+    check_site_bus,
+)
+
+Usage = namedtuple("Usage", "free")
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out what takes seconds and has tests of its own."""
+    monkeypatch.setattr(doctor, "check_loopback", lambda _: Check("bus", "ok", "found"))
+    monkeypatch.setattr(doctor, "check_site_bus", lambda _: Check("site's bus", "ok", "opens"))
+    monkeypatch.setattr(doctor, "_part_checks", lambda part: [Check(f"{part} part", "ok", "fine")])
+
+
+def write_site(folder: Path, more: str = "") -> Path:
+    path = folder / "site.toml"
+    path.write_text(site_text(more=more))
+    (folder / "target.toml").write_text(TARGET_TEXT)
+    return path
+
+
+def test_this_machine_can_run_the_tests() -> None:
+    assert check_python().level == "ok"
+    assert check_loopback(make_site()).level == "ok"
+    assert check_clock().name == "clock"
+
+
+def test_missing_extra_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(EXTRAS, "robot", ("serial", "no_such_package"))
+    finding = check_extra("robot")
+    assert (finding.level, finding.message) == ("warning", "not installed (no_such_package)")
+    assert "pip install -c constraints.txt 'trigpoint[robot] @ file:" in finding.remedy
+
+
+@pytest.mark.parametrize(("free", "level"), [(100e9, "ok"), (5e9, "warning"), (0.5e9, "error")])
+def test_full_disk_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, free: float, level: str
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(free))
+    assert check_disk(tmp_path / "not" / "yet" / "there").level == level
+
+
+def test_unreachable_meeting_point_of_the_site_is_an_error(free_port: Callable[[], int]) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    finding = check_site_bus(make_site(bus=f'connect = ["{endpoint}"]'), patience_s=0.3)
+    assert (finding.level, finding.message) == ("error", f"{endpoint} cannot be reached")
+
+
+def test_nobody_on_the_default_bus_is_no_error() -> None:
+    finding = check_site_bus(make_site(name="doctor_alone"), patience_s=0.3)
+    assert finding.level == "ok"
+
+
+def test_clock_that_is_not_synchronised_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine_checks, "_read_clock", lambda: (5, 0))
+    assert check_clock().level == "warning"
+    monkeypatch.setattr(machine_checks, "_read_clock", lambda: (0, 1500))
+    assert check_clock() == Check("clock", "ok", "synchronised, at most 1.5 ms off")
+
+
+def test_parts_are_asked_where_they_are_installed(
+    quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EXTRAS, "robot", ("no_such_package",))
+    names = [finding.name for finding in examine(None)]
+    assert "edge part" in names
+    assert "robot part" not in names
+
+
+@pytest.mark.parametrize("part", list(EXTRAS))
+def test_every_parts_own_checks_open(part: str) -> None:
+    for finding in doctor._part_checks(part):
+        assert finding.level in ("ok", "warning", "error")
+        assert finding.message
+        assert finding.level == "ok" or finding.remedy
+
+
+def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) -> None:
+    more = '[cameras.c9]\nsource = "v4l2:///dev/no_camera"\n[robots.r9]\nport = "/dev/no_port"\n'
+    more = f'[cameras.c8]\nsource = "rtsp://a"\nheight = 481\nline_delay = 30e-6\n{more}'
+    path = write_site(tmp_path, f'{more}target = "lost.toml"')
+    findings = {finding.name: finding for finding in examine(load_site(path))}
+    assert findings["target of r1"].level == "ok"
+    assert findings["target of r9"].level == "error"
+    assert "lost.toml" in findings["target of r9"].message
+    assert findings["camera c9"].message == "/dev/no_camera is not on this machine"
+    assert findings["lens of c9"].message.startswith("no intrinsics")
+    assert "write line_delay" in findings["shutter of c9"].message
+    assert "rolls over a picture in 14.4 ms" in findings["shutter of c8"].message
+    assert findings["robot r9"].level == "warning"
+
+
+def test_command_exits_1_where_something_is_wrong(
+    quick: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_site(tmp_path, "")
+    assert run(["doctor", "--site", str(path)]) == 0
+    assert "ok       target of r1: «two-plane», 2 faces" in capsys.readouterr().out
+    (tmp_path / "target.toml").unlink()
+    assert run(["doctor", "--site", str(path), "--json"]) == 1
+    findings = json.loads(capsys.readouterr().out)
+    assert [f["name"] for f in findings if f["level"] == "error"] == ["target of r1"]
+
+
+def test_board_that_the_file_describes_the_wrong_way_round_is_told_with_what_to_write(
+    quick: None, tmp_path: Path
+) -> None:
+    site = write_site(tmp_path)
+    text = site.read_text()
+    [source] = [line for line in text.splitlines() if line.startswith("source")][:1]
+    site.write_text(text.replace(source, 'source = "dir://shots"', 1))
+    face = 'pattern = "checkerboard"\ncolumns = 6\nrows = 8\nsquare = 0.03\n'
+    here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]\n"
+    (tmp_path / "target.toml").write_text(f'name = "t"\n[[faces]]\nid = 0\n{face}{here}')
+    (tmp_path / "shots").mkdir()
+    cv2.imwrite(str(tmp_path / "shots" / "0.png"), picture_of([placed(checkerboard(8, 6))]))
+    findings = [one for one in examine(load_site(site)) if one.name.startswith("boards of ")]
+    assert [one.level for one in findings] == ["error"]
+    assert "write columns = 8 and rows = 6" in findings[0].remedy
+
+
+def test_target_of_a_site_without_robots_is_looked_at(quick: None, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text('site = "lab"\ntarget = "lost.toml"\n[cameras.c1]\nsource = "rtsp://a"\n')
+    findings = {finding.name: finding for finding in examine(load_site(path))}
+    assert findings["target"].level == "error"
+    assert "lost.toml" in findings["target"].message

@@ -1,0 +1,416 @@
+"""Recordings as people have them: one bad message among good ones, anything that MCAP lets a writer
+leave out, several parts, packed files, foreign encodings."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from ruamel.yaml import YAML
+from support.builders import make_odometry, site_text
+from support.pictures.boards import CHARUCO_TARGET, charuco, picture_of, placed
+
+from trigpoint.base.errors import MessageError
+from trigpoint.cli import run
+from trigpoint.contract import cdr
+from trigpoint.contract.cdr_ros import Builder, store
+from trigpoint.contract.messages import ODOMETRY, PICTURE, RAW_IMAGE, Picture
+from trigpoint.recorder.session.bag import Bag, RawImage
+from trigpoint.recorder.session.recording import open_recording
+from trigpoint.tools.pictures.bag import grey_of
+
+GREY = picture_of([placed(charuco(), distance=0.8, tilt_deg=15)])
+PNG = cv2.imencode(".png", GREY)[1].tobytes()
+SOUND = cdr.encode(Picture(0, "", "png", PNG))
+TOPIC = "/c1/image_raw/compressed"
+BAD = {
+    "nothing": b"",
+    "cut": SOUND[:21],
+    "noise": bytes(range(256)),
+    "no picture": cdr.encode(Picture(0, "", "png", b"")),
+    "half a picture": cdr.encode(Picture(0, "", "png", PNG[: len(PNG) // 2])),
+    "another picture's end": cdr.encode(Picture(0, "", "png", PNG[len(PNG) // 2 :])),
+}
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    path = tmp_path / "target.toml"
+    path.write_text(CHARUCO_TARGET)
+    return path
+
+
+def write(
+    file: Path,
+    payloads: list[bytes],
+    *,
+    first_s: int = 1000,
+    topic: str = TOPIC,
+    encoding: str = "cdr",
+    **options: Any,
+) -> Path:
+    """A file of pictures, a second apart."""
+    writer = Writer(str(file), **options)
+    writer.start(profile="ros2", library="theirs")
+    schema = writer.register_schema(PICTURE, "ros2msg", cdr.definition(PICTURE).encode())
+    channel = writer.register_channel(topic, encoding, schema)
+    for number, payload in enumerate(payloads):
+        time_ns = (first_s + number) * 10**9
+        writer.add_message(channel, time_ns, payload, time_ns)
+    writer.finish()
+    return file
+
+
+def listed(folder: Path, files: list[str]) -> Path:
+    """A folder's metadata.yaml, as rosbag2 has it."""
+    information = {"relative_file_paths": files, "compression_mode": "", "version": 9}
+    text = json.dumps({"rosbag2_bagfile_information": information})
+    (folder / "metadata.yaml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_one_bad_picture_is_left_out_and_named_by_its_time(
+    tmp_path: Path, target: Path, bad: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    told = capsys.readouterr()
+    assert told.out.count("face 0") == 2
+    assert f"1 picture left out: {bag}: a picture of {TOPIC}, at 1001.000 s" in told.err
+
+
+@pytest.mark.parametrize("bad", ["nothing", "no picture"])
+def test_nothing_but_bad_pictures_is_status_1(tmp_path: Path, target: Path, bad: str) -> None:
+    bag = write(tmp_path / "bag.mcap", [BAD[bad]] * 2)
+    assert run(["detect", str(bag), "--target", str(target)]) == 1
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_check_names_what_recover_leaves_out(
+    tmp_path: Path, bad: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND, BAD[bad], SOUND])
+    assert run(["check", str(bag)]) == 1
+    said = capsys.readouterr().out
+    assert re.search(rf"a message of {TOPIC} (cannot|holds).*, at 1001\.000 s", said)
+    whole = tmp_path / "whole" / "whole.mcap"
+    assert run(["recover", str(bag), "--out", str(whole)]) == 0
+    assert run(["check", str(whole)]) == 0
+    assert open_recording(whole).counts == {TOPIC[1:]: 2}
+    metadata = YAML(typ="safe").load((whole.parent / "metadata.yaml").read_text())
+    (topic,) = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    assert topic["topic_metadata"]["type"] == PICTURE
+
+
+JPEG = cv2.imencode(".jpg", GREY)[1].tobytes()
+
+
+@settings(deadline=None)
+@given(st.sampled_from([PNG, JPEG]), st.floats(0, 1, exclude_max=True), st.binary(max_size=4))
+def test_what_check_lets_pass_can_be_decoded(whole: bytes, share: float, after: bytes) -> None:
+    for data in (whole[: int(share * len(whole))] + after, whole[-1 - len(after) :], whole + after):
+        picture = Picture(0, "", "bgr8; jpeg compressed bgr8", data)
+        if not cdr.fault_in(PICTURE, cdr.encode(picture)):
+            assert grey_of(picture).shape == GREY.shape
+    assert not cdr.fault_in(PICTURE, cdr.encode(Picture(0, "", "png", whole + after)))
+
+
+@given(
+    encoding=st.sampled_from(["", "mono8", "12FC3"]),
+    width=st.integers(0, 5),
+    height=st.integers(0, 5),
+    size=st.integers(0, 30),
+)
+def test_check_names_raw_pictures_that_hold_too_little(
+    encoding: str, width: int, height: int, size: int
+) -> None:
+    header = Builder().header(0, "")
+    shape = {"height": height, "width": width, "step": 0}
+    form = {"encoding": encoding, "is_bigendian": 0}
+    image = Builder()(
+        "sensor_msgs/Image", header=header, **shape, **form, data=np.zeros(size, np.uint8)
+    )
+    is_sound = bool(encoding) and 0 < width * height <= size
+    payload = bytes(store().serialize_cdr(image, RAW_IMAGE))
+    assert (not cdr.fault_in(RAW_IMAGE, payload)) == is_sound
+
+
+def test_a_warning_is_said_once_with_how_often(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check", str(write(tmp_path / "bag.mcap", [b""] * 7))]) == 1
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    assert "and 6 more like it" in out
+
+
+LEFT_OUT = ("repeat_channels", "repeat_schemas", "use_chunking", "use_statistics",
+            "use_summary_offsets", "enable_crcs", "enable_data_crcs")  # fmt: skip
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    indexes=st.sets(st.sampled_from(list(IndexType))),
+    compression=st.sampled_from(CompressionType),
+    options=st.fixed_dictionaries({name: st.booleans() for name in LEFT_OUT}),
+    chunk_size=st.sampled_from([1, 1 << 20]),
+)
+def test_whatever_a_writer_leaves_out_all_messages_are_read(
+    tmp_path: Path,
+    indexes: set[IndexType],
+    compression: CompressionType,
+    options: dict[str, Any],
+    chunk_size: int,
+) -> None:
+    kinds = IndexType.NONE
+    for kind in indexes:
+        kinds |= kind
+    file = write(
+        tmp_path / "bag.mcap",
+        [SOUND] * 4,
+        index_types=kinds,
+        compression=compression,
+        chunk_size=chunk_size,
+        **options,
+    )
+    assert open_recording(file).counts == {TOPIC[1:]: 4}
+    assert sum(one.log_ns > 0 for one in Bag(file).messages([TOPIC], never)) == 4
+
+
+def test_a_topics_type_is_what_most_of_its_messages_are(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, stray = tmp_path / "bag.mcap", cdr.encode(make_odometry(10**9))
+    writer = Writer(str(bag))
+    writer.start(profile="ros2", library="theirs")
+    for number, kind in enumerate((PICTURE, ODOMETRY, PICTURE)):
+        schema = writer.register_schema(kind, "ros2msg", cdr.definition(kind).encode())
+        channel = writer.register_channel(TOPIC, "cdr", schema)
+        writer.add_message(channel, number, SOUND if kind == PICTURE else stray, number)
+    writer.finish()
+    for file in (bag, tmp_path / "whole.mcap"):
+        assert run(["detect", str(file), "--target", str(target)]) == 0
+        told = capsys.readouterr()
+        assert told.out.count("face 0") == 2
+        assert f"is a {ODOMETRY}, not a {PICTURE}" in told.err
+        assert run(["check", str(file)]) == 0
+        assert f"2 of {PICTURE}, 1 of {ODOMETRY}" in capsys.readouterr().out
+        if file == bag:
+            assert run(["recover", str(bag), "--out", str(tmp_path / "whole.mcap")]) == 0
+
+
+def test_a_foreign_topic_may_be_named_like_a_sessions(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [SOUND], topic="/lab/robot/r1/odom")
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    for command in ("info", "check", "recover"):
+        assert run([command, str(bag)]) == 0
+    capsys.readouterr()
+    assert run(["calibrate", str(bag)]) == 2
+    assert "by --topic" in capsys.readouterr().err
+
+
+def test_nothing_is_written_where_nothing_can_be_saved(tmp_path: Path) -> None:
+    bag, whole = write(tmp_path / "bag.mcap", [b"", b"no"]), tmp_path / "whole" / "whole.mcap"
+    assert run(["recover", str(bag), "--out", str(whole)]) == 1
+    assert not list(whole.parent.iterdir())
+
+
+def never(*reason: object) -> None:
+    raise AssertionError(reason)
+
+
+def parts(folder: Path, *, packed: bool) -> Path:
+    """A bag of two parts, in an order that is not that of their names."""
+    folder.mkdir()
+    names = []
+    for number, name in enumerate(("z.mcap", "a.mcap")):
+        file = write(folder / name, [SOUND] * (number + 1), first_s=1000 + 10 * number)
+        if packed:
+            name = f"{name}.zstd"
+            (folder / name).write_bytes(zstandard.compress(file.read_bytes()))
+            file.unlink()
+        names.append(name)
+    return listed(folder, names)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_bag_of_parts_is_one_session_for_every_command(
+    tmp_path: Path, target: Path, packed: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=packed)
+    assert [part.path.name[:1] for part in open_recording(bag).parts] == ["z", "a"]
+    assert run(["info", str(bag), "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["keys"][TOPIC[1:]]["messages"] == 3
+    assert all(Path(file).parent == bag for file in info["files"])
+    assert run(["check", str(bag)]) == 0
+    assert run(["recover", str(bag)]) == 0
+    assert open_recording(bag / "recovered").counts == {TOPIC[1:]: 3}
+    capsys.readouterr()
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    assert capsys.readouterr().out.count("face 0") == 3
+
+
+@pytest.mark.parametrize(
+    ("plugin", "packing", "is_file"),
+    [
+        (StoragePlugin.SQLITE3, None, False),
+        (StoragePlugin.SQLITE3, None, True),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE, False),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE, True),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE, False),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE, False),
+    ],
+)
+def test_a_bag_in_sqlite_or_of_packed_messages_is_a_session_for_every_command(
+    tmp_path: Path,
+    target: Path,
+    plugin: StoragePlugin,
+    packing: CompressionMode | None,
+    is_file: bool,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    writer = BagWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
+    if packing is not None:
+        writer.set_compression(packing, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(TOPIC, PICTURE, typestore=store())
+        for number, payload in enumerate((SOUND, b"", SOUND)):
+            writer.write(connection, number + 1, payload)
+    bag = next(writer.path.glob("*.db3*")) if is_file else writer.path
+    assert run(["info", str(bag), "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["keys"][TOPIC[1:]]["messages"] == 3
+    assert info["files"] == [str(bag)]
+    assert run(["check", str(bag)]) == 1
+    assert f"{bag}: warning: a message of {TOPIC}" in capsys.readouterr().out
+    assert run(["recover", str(bag)]) == 0
+    assert open_recording(writer.path / "recovered").counts == {TOPIC[1:]: 2}
+    capsys.readouterr()
+    assert run(["detect", str(bag), "--target", str(target)]) == 0
+    assert capsys.readouterr().out.count("face 0") == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["review", "--save", "a.rrd"],
+        ["export", "--out", "out", "--format", "mcap"],
+        ["calibrate", "--out", "out"],
+    ],
+)
+def test_a_bag_of_no_session_is_named_as_one_with_what_takes_it(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "site.toml").write_text(site_text(cameras=1))
+    (tmp_path / "target.toml").write_text(CHARUCO_TARGET)
+    command, *more = words
+    bag = str(write(tmp_path / "bag.mcap", [SOUND]))
+    assert run([command, bag, "--site", "site.toml", *more]) == 2
+    assert f"none of its topics ({TOPIC}) is one of a session" in capsys.readouterr().err
+
+
+def test_a_bag_of_ros_1_is_named_with_what_reads_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
+    assert run(["info", str(tmp_path / "old.bag")]) == 2
+    assert "ROS 1 bag, which only detect" in capsys.readouterr().err
+
+
+def test_a_part_that_was_unpacked_by_hand_is_found(tmp_path: Path) -> None:
+    bag = parts(tmp_path / "bag", packed=True)
+    write(bag / "a.mcap", [SOUND] * 2)
+    (bag / "a.mcap.zstd").unlink()
+    assert open_recording(bag).counts == {TOPIC[1:]: 3}
+
+
+def test_a_file_of_packed_messages_is_refused_with_what_to_give(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=False)
+    file = bag / "metadata.yaml"
+    file.write_text(
+        file.read_text().replace('"compression_mode": ""', '"compression_mode": "MESSAGE"')
+    )
+    for command in ("info", "check", "recover"):
+        assert run([command, str(bag / "z.mcap")]) == 2
+        assert "give its folder" in capsys.readouterr().err
+
+
+def test_a_topic_without_pictures_is_said_and_the_status_is_1(
+    tmp_path: Path, target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [])
+    for command in ("detect", "intrinsics"):
+        assert run([command, str(bag), "--target", str(target)]) == 1
+        assert "no picture is in what was given" in capsys.readouterr().err
+
+
+def test_a_part_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = parts(tmp_path / "bag", packed=False)
+    (bag / "a.mcap").unlink()
+    assert run(["info", str(bag)]) == 2
+    assert "a.mcap: is listed in metadata.yaml, but not there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("encoding", "words"), [("ros1", "ROS 1"), ("json", "JSON")])
+def test_what_is_no_cdr_is_named_as_what_it_is(
+    tmp_path: Path, target: Path, encoding: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write(tmp_path / "bag.mcap", [b"{}"], encoding=encoding)
+    assert run(["detect", str(bag), "--target", str(target), "--topic", TOPIC]) == 2
+    error = capsys.readouterr().err
+    assert f"{TOPIC} is a {words} message ({PICTURE}) in MCAP" in error
+    assert error.count("\n") == 1
+    assert run(["info", str(bag)]) == 0
+    assert f"{words} message ({PICTURE}) in MCAP" in capsys.readouterr().out
+
+
+def test_messages_that_nobody_counts_have_no_breaks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write(tmp_path / "bag.mcap", [SOUND] * 3)
+    assert run(["info", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0
+
+
+ENCODINGS = {"mono8": 1, "rgb8": 3, "bgra8": 4, "mono16": 2, "bayer_rggb8": 1, "yuyv": 2}
+
+
+@given(
+    encoding=st.sampled_from([*ENCODINGS, "", "32FC1"]),
+    width=st.integers(0, 9).map(lambda half: 2 * half),
+    height=st.integers(0, 9).map(lambda half: 2 * half),
+    step=st.integers(0, 100),
+    size=st.integers(0, 2000),
+)
+def test_raw_pictures_of_any_step_are_read_or_refused_in_words(
+    encoding: str, width: int, height: int, step: int, size: int
+) -> None:
+    image = RawImage(0, encoding, False, width, height, step, np.zeros(size, np.uint8))
+    row = width * ENCODINGS.get(encoding, 1)
+    is_whole = any(s >= row and size >= s * (height - 1) + row for s in (step, row))
+    if encoding in ENCODINGS and width and height and is_whole:
+        assert grey_of(image).shape == (height, width)
+    else:
+        with pytest.raises(MessageError):
+            grey_of(image)

@@ -1,0 +1,169 @@
+"""Sessions whose odometry or times are not as they should be: used where the meaning is plain, and
+else said, with how many and what to do."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+from support.fusion.drives import Session, lab_plan, make_session, write_session
+
+from trigpoint.cli import run
+from trigpoint.contract import cdr
+from trigpoint.contract.cdr_ros import store
+from trigpoint.contract.messages import ODOMETRY, SIGHTINGS, Mended, Odometry
+from trigpoint.geometry import Pose
+from trigpoint.recorder.session.recording import open_recording
+
+Change = Callable[[int, Any], None]
+
+
+@pytest.fixture(scope="module")
+def drive() -> Session:
+    return make_session(lab_plan(picture_rate=1.0))
+
+
+@pytest.fixture(scope="module")
+def recorded(drive: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_session(drive, tmp_path_factory.mktemp("recorded"))
+
+
+def calibrated(recorded: Path, folder: Path, change: Change, kind: str = ODOMETRY) -> int:
+    """The status of `calibrate` over the drive as a foreign bag, its messages of one type changed
+    before, with their number."""
+    recording, connections, number = open_recording(recorded), dict[str, Any](), 0
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for sample in recording.samples():
+            name, data = sample.topic.type_name, sample.payload
+            topic = f"/{sample.key.split('/')[2]}/{name.rpartition('/')[2]}"
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store())
+            if name == kind:
+                message = store().deserialize_cdr(data, name)
+                change(number, message)
+                number += 1
+                data = bytes(store().serialize_cdr(message, name))
+            writer.write(connections[topic], sample.log_ns, data)
+    for name, data in recording.attachments.items():
+        (folder / name).write_bytes(data)
+    words = [word for t in connections for word in ("--topic", f"{t.split('/')[1]}={t}")]
+    out = ("--out", str(folder / "out"))
+    return run(
+        ["calibrate", str(folder / "bag"), "--site", str(folder / "site.toml"), *out, *words]
+    )
+
+
+def stamp(message: Any, stamp_ns: int) -> None:
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+
+
+def shifted(by_ns: int) -> Change:
+    def change(_number: int, message: Any) -> None:
+        was = message.header.stamp
+        stamp(message, was.sec * 10**9 + was.nanosec + by_ns)
+
+    return change
+
+
+def by_simulator(number: int, message: Any) -> None:
+    stamp(message, (number + 1) * 20_000_000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "remedy"),
+    [
+        (ODOMETRY, by_simulator, "the clock of the odometry counts from 0.*use_sim_time"),
+        (SIGHTINGS, by_simulator, "the clock of the pictures counts from 0.*use_sim_time"),
+        (ODOMETRY, shifted(-7200 * 10**9), "s lie between them; synchronise the clocks"),
+        (ODOMETRY, shifted(7200 * 10**9), "s lie between them; synchronise the clocks"),
+    ],
+)
+def test_times_that_never_overlap_are_said_everywhere_with_the_remedy(
+    recorded: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    kind: str,
+    change: Change,
+    remedy: str,
+) -> None:
+    assert calibrated(recorded, tmp_path, change, kind) == 1
+    said = capsys.readouterr()
+    assert re.search(r"c1\s+unseen", said.out)
+    network = json.loads((tmp_path / "out" / "network.json").read_text())
+    page = (tmp_path / "out" / "report.html").read_text()
+    for text in (said.err, network["cameras"]["c1"]["undetermined"][0], page):
+        assert re.search(rf"saw a target in \d+ pictures, .*never overlap.*{remedy}", text)
+    assert "it never saw a robot" not in page
+
+
+def test_a_stamp_of_zero_is_the_time_of_recording_and_said(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrated(recorded, tmp_path, lambda n, m: stamp(m, 0) if n >= 3 else None) == 0
+    said = capsys.readouterr()
+    assert re.search(r"r1: \d+ messages without a stamp", said.err)
+    assert re.search(r"c1\s+located", said.out)
+
+
+def test_odometry_that_is_none_is_counted_and_the_status_is_1(
+    recorded: Path, drive: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def change(_number: int, message: Any) -> None:
+        message.pose.pose.position.x = np.nan
+
+    assert calibrated(recorded, tmp_path, change) == 1
+    count = sum(isinstance(message, Odometry) for _, message in drive.messages)
+    assert f"{count} messages of /r1/Odometry: a position holds a number that is not finite" in (
+        capsys.readouterr().err
+    )
+
+
+def test_sightings_of_which_none_can_be_read_are_the_reason_and_the_status_is_1(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    none = {"target": "", "face": 0, "corners": np.zeros(0, np.uint16)}
+    face = store().types["trigpoint_msgs/msg/FaceSighting"]
+
+    def change(_number: int, message: Any) -> None:
+        message.faces = [face(**none, pixels=np.zeros(0, np.float32), sigma=np.nan)]
+
+    assert calibrated(recorded, tmp_path, change, SIGHTINGS) == 1
+    said = capsys.readouterr().err
+    assert re.search(r"c1.* is unseen: nothing of it could be read: \d+ messages of /c1/S", said)
+    assert "nothing of it could be read" in (tmp_path / "out" / "report.html").read_text()
+
+
+finite = st.floats(-1, 1)
+no_number = st.sampled_from([np.nan, np.inf, -np.inf])
+
+
+@settings(max_examples=50)
+@given(
+    length=st.floats(1e-3, 1e3),
+    velocities=st.lists(finite | no_number, min_size=6, max_size=6),
+    covariance=finite | st.just(np.nan),
+)
+def test_a_drawn_length_or_velocity_is_read_and_what_it_lacked_remembered(
+    length: float, velocities: list[float], covariance: float
+) -> None:
+    sound = Odometry(5, "odom", "base", Pose.planar(1.0, 2.0, 0.7))
+    found: Any = store().deserialize_cdr(cdr.encode(sound), ODOMETRY)
+    turn, twist = found.pose.pose.orientation, found.twist.twist
+    turn.x, turn.y, turn.z, turn.w = (length * q for q in (turn.x, turn.y, turn.z, turn.w))
+    for axis, v, w in zip("xyz", velocities[:3], velocities[3:], strict=True):
+        setattr(twist.linear, axis, v)
+        setattr(twist.angular, axis, w)
+    found.pose.covariance = found.twist.covariance = np.full(36, covariance)
+    read = cdr.decode(ODOMETRY, bytes(store().serialize_cdr(found, ODOMETRY)))
+    assert isinstance(read, Odometry)
+    np.testing.assert_allclose(read.pose.rotation, sound.pose.rotation, atol=1e-9)
+    known = [v if np.isfinite(v) else 0.0 for v in velocities]
+    np.testing.assert_array_equal([*read.linear, *read.angular], known)
+    assert (Mended.NO_TWIST in read.mended) == (not np.isfinite(velocities).all())
+    assert (Mended.NOT_NORMALISED in read.mended) == (abs(length - 1) > 0.01)

@@ -1,0 +1,166 @@
+import shutil
+import subprocess
+from configparser import ConfigParser
+from pathlib import Path
+
+import msgspec
+import pytest
+from msgspec import Struct
+from support.builders import site_text
+
+from trigpoint.cli import run
+from trigpoint.site import config
+from trigpoint.site.config import (
+    BusConfig,
+    CameraConfig,
+    FusionConfig,
+    RecorderConfig,
+    RobotConfig,
+    Site,
+    load_site,
+    parse_site,
+)
+from trigpoint.site.target import load_target
+from trigpoint.tools.site.file import COMMENTS, full_site_text
+
+# All tables of a site file.
+STRUCTS = [
+    struct
+    for struct in vars(config).values()
+    if isinstance(struct, type) and issubclass(struct, Struct) and struct is not Site
+]
+
+
+@pytest.mark.parametrize("options", [[], ["--full"], ["--systemd"]])
+def test_written_files_load(tmp_path: Path, options: list[str]) -> None:
+    assert run(["init", "--directory", str(tmp_path), *options]) == 0
+    site = load_site(tmp_path / "site.toml")
+    assert site.camera("c1").estimates_intrinsics
+    target = load_target(site.path(site.target_name("r1")))
+    assert [face.id for face in target.faces] == [0, 1, 2]
+
+
+def test_full_file_holds_the_defaults_of_every_struct() -> None:
+    site = parse_site(full_site_text(), directory=Path())
+    camera, robot = site.camera("c1"), site.robot("r1")
+    # No lens is announced that nobody has measured, so a first site has its lenses estimated.
+    assert camera == CameraConfig(source=camera.source, intrinsics="estimate")
+    assert robot == RobotConfig(port=robot.port)
+    assert (site.bus, site.fusion, site.recorder) == (
+        BusConfig(),
+        FusionConfig(),
+        RecorderConfig(),
+    )
+
+
+@pytest.mark.parametrize("struct", STRUCTS)
+def test_full_file_explains_every_key(struct: type[Struct]) -> None:
+    lines = full_site_text().splitlines()
+    for field in msgspec.structs.fields(struct):
+        is_table = isinstance(field.default, Struct) or field.default_factory is dict
+        if not is_table and (struct, field.name) != (BusConfig, "tls"):
+            start, end = f"{field.name} = ", f"  # {COMMENTS[struct, field.name]}"
+            assert any(line.lstrip("# ").startswith(start) and line.endswith(end) for line in lines)
+
+
+def test_full_file_has_no_key_that_is_gone() -> None:
+    for struct, name in COMMENTS:
+        assert name in {field.name for field in msgspec.structs.fields(struct)}
+
+
+def test_targets_faces_look_ahead_left_and_right(tmp_path: Path) -> None:
+    run(["init", "--directory", str(tmp_path)])
+    normals = [
+        (-face.base_from_face.rotation[:, 2]).round(6).tolist()
+        for face in load_target(tmp_path / "target.toml").faces
+    ]
+    assert normals == [[1, 0, 0], [0, 1, 0], [0, -1, 0]]
+
+
+def test_files_that_exist_are_kept_unless_forced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "target.toml"
+    kept.write_text("mine")
+    assert run(["init", "--directory", str(tmp_path)]) == 2
+    assert "target.toml exists already; add --force" in capsys.readouterr().err
+    assert kept.read_text() == "mine"
+    assert not (tmp_path / "site.toml").exists()
+    assert run(["init", "--directory", str(tmp_path), "--force"]) == 0
+    assert load_target(kept).name == "box"
+
+
+def test_folder_that_cannot_be_made_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert run(["init", "--directory", str(tmp_path / "file")]) == 1
+    assert "nothing can be written there" in capsys.readouterr().err
+
+
+def service_of(file: Path) -> dict[str, str]:
+    """The [Service] keys of a unit."""
+    parser = ConfigParser(strict=False, interpolation=None)
+    parser.read_string(file.read_text())
+    assert parser["Install"]["WantedBy"] == "multi-user.target"
+    return dict(parser["Service"])
+
+
+def test_units_are_watched_and_started_again(tmp_path: Path) -> None:
+    folder = tmp_path / "a site 100%"
+    assert run(["init", "--systemd", "--directory", str(folder)]) == 0
+    names = {f"trigpoint-{name}" for name in ("edge@", "robot@", "fusion", "recorder", "router")}
+    files = {file.stem: file for file in (folder / "systemd").glob("*.service")}
+    assert files.keys() == names
+    for file in files.values():
+        service = service_of(file)
+        assert (service["type"], service["restart"]) == ("notify", "always")
+        assert int(service["watchdogsec"]) == 30
+        assert f'--site "{tmp_path}/a site 100%%/site.toml"' in service["execstart"]
+    assert "-m trigpoint edge --camera %i" in service_of(files["trigpoint-edge@"])["execstart"]
+
+
+@pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not here")
+@pytest.mark.parametrize("unit", ["edge@", "robot@", "fusion", "recorder", "router"])
+def test_units_are_shut_in(tmp_path: Path, unit: str) -> None:
+    """By systemd's own judge, which counts what a service could do that it need not."""
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    file = tmp_path / "systemd" / f"trigpoint-{unit}.service"
+    judged = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(file)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert judged.returncode == 0, judged.stdout.splitlines()[-1:] + judged.stderr.splitlines()[-3:]
+
+
+def test_nothing_runs_as_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("getpass.getuser", lambda: "root")
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    for file in (tmp_path / "systemd").glob("*.service"):
+        assert service_of(file)["user"] == "trigpoint"
+    made = (tmp_path / "systemd" / "trigpoint.conf").read_text().splitlines()
+    assert made[0] == f'u trigpoint - "Trigpoint" {tmp_path}'
+    assert made[1:] == ["m trigpoint dialout", "m trigpoint video"]
+
+
+def test_recorder_may_write_where_the_site_file_says(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text(site_text(more='[recorder]\ndirectory = "/srv/sessions"'))
+    assert run(["init", "--systemd", "--directory", str(tmp_path)]) == 0
+    unit = (tmp_path / "systemd" / "trigpoint-recorder.service").read_text()
+    assert 'ReadWritePaths="-/srv/sessions"' in unit
+    assert "ReadWritePaths" not in (tmp_path / "systemd" / "trigpoint-edge@.service").read_text()
+
+
+def test_units_are_written_for_a_site_that_exists_and_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text(site_text(cameras=2))
+    words = ["init", "--systemd", "--directory", str(tmp_path)]
+    assert run(words) == 0
+    assert site.read_text() == site_text(cameras=2)
+    assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in capsys.readouterr().out
+    assert run(words) == 2
+    assert "exists already; add --force" in capsys.readouterr().err

@@ -1,0 +1,214 @@
+"""The commands `target check` and `target draw`, as a user runs them."""
+
+import base64
+import json
+import re
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import cv2
+import pytest
+
+from trigpoint.cli import run
+from trigpoint.site.target import load_target
+from trigpoint.tools.simulation.sight.targets import target_of, target_text
+from trigpoint.tools.target.drawing import sheet_for
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "target.toml"
+    path.write_text(target_text(target_of("checkerboard")))
+    return path
+
+
+def pages(pdf: Path) -> list[str]:
+    """The drawing commands of each page."""
+    found = re.findall(rb"stream\r?\n(.*?)endstream", pdf.read_bytes(), re.DOTALL)
+    return [zlib.decompress(base64.a85decode(data.strip()[:-2])).decode() for data in found]
+
+
+def test_sound_target_is_said_to_be_so(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["target", "check", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "target «three-plane» is sound: 6 faces, 288 corners" in out
+    assert "look alike" in out
+
+
+def test_check_needs_no_printer(file: Path) -> None:
+    """A camera's machine has no `reportlab`; there a target is checked all the same."""
+    code = (
+        "import sys; sys.modules['reportlab'] = None; from trigpoint.cli import run; "
+        "sys.exit(run(['target', 'check', sys.argv[1]]))"
+    )
+    words = [sys.executable, "-c", code, str(file)]
+    assert subprocess.run(words, capture_output=True, timeout=60).returncode == 0
+
+
+def test_check_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["target", "check", "--json", str(file)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["target"], result["problems"], len(result["notes"])) == ("three-plane", [], 2)
+
+
+def test_unsound_target_exits_2_with_one_line(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = target_text(target_of("charuco")).replace("first_marker = 50", "first_marker = 245")
+    file.write_text(text)
+    assert run(["target", "check", str(file)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"{file}: 1 to mend: face 5 needs markers 245 to 254, but DICT_4X4_250 has 250" in line
+    assert run(["target", "draw", str(file)]) == 2
+
+
+def test_missing_target_exits_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["target", "check", str(tmp_path / "none.toml")]) == 2
+    assert "there is no such target file" in capsys.readouterr().err
+
+
+def test_drawing_has_a_page_a_face_at_true_scale(file: Path) -> None:
+    assert run(["target", "draw", str(file)]) == 0
+    drawn = pages(file.with_suffix(".pdf"))
+    assert len(drawn) == 6
+    for page in drawn:
+        [_, *scale] = re.findall(r"([\d.]+) 0 0 ([\d.]+) 0 0 cm", page)
+        assert scale == [("2.834646", "2.834646")]  # points a millimetre: 72 / 25.4
+        squares = re.findall(r"([\d.-]+) ([\d.-]+) ([\d.-]+) ([\d.-]+) re", page)
+        assert len(squares) == 32  # of 9 × 7
+        assert {(width, height) for _, _, width, height in squares} == {("28.5", "-28.5")}
+        bar = re.search(r"([\d.]+) 6 m ([\d.]+) 6 l", page)
+        assert bar is not None
+        assert float(bar[2]) - float(bar[1]) == 100.0
+
+
+def test_page_is_the_smallest_that_holds_the_face() -> None:
+    charuco, checkerboard = target_of("charuco").faces[0], target_of("checkerboard").faces[0]
+    assert sheet_for(charuco).name == "A3 lying"
+    assert sheet_for(checkerboard).name == "A3 upright"
+
+
+def test_same_target_is_drawn_as_the_same_bytes(file: Path, tmp_path: Path) -> None:
+    for name in ("a.pdf", "b.pdf"):
+        assert run(["target", "draw", str(file), "--out", str(tmp_path / name)]) == 0
+    assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+
+
+def test_folder_that_does_not_exist_is_one_clear_line(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["target", "draw", str(file), "--out", str(tmp_path / "no" / "x.pdf")]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert "cannot be written" in line
+
+
+def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What `target check` prints of a face with these lines, on something that is no terminal."""
+    here = "translation = [0.0, 0.0, 0.0]\nquaternion = [0.0, 0.0, 0.0, 1.0]"
+    path.write_text(f'name = "t"\n[[faces]]\nid = 0\n{text}\n{here}\n')
+    assert run(["target", "check", str(path)]) == 0
+    return capsys.readouterr().out
+
+
+def test_check_draws_a_checkerboard_in_its_colours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = 'pattern = "checkerboard"\ncolumns = 5\nrows = 3\nsquare = 0.03\n'
+    drawn = checked(tmp_path / "t.toml", board, capsys)
+    assert "  ##  ##  ##\n    ##  ##  \n  ##  ##  ##\n" in drawn
+    inverted = checked(tmp_path / "t.toml", board + "inverted = true", capsys)
+    assert "    ##  ##  \n  ##  ##  ##\n    ##  ##  \n" in inverted
+
+
+def test_check_draws_a_charuco_boards_markers_where_opencv_has_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = (
+        'pattern = "charuco"\ncolumns = 3\nrows = 3\nsquare = 0.03\nmarker = 0.02\n'
+        'dictionary = "DICT_4X4_50"\nfirst_marker = 7\n'
+    )
+    assert "  ## 7##\n   8## 9\n  ##10##\n" in checked(tmp_path / "t.toml", board, capsys)
+
+
+def test_check_draws_kalibrs_grid_from_the_bottom_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = (
+        'pattern = "aprilgrid"\ncolumns = 2\nrows = 2\nsquare = 0.03\nmarker = 0.02\n'
+        'dictionary = "DICT_APRILTAG_36h11"\nnumbering = "kalibr"\n'
+    )
+    drawn = checked(tmp_path / "t.toml", grid, capsys)
+    assert "##    ##    ##\n    [ 2]  [ 3]  \n" in drawn
+    assert drawn.index("[ 2]") < drawn.index("[ 0]")
+
+
+def test_check_draws_a_picture_of_each_face(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["target", "check", str(file), "--picture", str(tmp_path / "board.png")]) == 0
+    assert "##" not in capsys.readouterr().out
+    faces = target_of("checkerboard").faces
+    for face in faces:
+        drawn = cv2.imread(str(tmp_path / f"board_{face.id}.png"))
+        assert drawn is not None
+        assert drawn.shape[0] > 900 or drawn.shape[1] > 900
+
+
+APRIL = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.088  # m\ntagSpacing: 0.3\n"
+CHECKER = (
+    "target_type: checkerboard\ntargetCols: 8\ntargetRows: 6\nrowSpacingMeters: 0.06\n"
+    "colSpacingMeters: 0.06\n"
+)
+
+
+def test_kalibrs_aprilgrid_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "april_6x5.yaml").write_text(APRIL + "codeOffset: 4\n")
+    assert run(["target", "import", str(tmp_path / "april_6x5.yaml")]) == 0
+    [face] = load_target(tmp_path / "target.toml").faces
+    assert (face.columns, face.rows, face.marker, face.first_marker) == (6, 5, 0.088, 4)
+    assert face.square == pytest.approx(0.1144)
+    assert (face.border_bits, face.numbering, face.has_corner_squares) == (2, "kalibr", True)
+    assert run(["target", "check", str(tmp_path / "target.toml")]) == 0
+    assert "is sound" in capsys.readouterr().out
+
+
+def test_kalibrs_checkerboard_is_imported_by_its_squares(tmp_path: Path) -> None:
+    (tmp_path / "board.yaml").write_text(CHECKER)
+    out = tmp_path / "mine.toml"
+    assert run(["target", "import", str(tmp_path / "board.yaml"), "--out", str(out)]) == 0
+    [face] = load_target(out).faces
+    assert (face.pattern, face.columns, face.rows, face.square) == ("checkerboard", 9, 7, 0.06)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (APRIL.replace("tagSize: 0.088", "tagSize: -1"), "tagSize is «-1»"),
+        (APRIL.replace("tagRows: 5\n", ""), "the key «tagRows» is missing"),
+        (APRIL + "tagBits: 2\n", "«tagBits» is not a key"),
+        (CHECKER.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "square squares"),
+        (CHECKER.replace("targetCols: 8", "targetCols: 6"), "make columns and rows differ"),
+        ("target_type: circlegrid\n", "target_type is «circlegrid»"),
+        ("- 1\n", "a mapping is needed"),
+    ],
+)
+def test_what_cannot_be_imported_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, why: str
+) -> None:
+    (tmp_path / "board.yaml").write_text(text)
+    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "target.toml").exists()
+
+
+def test_import_replaces_a_file_only_when_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "board.yaml").write_text(APRIL)
+    (tmp_path / "target.toml").write_text("mine")
+    assert run(["target", "import", str(tmp_path / "board.yaml")]) == 2
+    assert "add --force" in capsys.readouterr().err
+    assert (tmp_path / "target.toml").read_text() == "mine"
+    assert run(["target", "import", str(tmp_path / "board.yaml"), "--force"]) == 0

@@ -1,0 +1,235 @@
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from trigpoint.base.errors import MessageError
+from trigpoint.contract import messages
+from trigpoint.contract.cdr import decode, definition, encode, type_hash, type_name, warm_up
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
+    FaceSighting,
+    Message,
+    Odometry,
+    Picture,
+    Polygon,
+    PoseArray,
+    PoseEstimate,
+    PoseStamped,
+    Sightings,
+    Transform,
+    Transforms,
+)
+from trigpoint.contract.topics import TOPICS
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.camera import LensModel
+
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+numbers = st.floats(-1e6, 1e6)
+vectors = arrays(float, 3, elements=numbers)
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> Pose:
+    return Pose.from_vector(draw(arrays(float, 6, elements=st.floats(-3.0, 3.0))))
+
+
+@st.composite
+def face_sightings(draw: st.DrawFn) -> FaceSighting:
+    ids = draw(st.lists(st.integers(0, 2**16 - 1), min_size=1, max_size=20, unique=True))
+    pixels = arrays(np.float32, (len(ids), 2), elements=st.floats(-100, 5000, width=32))
+    sigma = draw(st.floats(0.0625, 10.0, width=32))
+    face = draw(st.integers(-1, 10))
+    return FaceSighting(draw(names), face, np.array(ids, np.uint16), draw(pixels), sigma)
+
+
+@st.composite
+def cameras(draw: st.DrawFn) -> CameraModel:
+    model = draw(st.sampled_from(LensModel))
+    distortion = draw(st.tuples(*[st.floats(-1, 1)] * model.coefficients))
+    focal = st.floats(1.0, 1e4)
+    return CameraModel(
+        draw(st.integers(1, 9999)),
+        draw(st.integers(1, 9999)),
+        *draw(st.tuples(focal, focal, numbers, numbers)),
+        distortion=distortion,
+        model=model,
+    )
+
+
+statuses = st.builds(
+    DiagnosticStatus,
+    st.integers(0, 3),
+    names,
+    names,
+    names,
+    st.dictionaries(names, names, max_size=4),
+)
+
+every_message = st.one_of(
+    st.builds(
+        Sightings,
+        stamps,
+        names,
+        st.integers(0, 2**32 - 1),
+        st.integers(0, 2**32 - 1),
+        st.lists(face_sightings(), max_size=3).map(tuple),
+    ),
+    st.builds(Odometry, stamps, names, names, poses(), vectors, vectors),
+    st.builds(PoseEstimate, stamps, names, poses(), arrays(float, (6, 6), elements=numbers)),
+    st.builds(PoseStamped, stamps, names, poses()),
+    st.builds(PoseArray, stamps, names, st.lists(poses(), max_size=4).map(Pose.stack)),
+    st.builds(Picture, stamps, names, names, st.binary(max_size=50)),
+    st.builds(CameraInfo, stamps, names, cameras()),
+    st.builds(
+        Transforms,
+        st.lists(st.builds(Transform, stamps, names, names, poses()), max_size=3).map(tuple),
+    ),
+    st.builds(
+        Polygon,
+        stamps,
+        names,
+        arrays(
+            np.float32,
+            st.tuples(st.integers(0, 5), st.just(3)),
+            elements=st.floats(-9, 9, width=32),
+        ),
+    ),
+    st.builds(Diagnostics, stamps, st.lists(statuses, max_size=3).map(tuple)),
+)
+
+
+def assert_equal(first: object, second: object) -> None:
+    """Equal field by field; poses and arrays to rounding."""
+    if isinstance(first, Pose):
+        assert isinstance(second, Pose)
+        np.testing.assert_allclose(first.rotation, second.rotation, atol=1e-12)
+        np.testing.assert_array_equal(first.translation, second.translation)
+    elif isinstance(first, np.ndarray):
+        np.testing.assert_array_equal(first, np.asarray(second))
+    elif isinstance(first, tuple):
+        assert isinstance(second, tuple)
+        assert len(first) == len(second)
+        for one, other in zip(first, second, strict=True):
+            assert_equal(one, other)
+    elif is_dataclass(first):
+        assert type(first) is type(second)
+        for field in fields(first):
+            assert_equal(getattr(first, field.name), getattr(second, field.name))
+    else:
+        assert first == second
+
+
+@settings(max_examples=200)
+@given(every_message)
+def test_message_survives_the_way_to_bytes_and_back(message: Message) -> None:
+    payload = encode(message)
+    assert payload[:4] == b"\x00\x01\x00\x00"  # CDR, little-endian
+    assert_equal(message, decode(type_name(message), payload))
+
+
+@settings(max_examples=200)
+@given(st.sampled_from(TOPICS), st.binary(max_size=300))
+def test_garbage_is_a_message_error(topic: object, payload: bytes) -> None:
+    assert is_refused_or_decoded(getattr(topic, "type_name"), payload)  # noqa: B009
+
+
+@settings(max_examples=200)
+@given(every_message, st.data())
+def test_damaged_message_is_decoded_or_a_message_error(
+    message: Message, data: st.DataObject
+) -> None:
+    payload = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(1, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    length = data.draw(st.integers(0, len(payload)))
+    assert is_refused_or_decoded(type_name(message), bytes(payload[:length]))
+
+
+def is_refused_or_decoded(name: str, payload: bytes) -> bool:
+    """Whether bytes are a message of the type or refused as none; any other error comes through."""
+    try:
+        return type_name(decode(name, payload)) == name
+    except MessageError:
+        return True
+
+
+def test_every_topic_has_a_codec() -> None:
+    warm_up()
+    for topic in TOPICS:
+        assert type_hash(topic.type_name).startswith("RIHS01_")
+        assert definition(topic.type_name)
+
+
+def test_sightings_definition_holds_the_faces_definition() -> None:
+    text = definition(messages.SIGHTINGS)
+    assert "trigpoint_msgs/FaceSighting[] faces" in text
+    assert "MSG: trigpoint_msgs/FaceSighting" in text
+    assert "float32 sigma" in text
+
+
+def sightings(**changes: object) -> Sightings:
+    values: dict[str, object] = {
+        "target": "t",
+        "face": 0,
+        "corners": np.arange(2, dtype=np.uint16),
+        "pixels": np.zeros((2, 2), np.float32),
+        "sigma": 1.0,
+    }
+    return Sightings(1, "c1/optical", 640, 480, (FaceSighting(**values | changes),))  # pyright: ignore[reportArgumentType]
+
+
+def odometry(pose: Pose) -> Odometry:
+    return Odometry(1, "r1/odom", "r1/base", pose)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: sightings(pixels=np.full((2, 2), np.nan, np.float32)), "not finite"),
+        (lambda: sightings(sigma=0.0), "must lie between"),
+        (lambda: sightings(sigma=float("nan")), "must lie between"),
+        (lambda: sightings(corners=np.zeros(2, np.uint16)), "names a corner twice"),
+        (lambda: sightings(corners=np.arange(3, dtype=np.uint16)), "3 corners but 4 pixel"),
+        (
+            lambda: sightings(corners=np.zeros(0, np.uint16), pixels=np.zeros((0, 2), np.float32)),
+            "0 corners",
+        ),
+        (lambda: odometry(Pose(np.eye(3), np.array([np.inf, 0, 0]))), "a position holds"),
+        (lambda: PoseEstimate(1, "map", Pose.identity(), np.full((6, 6), np.nan)), "covariance"),
+        (lambda: Polygon(1, "map", np.full((3, 3), np.nan)), "a polygon holds"),
+    ],
+)
+def test_unsound_message_is_refused_on_arrival(make: Callable[[], Message], complaint: str) -> None:
+    message = make()
+    with pytest.raises(MessageError, match=complaint):
+        decode(type_name(message), encode(message))
+
+
+def test_orientation_that_is_no_rotation_is_refused() -> None:
+    payload = bytearray(encode(PoseStamped(0, "map", Pose.identity())))
+    payload[-8:] = np.float64(0.5).tobytes()  # w, the last number
+    with pytest.raises(MessageError, match="no unit quaternion"):
+        decode(messages.POSE_STAMPED, bytes(payload))
+
+
+def test_stamp_before_1970_is_refused() -> None:
+    with pytest.raises(MessageError, match="before 1970"):
+        encode(PoseStamped(-1, "map", Pose.identity()))
+
+
+def test_our_own_definitions_keep_their_comments_and_their_hash() -> None:
+    text = definition(messages.SIGHTINGS)
+    assert "# stamp: middle of exposure" in text
+    assert "MSG: trigpoint_msgs/FaceSighting\n# One detection" in text
+    again = get_typestore(Stores.EMPTY)
+    again.register(get_types_from_msg(text, messages.SIGHTINGS))
+    assert again.hash_rihs01(messages.SIGHTINGS) == type_hash(messages.SIGHTINGS)

@@ -1,0 +1,131 @@
+"""Held against rosbags, which reads the same bytes by the types' definitions."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from trigpoint.base.errors import MessageError
+from trigpoint.contract import cdr_layout
+from trigpoint.contract.cdr import (
+    decode,
+    decode_by_definition,
+    encode,
+    encode_by_definition,
+    type_name,
+)
+from trigpoint.contract.messages import SIGHTINGS, FaceSighting, Odometry, Sightings
+from trigpoint.geometry import Pose
+
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+vectors = arrays(float, 3, elements=st.floats(-1e6, 1e6))
+poses = arrays(float, 6, elements=st.floats(-3.0, 3.0)).map(Pose.from_vector)
+odometry = st.builds(Odometry, stamps, names, names, poses, vectors, vectors)
+
+
+@st.composite
+def faces(draw: st.DrawFn) -> FaceSighting:
+    ids = draw(st.lists(st.integers(0, 2**16 - 1), min_size=1, max_size=9, unique=True))
+    pixels = arrays(np.float32, (len(ids), 2), elements=st.floats(-100, 5000, width=32))
+    sigma = draw(st.floats(0.0625, 10.0, width=32))
+    face = draw(st.integers(-1, 10))
+    return FaceSighting(draw(names), face, np.array(ids, np.uint16), draw(pixels), sigma)
+
+
+sizes = st.integers(0, 2**32 - 1)
+sightings = st.builds(
+    Sightings, stamps, names, sizes, sizes, st.lists(faces(), max_size=3).map(tuple)
+)
+either = st.one_of(odometry, sightings)
+
+
+def by_layout(name: str, payload: bytes) -> Odometry | Sightings | None:
+    layout = cdr_layout.odometry if name.endswith("Odometry") else cdr_layout.sightings
+    return layout(payload)
+
+
+def assert_same(one: object, other: object) -> None:
+    if isinstance(one, Odometry):
+        assert isinstance(other, Odometry)
+        assert (one.stamp_ns, one.frame_id) == (other.stamp_ns, other.frame_id)
+        assert one.child_frame_id == other.child_frame_id
+        np.testing.assert_allclose(one.pose.rotation, other.pose.rotation, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
+        np.testing.assert_array_equal(one.linear, other.linear)
+        np.testing.assert_array_equal(one.angular, other.angular)
+        return
+    assert isinstance(one, Sightings)
+    assert isinstance(other, Sightings)
+    assert (one.stamp_ns, one.frame_id) == (other.stamp_ns, other.frame_id)
+    assert (one.width, one.height) == (other.width, other.height)
+    for face, same in zip(one.faces, other.faces, strict=True):
+        assert (face.target, face.face, face.sigma) == (same.target, same.face, same.sigma)
+        assert (face.corners.dtype, face.pixels.dtype) == (same.corners.dtype, same.pixels.dtype)
+        np.testing.assert_array_equal(face.corners, same.corners)
+        np.testing.assert_array_equal(face.pixels, same.pixels)
+
+
+@settings(max_examples=300)
+@given(either)
+def test_sound_message_is_read_as_by_its_definition(message: Odometry | Sightings) -> None:
+    name, payload = type_name(message), encode(message)
+    assert_same(by_layout(name, payload), decode_by_definition(name, payload))
+
+
+@settings(max_examples=300)
+@given(odometry)
+def test_odometry_is_written_as_by_its_definition(message: Odometry) -> None:
+    assert encode(message) == encode_by_definition(message)
+
+
+def test_stamp_that_no_message_holds_is_left_to_the_definition() -> None:
+    assert cdr_layout.odometry_bytes(Odometry(-1, "", "", Pose.identity())) is None
+
+
+@settings(max_examples=800)
+@given(either, st.data())
+def test_damaged_message_is_refused_or_read_as_by_its_definition(
+    message: Odometry | Sightings, data: st.DataObject
+) -> None:
+    payload = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(0, 3))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    length = len(payload) + data.draw(st.integers(-5, 5))
+    damaged = bytes(payload[:length]) + bytes(max(0, length - len(payload)))
+    try:
+        read = by_layout(type_name(message), damaged)
+    except MessageError:  # beyond all measure, which its definition is not asked about any more
+        read = None
+    try:
+        expected = decode_by_definition(type_name(message), damaged)
+    except MessageError:
+        assert read is None
+    else:
+        assert read is None or assert_same(read, expected) is None
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
+def test_odometry_with_a_place_that_is_not_finite_is_refused(number: float) -> None:
+    translation = np.array([1.0, number, -number])
+    message = Odometry(1, "r1/odom", "r1/base", Pose(np.eye(3), translation))
+    with pytest.raises(MessageError, match="not finite"):
+        decode(type_name(message), encode(message))
+
+
+def test_big_endian_message_is_left_to_the_definition() -> None:
+    message = Odometry(7, "r1/odom", "r1/base", Pose.identity())
+    assert cdr_layout.odometry(b"\x00\x00" + encode(message)[2:]) is None
+
+
+def test_too_many_faces_are_refused_before_one_is_read() -> None:
+    face = FaceSighting("t", 1, np.arange(4, dtype=np.uint16), np.zeros((4, 2), np.float32), 0.2)
+    payload = encode(Sightings(1, "c1/optical", 640, 480, (face,) * 5000))
+    with pytest.raises(MessageError, match="5000 faces, of which 256"):
+        decode(SIGHTINGS, payload)
+
+
+def test_name_of_a_megabyte_is_refused() -> None:
+    with pytest.raises(MessageError, match="bytes of a name"):
+        decode(SIGHTINGS, encode(Sightings(1, "x" * 1_000_000, 640, 480, ())))

@@ -1,0 +1,1 @@
+"""`trigpoint calibrate`: from a session to a network and its report."""

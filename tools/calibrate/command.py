@@ -1,0 +1,225 @@
+"""The command `calibrate`: the estimator over a recorded session."""
+
+import math
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+
+from trigpoint.base.errors import InputError, OperationError, writing
+from trigpoint.base.terminal import Progress, table, waiting
+from trigpoint.base.words import counted
+from trigpoint.contract.messages import Odometry
+from trigpoint.fusion.estimators.registry import check_estimator
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.map.building import attached_plan, load_plan
+from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
+from trigpoint.recorder.session.recording import Recording, open_recording
+from trigpoint.site.config import load_site
+from trigpoint.site.option import site_here
+from trigpoint.tools.networks.building_alignment import Alignment, align, alignment_text
+from trigpoint.tools.networks.truth import NetworkError, load_truth, network_error
+from trigpoint.tools.sessions.inputs import session_inputs
+from trigpoint.tools.sessions.messages import SessionMessages, messages_of
+
+from .noise_words import noise_text
+from .report import REPORT, write_report
+
+
+def main(
+    session: Annotated[Path, typer.Argument(help="An .mcap file or a folder with one.")],
+    site: Annotated[
+        Path | None, typer.Option(help="The site file, if not the one in the session.")
+    ] = None,
+    network: Annotated[
+        Path | None, typer.Option(help="A network.json whose cameras are known beforehand.")
+    ] = None,
+    estimator: Annotated[
+        Literal["smoother", "particle", "ekf"] | None,
+        typer.Option(help="The estimator, if not the one in the site file."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write to; «calibration» beside the session.", file_okay=False),
+    ] = None,
+    topic: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=TOPIC",
+            help="For anybody's bag (MCAP, rosbag2, ROS 1), with --site: which camera's pictures, "
+            "or robot's odometry, a topic is, like c1=/front/image_raw. Give several.",
+        ),
+    ] = [],  # noqa: B006 - typer makes a list of it anew
+    json: Annotated[bool, typer.Option("--json", help="Print the network file instead.")] = False,
+) -> None:
+    """Work out the network of a recorded session, faster than it took.
+
+    Writes network.json, covariance.npz, each robot's trajectory, and report.html with all of it on
+    a page. Where a truth.json lies beside the session, the errors against it are stated too.
+    """
+    beside = session if session.is_dir() else session.parent
+    recording = None if topic else open_recording(session)
+    if recording is not None:
+        recording.check_is_session()
+    inputs = (
+        session_inputs(recording, site=site, network=network)
+        if recording
+        else _bag_inputs(site, network)
+    )
+    if estimator is not None:
+        fusion = msgspec.structs.replace(inputs.site.fusion, estimator=estimator)
+        chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
+        check_estimator(chosen)
+        inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
+    plan = (
+        attached_plan(inputs.site, recording.attachments)
+        if recording is not None and site is None
+        else load_plan(inputs.site)
+    )
+    folder = out if out is not None else beside / "calibration"
+    with writing(folder):  # fail now, not after all the work
+        folder.mkdir(parents=True, exist_ok=True)
+    messages = messages_of(recording) if recording else _bag_messages(session, topic, inputs)
+    pipeline = work_out(messages, inputs, source=session)
+    results = pipeline.results()
+    results.save(folder)
+    error = _error(beside, results)
+    alignment = align(inputs.site, plan, results, folder)
+    write_report(pipeline, results, error, alignment, session=session, folder=folder)
+    if json:
+        typer.echo(encode_network(results.network).decode(), nl=False)
+    else:
+        _print(results, error)
+        _say_alignment(alignment)
+    if alignment.problem:
+        raise InputError(f"{alignment.problem} (the network itself is written to {folder})")
+    if not json:
+        typer.echo(f"written to {folder}; open {folder / REPORT} in a browser")
+    _check_used(results)
+
+
+def calibrated(recording: Recording, inputs: Inputs) -> Results:
+    """The results of a whole session; raise InputError if nothing in it can be used."""
+    return worked_out(recording, inputs).results()
+
+
+def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
+    """A pipeline after a whole session; raise InputError if nothing in it can be used."""
+    return work_out(messages_of(recording), inputs, source=recording.path)
+
+
+def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipeline:
+    """A pipeline after these messages; raises OperationError where no odometry is sound."""
+    for words in found.unsound():
+        typer.echo(f"left out: {words}", err=True)
+    pipeline, messages, robots = Pipeline(inputs, is_live=False), found.in_order, found.robots
+    unreadable = found.unreadable
+    for node in unreadable.keys() & inputs.site.cameras.keys():
+        pipeline.arrivals.unreadable[node] = unreadable.pop(node)
+    if not robots and (unsound := unreadable.values()):
+        raise OperationError(
+            f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "
+            "record anew"
+        )
+    if not robots:
+        raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
+    if robots.isdisjoint(inputs.site.robots):
+        raise InputError(
+            f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
+            f"{', '.join(sorted(inputs.site.robots))}; use the same names"
+        )
+    with closing(Progress("calibrate", len(messages))) as progress:
+        for node, message in messages:
+            pipeline.push(node, message)
+            if isinstance(message, Odometry):
+                pipeline.advance()
+            progress.step()
+    with waiting("calibrate: working out what happened"):
+        pipeline.finish()
+    for reason, count in sorted(pipeline.messages_left_out.items()):
+        typer.echo(f"left out: {count} {reason.replace('_', ' ')}", err=True)
+    for text in pipeline.notes:
+        typer.echo(f"note: {text}", err=True)
+    return pipeline
+
+
+def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
+    site = site or site_here()
+    if site is None:
+        raise InputError("--topic: a bag has no site file; give it with --site")
+    return load_inputs(load_site(site), network=network)
+
+
+def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> SessionMessages:
+    from trigpoint.tools.sessions.bag import (  # OpenCV and bags, not needed by sessions
+        bag_messages,
+        parse_roles,
+    )
+
+    return bag_messages(bag, parse_roles(topics), inputs)
+
+
+def _error(folder: Path, results: Results) -> NetworkError | None:
+    path = folder / "truth.json"
+    if not path.exists():
+        return None
+    return network_error(results.network, results.covariance, load_truth(path))
+
+
+def _check_used(results: Results) -> None:
+    """Raise OperationError where no camera is located, and what one saw could not be used."""
+    cameras = results.network.cameras.items()
+    unused = [(n, c.undetermined[0]) for n, c in cameras if c.status == "unseen" and c.undetermined]
+    if unused and not results.network.located:
+        (name, why), *more = unused
+        others = f" (and {counted(len(more), 'other camera')} likewise)" if more else ""
+        raise OperationError(f"no camera could be located; {name}{others} is unseen: {why}")
+
+
+def _say_alignment(alignment: Alignment) -> None:
+    if alignment.building is not None:
+        typer.echo(alignment_text(alignment.building))
+
+
+def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[str]:
+    if camera.status != "located":
+        return [name, camera.status]
+    turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
+    row = [name, camera.status, f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
+    row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
+    if error and name in error.cameras:
+        mine = error.cameras[name]
+        row += [f"{100 * mine.position:.2f}", f"{math.degrees(mine.rotation):.2f}"]
+        row.append(f"{mine.sigmas:.1f}")
+    return row
+
+
+def _print(results: Results, error: NetworkError | None) -> None:
+    head = ["camera", "status", "sigma cm", "deg", "sightings", "rejected", "rms px"]
+    if error:
+        head += ["error cm", "deg", "sigmas"]
+    cameras = results.network.cameras.items()
+    rows = [_row(name, camera, error) for name, camera in cameras]
+    width = max(map(len, rows), default=0)
+    filled = [row + [""] * (width - len(row)) for row in rows]
+    styles = ["" if camera.status == "located" else "yellow" for _, camera in cameras]
+    typer.echo(table(head[:width], filled, left=(0, 1), styles=styles))
+    for name, camera in cameras:
+        for reason in camera.undetermined:
+            if camera.status == "undetermined":
+                typer.echo(f"{name} is not determined: {reason}")
+            elif results.network.located:  # else the command ends in that
+                typer.echo(f"{name} is unseen: {reason}")
+        if camera.status == "located" and not camera.confirmed:
+            typer.echo(f"{name} {ON_ONE_SIGHTING}")
+    if results.network.statistics.chi2_per_dof is not None:
+        typer.echo(noise_text(results.network.statistics.chi2_per_dof))
+    for line in results.noise:
+        typer.echo(f"  noise of {line}")
+    if error and error.distance is not None:
+        typer.echo(f"mean error of the distances between cameras: {100 * error.distance:.2f} cm")
+        typer.echo(f"errors against the joint covariance, per degree of freedom: {error.nees:.2f}")

@@ -1,0 +1,51 @@
+"""Writes a calibration's page beside its files."""
+
+from pathlib import Path
+
+from trigpoint.base.errors import writing
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.guidance.suggestions import Suggestion, next_poses
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.tools.networks.building_alignment import Alignment
+from trigpoint.tools.networks.truth import NetworkError
+from trigpoint.tools.report.calibration.facts import CalibrationResults
+from trigpoint.tools.report.calibration.page import calibration_page
+
+REPORT = "report.html"
+_NEXT_POSES = 3
+
+
+def write_report(
+    pipeline: Pipeline,
+    results: Results,
+    error: NetworkError | None,
+    alignment: Alignment,
+    *,
+    session: Path,
+    folder: Path,
+) -> None:
+    """Write report.html to the folder of the results; raises OperationError if that fails."""
+    page = calibration_page(
+        CalibrationResults(
+            network=results.network,
+            covariance=results.covariance,
+            trajectories=results.trajectories,
+            residuals=pipeline.residuals(),
+            left_out=pipeline.messages_left_out,
+            notes=pipeline.notes,
+            suggestions=_next_poses(pipeline),
+            error=error,
+            noise=results.noise,
+            building=alignment.building,
+            building_problem=alignment.problem,
+            session=str(session),
+            folder=str(folder),
+        )
+    )
+    with writing(folder / REPORT):
+        (folder / REPORT).write_text(page, encoding="utf-8")
+
+
+def _next_poses(pipeline: Pipeline) -> tuple[Suggestion, ...]:
+    world = pipeline.guidance_world()
+    return tuple(next_poses(world, count=_NEXT_POSES)) if world is not None else ()

@@ -1,0 +1,1 @@
+"""`trigpoint doctor`: what is not right on this machine or site, and what to do."""

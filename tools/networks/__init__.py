@@ -1,0 +1,1 @@
+"""Networks of cameras, compared with each other, with a truth, with the physical limit."""

@@ -1,0 +1,67 @@
+"""The Cramér-Rao bound of a recorded session whose truth is known."""
+
+from pathlib import Path
+
+import numpy as np
+
+from trigpoint.base.errors import InputError
+from trigpoint.contract.messages import CameraInfo, Odometry, Sightings
+from trigpoint.fusion.intake.message_intake import Intake
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.problem import CameraState
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.geometry import Pose
+from trigpoint.map.network import decode_tum
+from trigpoint.recorder.session.recording import Recording
+from trigpoint.tools.sessions.messages import messages_of
+
+from .cramer_rao import Bound, Oracle, cramer_rao
+from .truth import load_truth
+
+
+def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
+    """The bound of a session by its odometry, its sightings with their stated noise, and the truth
+    in `folder` (truth.json and the trajectories that it names).
+
+    Raises InputError where the truth is not there or nothing was sighted.
+    """
+    truth = load_truth(folder / "truth.json")
+    data = DataSet(inputs.site, inputs.targets, dict(inputs.lenses), inputs.known)
+    intake = Intake(inputs.site, inputs.targets)
+    for node, message in messages_of(recording).in_order:
+        if isinstance(message, CameraInfo):
+            data.lenses.setdefault(node, message.camera)
+        elif isinstance(message, Odometry) and node in data.tracks:
+            data.tracks[node].add(message.stamp_ns, message.pose)
+        elif isinstance(message, Sightings) and node in data.lenses:
+            intake.add(node, message, data.lenses[node])
+    places = []
+    for robot, track in data.tracks.items():
+        if robot not in truth.robots or not len(track):
+            continue
+        path = folder / truth.robots[robot]
+        try:
+            stamps_ns, poses = decode_tum(path.read_bytes(), source=str(path))
+        except OSError as reason:
+            raise InputError(f"{path}: cannot be read ({reason.strerror})") from None
+        observations = intake.ready(robot, track.first_ns, track.last_ns)
+        where = poses_at(stamps_ns, poses, np.array([o.stamp_ns for o in observations]))
+        places += [(observation, where[i]) for i, observation in enumerate(observations)]
+    if not places:
+        raise InputError(f"{recording.path}: no sighting whose truth is known")
+    cameras = {
+        name: CameraState(record.pose, data.lenses[name])
+        for name, record in truth.cameras.items()
+        if name in data.lenses
+    }
+    return cramer_rao(data, Oracle(cameras, places))
+
+
+def poses_at(stamps_ns: np.ndarray, poses: Pose, moments_ns: np.ndarray) -> Pose:
+    """Poses (m) at moments between those of a trajectory: from the one before, the same share of
+    the step's translation and turn; the nearest one beyond its ends."""
+    rows = np.clip(np.searchsorted(stamps_ns, moments_ns, "right") - 1, 0, len(stamps_ns) - 2)
+    gap = stamps_ns[rows + 1] - stamps_ns[rows]
+    share = np.clip((moments_ns - stamps_ns[rows]) / gap, 0.0, 1.0)
+    before = poses[rows]
+    return before.disturbed(poses[rows + 1].difference(before) * share[:, None])

@@ -1,0 +1,86 @@
+"""The page's first lines: the calibration in a sentence and in a few numbers."""
+
+from trigpoint.tools.report.drawing.frame import centimetres, tile
+from trigpoint.tools.report.drawing.svg import element
+
+from .facts import CalibrationResults
+
+
+def headline(results: CalibrationResults) -> str:
+    """The calibration in one sentence."""
+    located, count = len(results.network.located), len(results.network.cameras)
+    worst = results.worst
+    if worst is None:
+        return "No camera could be located"
+    sigma = centimetres(results.network.cameras[worst].position_sigma)
+    if count == 1:
+        return f"The camera is located, to {sigma}"
+    if located == count:
+        return f"All {count} cameras located, each to {sigma} or better"
+    return f"{located} of {count} cameras located, each to {sigma} or better"
+
+
+def tiles(results: CalibrationResults) -> str:
+    """A few numbers with what they mean."""
+    shown = [_located(results), _worst(results), _distance(results), _truth(results)]
+    shown += [_noise(results), _rejected(results)]
+    return element("div", *(one for one in shown if one), class_="tiles thirds")
+
+
+def _located(results: CalibrationResults) -> str:
+    located, count = len(results.network.located), len(results.network.cameras)
+    cameras = results.network.cameras.values()
+    unseen = sum(camera.status == "unseen" and not camera.undetermined for camera in cameras)
+    words = "cameras located"
+    if unseen:
+        words += f"; {unseen} never saw a robot"
+    return tile(f"{located} of {count}", words, is_bad=located + unseen < count)
+
+
+def _worst(results: CalibrationResults) -> str:
+    if results.worst is None:
+        return ""
+    sigma = results.network.cameras[results.worst].position_sigma
+    return tile(centimetres(sigma), f"standard deviation of {results.worst}, which is known worst")
+
+
+def _distance(results: CalibrationResults) -> str:
+    expected = results.expected_distance_error_m
+    if expected is None:
+        return ""
+    words = "mean error of the distances between cameras, as the covariance lets one expect"
+    return tile(centimetres(expected), words)
+
+
+def _truth(results: CalibrationResults) -> str:
+    if results.error is None or results.error.distance is None:
+        return ""
+    words = "their mean error in truth; all errors against the joint covariance come to "
+    words += f"{results.error.nees:.2f} per degree of freedom"
+    return tile(centimetres(results.error.distance), words)
+
+
+def noise_words(chi2: float, noise: tuple[str, ...] = ()) -> str:
+    """What χ² says, what `noise` is not as stated, and what follows where χ² is far from 1."""
+    words = "χ² per degree of freedom; 1 where noise is as assumed"
+    if noise:
+        words += f", that is, of {'; of '.join(noise)}"
+    if chi2 > 2.0:
+        return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
+    if chi2 < 0.5:
+        return f"{words}; sigmas are too large: corners or odometry are better than stated"
+    return words
+
+
+def _noise(results: CalibrationResults) -> str:
+    chi2 = results.network.statistics.chi2_per_dof
+    if chi2 is None:
+        return ""
+    return tile(f"{chi2:.2f}", noise_words(chi2, results.noise))
+
+
+def _rejected(results: CalibrationResults) -> str:
+    if not results.sightings:
+        return ""
+    words = f"of {results.sightings} sightings rejected, since they contradict the rest"
+    return tile(str(results.rejected), words)

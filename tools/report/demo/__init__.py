@@ -1,0 +1,1 @@
+"""The report of a demo: what robots and cameras did, against the truth."""

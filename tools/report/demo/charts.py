@@ -1,0 +1,181 @@
+"""The charts of a run: the robot's error, the uncertainty, and how long corrections took."""
+
+import numpy as np
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.tools.report.drawing.axes import Axes
+from trigpoint.tools.report.drawing.style import PALETTE
+from trigpoint.tools.report.drawing.svg import circle, drawing, element, group, line, polyline, text
+
+from .results import (
+    PAPER_DISTANCE_ERROR_M,
+    DemoResults,
+    PairResult,
+    RobotResult,
+    Track,
+)
+
+WIDTH, HEIGHT = 520.0, 280.0
+_MOST_POINTS = 400
+_BARS = 32
+_LABEL_HEIGHT = 13.0
+
+
+def robot_error_chart(results: DemoResults) -> str:
+    """Distance between where the robot is and where it is said to be, over time; centimetres."""
+    robot = results.robots[0]
+    odometry, live = _errors_cm(robot, robot.odometry), _errors_cm(robot, robot.live)
+    top = max([1.0, *odometry[1], *live[1]]) * 1.08
+    axes = Axes.of(WIDTH, HEIGHT, x=(0.0, results.seconds), y=(0.0, top), right=88.0)
+    lines = [
+        polyline(_thinned(axes.points(*odometry)), class_="way reckoned"),
+        polyline(_thinned(axes.points(*live)), class_="way corrected"),
+    ]
+    ends = [
+        (float(axes.up(errors[-1])), name, kind)
+        for (_, errors), name, kind in (
+            (odometry, "odometry", "reckoned-text"),
+            (live, "corrected", "corrected-text"),
+        )
+        if len(errors)
+    ]
+    labels = _labels(axes, ends)
+    return drawing(
+        WIDTH,
+        HEIGHT,
+        axes.frame("seconds", "robot's error, cm"),
+        *lines,
+        labels,
+        label="The robot's error over time, by odometry alone and corrected",
+        class_="chart",
+    )
+
+
+def uncertainty_chart(results: DemoResults) -> str:
+    """Every camera's standard deviation over time, centimetres, on a logarithmic scale."""
+    every = np.concatenate([[0.1, 10.0], *(100 * s.sigma_m for s in results.series)])
+    every = every[every > 0]
+    bounds = 10 ** np.floor(np.log10(every.min())), 10 ** np.ceil(np.log10(every.max()))
+    axes = Axes.of(
+        WIDTH, HEIGHT, x=(0.0, results.seconds), y=bounds, is_logarithmic=True, right=44.0
+    )
+    names = [camera.name for camera in results.cameras]
+    lines, ends = [], []
+    for series in results.series:
+        kind = f"k{names.index(series.name) % PALETTE}"
+        points = axes.points(series.t_s, 100 * series.sigma_m)
+        lines.append(group(polyline(_thinned(points), class_="series"), class_=kind))
+        ends.append((float(points[-1, 1]), series.name, f"series-text {kind}"))
+    return drawing(
+        WIDTH,
+        HEIGHT,
+        axes.frame("seconds", "standard deviation of the place, cm"),
+        *lines,
+        _labels(axes, ends),
+        label="The cameras' uncertainty over time",
+        class_="chart",
+    )
+
+
+def latency_chart(results: DemoResults) -> str:
+    """How long from the exposure to the correction; milliseconds."""
+    milliseconds = 1000 * results.latencies_s
+    top = _round_up(float(np.quantile(milliseconds, 0.99)) * 1.15)
+    counts, edges = np.histogram(np.minimum(milliseconds, top), bins=_BARS, range=(0.0, top))
+    axes = Axes.of(WIDTH, HEIGHT, x=(0.0, top), y=(0.0, counts.max() * 1.15))
+    bars = [_bar(axes, edges[i], edges[i + 1], count) for i, count in enumerate(counts) if count]
+    marks = [
+        _mark(axes, float(np.quantile(milliseconds, share)), name, row)
+        for row, (share, name) in enumerate(((0.5, "half"), (0.95, "95 %")))
+    ]
+    return drawing(
+        WIDTH,
+        HEIGHT,
+        axes.frame("milliseconds from exposure to correction", "corrections"),
+        *bars,
+        *marks,
+        label="Histogram of the time from exposure to correction",
+        class_="chart",
+    )
+
+
+def distance_chart(results: DemoResults) -> str:
+    """Every pair's distance: estimated minus true, with its sigma; centimetres."""
+    pairs = results.pairs
+    reach = max(max(abs(p.error_m), p.sigma_m) + p.sigma_m for p in pairs)
+    top = 115 * max(reach, PAPER_DISTANCE_ERROR_M)
+    axes = Axes.of(WIDTH, HEIGHT, x=(-0.6, len(pairs) - 0.4), y=(-top, top))
+    paper = 100 * PAPER_DISTANCE_ERROR_M
+    low, high = float(axes.up(-paper)), float(axes.up(paper))
+    left, right = axes.across.start, axes.across.end
+    band = element(
+        "rect", x=left, y=high, width=right - left, height=low - high, class_="paper-band"
+    )
+    words = text(right - 4, high - 5, "the paper's mean error", class_="tick end-anchored")
+    zero = line(left, float(axes.up(0)), right, float(axes.up(0)), class_="axis")
+    return drawing(
+        WIDTH,
+        HEIGHT,
+        band,
+        axes.frame("", "estimated minus true distance, cm", names=_pair_names(results)),
+        zero,
+        words,
+        *(_pair(axes, i, pair) for i, pair in enumerate(pairs)),
+        label="The error of the distance between every two cameras",
+        class_="chart",
+    )
+
+
+def _pair_names(results: DemoResults) -> list[tuple[str, str]]:
+    return [(pair.first, pair.second) for pair in results.pairs]
+
+
+def _pair(axes: Axes, place: int, pair: PairResult) -> str:
+    x = float(axes.across(place))
+    low, high = (float(axes.up(100 * (pair.error_m + s * pair.sigma_m))) for s in (-1, 1))
+    title = element("title", f"{pair.first} to {pair.second}: {100 * pair.error_m:+.2f} cm")
+    whisker = line(x, low, x, high, class_="whisker")
+    return group(title, whisker, circle(x, float(axes.up(100 * pair.error_m)), 4, class_="dot"))
+
+
+def _errors_cm(robot: RobotResult, track: Track) -> tuple[Array, Array]:
+    """(seconds, centimetres)."""
+    if not len(track.t_s):
+        return np.zeros(0), np.zeros(0)
+    true = robot.truth.at(track.t_s)
+    return track.t_s, 100 * np.linalg.norm(track.places - true.places, axis=1)
+
+
+def _thinned(points: Array) -> Array:
+    step = max(1, len(points) // _MOST_POINTS)
+    return np.concatenate([points[::step], points[-1:]])
+
+
+def _labels(axes: Axes, ends: list[tuple[float, str, str]]) -> str:
+    """Names at the lines' ends, moved apart where they would lie on each other."""
+    x, last = axes.across.end + 6, -np.inf
+    marks = []
+    room = axes.up.start - _LABEL_HEIGHT * (len(ends) - 1)
+    for i, (y, name, kind) in enumerate(sorted(ends)):
+        last = max(min(y, room + i * _LABEL_HEIGHT), last + _LABEL_HEIGHT)
+        marks.append(text(x, last + 4, name, class_=f"label {kind}"))
+    return group(*marks)
+
+
+def _bar(axes: Axes, start: float, end: float, count: int) -> str:
+    x0, x1 = float(axes.across(start)), float(axes.across(end))
+    y = float(axes.up(count))
+    return element(
+        "rect", x=x0 + 0.75, y=y, width=x1 - x0 - 1.5, height=axes.up.start - y, class_="bar", rx=1
+    )
+
+
+def _mark(axes: Axes, value: float, name: str, row: int) -> str:
+    x, top = float(axes.across(value)), axes.up.end
+    words = text(x + 5, top + 10 + 15 * row, f"{name}: {value:.0f} ms", class_="label mark-text")
+    return line(x, top, x, axes.up.start, class_="mark") + words
+
+
+def _round_up(value: float) -> float:
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * next(n for n in (1, 1.5, 2, 3, 5, 7.5, 10) if n * power >= value))

@@ -1,0 +1,1 @@
+"""SVG, axes, maps and frames that every report is drawn with."""

@@ -1,0 +1,1 @@
+"""`trigpoint secure` and `router`: a site's authority, its certificates, its door."""

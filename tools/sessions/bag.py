@@ -1,0 +1,101 @@
+"""Reads any bag as a session for `calibrate`: which topic is which camera or robot."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from trigpoint.base.errors import InputError, MessageError
+from trigpoint.contract.messages import (
+    CAMERA_INFO,
+    ODOMETRY,
+    SIGHTINGS,
+    Message,
+    Picture,
+    Sightings,
+)
+from trigpoint.edge.detector import TargetDetector, detector_for
+from trigpoint.edge.image.picture import as_grey
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.recorder.session.bag import PICTURES, Bag, BagMessage, RawImage
+from trigpoint.tools.pictures.bag import grey_of
+
+from .messages import SessionMessages
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What a topic is: of the camera or robot `name`."""
+
+    name: str
+    topic: str
+
+
+def parse_roles(texts: Sequence[str]) -> list[Role]:
+    """«c1=/front/image_raw» …; raise InputError for anything else."""
+    roles = []
+    for text in texts:
+        name, separator, topic = text.partition("=")
+        if not separator or not name or not topic:
+            raise InputError(
+                f"--topic {text}: say whose it is, like c1=/front/image_raw or r1=/odom"
+            )
+        roles.append(Role(name.strip(), topic.strip()))
+    return roles
+
+
+def bag_messages(path: Path, roles: Sequence[Role], inputs: Inputs) -> SessionMessages:
+    """The messages of cameras and robots; pictures are searched for the site's targets.
+
+    The camera_info beside a camera's pictures is taken by itself. Raises InputError where a role
+    or a topic does not fit.
+    """
+    bag, found = Bag(path), SessionMessages()
+    names = _names(bag, roles, inputs)
+    detector = detector_for(list({t.name: t for t in inputs.targets.values()}.values()))
+
+    def refuse(topic: str, log_ns: int, reason: MessageError) -> None:
+        found.refuse(names[topic], topic, log_ns, reason)
+
+    for one in bag.messages(list(names), refuse):
+        name = names[one.topic]
+        try:
+            message = _as_message(one, name, detector)
+        except MessageError as reason:
+            refuse(one.topic, one.log_ns, reason)
+            continue
+        found.add(name, message, one.log_ns)
+    return found
+
+
+def _names(bag: Bag, roles: Sequence[Role], inputs: Inputs) -> Mapping[str, str]:
+    """Topic -> camera or robot, each fitting its type."""
+    names: dict[str, str] = {}
+    site = inputs.site
+    for role in roles:
+        kind = bag.topics.get(role.topic)
+        of_camera = kind in (*PICTURES, CAMERA_INFO, SIGHTINGS)
+        if kind is not None and (of_camera or kind == ODOMETRY):
+            (site.camera if of_camera else site.robot)(role.name)
+        names[role.topic] = role.name
+        if kind in PICTURES:
+            for beside in _infos_beside(role.topic):
+                if bag.topics.get(beside) == CAMERA_INFO:
+                    names.setdefault(beside, role.name)
+    return names
+
+
+def _infos_beside(topic: str) -> Iterator[str]:
+    """The camera_info topic beside a picture topic, as ROS names it, without the transport."""
+    parent = topic
+    for _ in range(2):
+        parent = parent.rpartition("/")[0]
+        yield f"{parent}/camera_info"
+
+
+def _as_message(one: BagMessage, name: str, detector: TargetDetector) -> Message:
+    message = one.message
+    if not isinstance(message, (Picture, RawImage)):
+        return message
+    grey = as_grey(grey_of(message))
+    height, width = grey.shape
+    return Sightings(message.stamp_ns, f"{name}/optical", width, height, detector.detect(grey))

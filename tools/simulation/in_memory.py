@@ -1,0 +1,161 @@
+"""A simulated session in memory: the messages that an estimator gets, and what an oracle knows."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trigpoint.base.clock import to_ns
+from trigpoint.contract.messages import Message, Odometry, Sightings
+from trigpoint.geometry import CameraModel, Pose
+
+from .disturbance import Disturbance, disturbed, with_ways
+from .session import EPOCH_NS
+from .sight.seen_corners import SeenFace, may_be_seen
+from .world import World
+from .wrong_sightings import Labelled, labelled
+
+Views = dict[str, list[tuple[float, dict[str, list[SeenFace]]]]]
+"""Of each camera: the times of its pictures and the faces of each robot in them, without noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What an oracle knows of a session. `world`: as it truly was.
+
+    `sighted`: (camera, stamp) to what each sighting of that picture shows, in the message's order.
+    """
+
+    world: World
+    sighted: dict[tuple[str, int], tuple[Labelled, ...]] = field(default_factory=dict)
+
+    @property
+    def start_ns(self) -> int:
+        """The stamp of world time 0."""
+        return EPOCH_NS
+
+    @property
+    def cameras(self) -> dict[str, Pose]:
+        """map_from_camera at the end."""
+        end_s = self.world.duration_s
+        return {n: c.map_from_camera_at(end_s) for n, c in self.world.cameras.items()}
+
+    @property
+    def lenses(self) -> dict[str, CameraModel]:
+        return {name: camera.model for name, camera in self.world.cameras.items()}
+
+    def moved_ns(self, camera: str) -> list[int]:
+        """When a camera was moved."""
+        return [EPOCH_NS + to_ns(move.at_s) for move in self.world.cameras[camera].moves]
+
+    def lifted_ns(self, robot: str) -> list[int]:
+        """When a robot was lifted."""
+        return [EPOCH_NS + to_ns(lift.at_s) for lift in self.world.robots[robot].lifts]
+
+    def map_from_base(self, robot: str, stamps_ns: np.ndarray) -> Pose:
+        """A robot's true poses at true times (n,)."""
+        return self.world.map_from_base(robot, (np.asarray(stamps_ns) - EPOCH_NS) / 1e9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """`messages`: (camera or robot, message) in the order in which they arrive."""
+
+    messages: list[tuple[str, Message]]
+    truth: Truth
+
+
+def simulated(world: World, disturbance: Disturbance) -> Simulated:
+    """A session of a world under a disturbance, its true ways by the letter of the contract."""
+    actual = with_ways(disturbed(world, disturbance))
+    views = views_of(actual)
+    truth = Truth(actual)
+    arrivals: list[tuple[int, int, str, Message]] = []
+    order = itertools.count()
+    for robot in actual.robots:
+        arrivals += [
+            (message.stamp_ns, next(order), robot, message)
+            for message in _odometry(actual, robot, disturbance)
+        ]
+    for camera in actual.cameras:
+        # A picture comes after the odometry that is no younger.
+        arrivals += [
+            (message.stamp_ns + late_ns + 1, next(order), camera, message)
+            for message, late_ns in _sightings(truth, camera, views[camera], disturbance)
+        ]
+    arrivals.sort(key=lambda arrival: arrival[:2])
+    return Simulated([(node, message) for *_, node, message in arrivals], truth)
+
+
+def views_of(world: World) -> Views:
+    """What the cameras see of the robots, without noise."""
+    views: Views = {}
+    for name, camera in world.cameras.items():
+        times_s = camera.picture_times(world.duration_s)
+        maybe = np.zeros(len(times_s), dtype=bool)
+        for robot in world.robots.values():
+            poses = robot.map_from_base(times_s)
+            for moment_s in (0.0, *(move.at_s for move in camera.moves)):
+                hung = camera.map_from_camera_at(moment_s)
+                maybe |= may_be_seen(robot.carried, poses, hung, camera.model)
+        times_s = times_s[maybe]
+        seen = {robot: world.seen_each(name, robot, times_s) for robot in world.robots}
+        each = [dict(zip(seen, faces, strict=True)) for faces in zip(*seen.values(), strict=True)]
+        views[name] = [
+            (t_s, faces)
+            for t_s, faces in zip(times_s.tolist(), each, strict=True)
+            if any(faces.values())
+        ]
+    return views
+
+
+def _odometry(world: World, robot: str, disturbance: Disturbance) -> Iterator[Odometry]:
+    log = world.odometry(robot)
+    for index, t_s in enumerate(log.stamps_s.tolist()):
+        if any(start_s < t_s < end_s for start_s, end_s in disturbance.gaps_s):
+            continue
+        stamp_ns = EPOCH_NS + to_ns(t_s)
+        yield Odometry(stamp_ns, f"{robot}/odom", f"{robot}/base", log.poses[index])
+
+
+def _sightings(
+    truth: Truth,
+    camera: str,
+    views: list[tuple[float, dict[str, list[SeenFace]]]],
+    disturbance: Disturbance,
+) -> Iterator[tuple[Sightings, int]]:
+    """The messages of a camera that have a sighting, and how late each one is."""
+    world, eye = truth.world, truth.world.cameras[camera]
+    taken: list[tuple[float, tuple[Labelled, ...]]] = []
+    for t_s, seen in views:
+        random = world.random("wrong sightings", camera, round(t_s * 1e6))
+        faces = tuple(
+            labelled(shown, world.target(shown.robot), disturbance, random)
+            for shown in world.shown(camera, t_s, seen)
+        )
+        if faces:
+            taken.append((t_s, faces))
+    if camera in disturbance.pictures:
+        taken = _best(taken, disturbance.pictures[camera])
+    for t_s, faces in taken:
+        stamp_ns = EPOCH_NS + to_ns(t_s + eye.time_offset_s)
+        truth.sighted[camera, stamp_ns] = faces
+        size = (eye.model.width, eye.model.height)
+        sent = tuple(face.sighting for face in faces)
+        message = Sightings(stamp_ns, f"{camera}/optical", *size, sent)
+        random = world.random("delivery", camera, round(t_s * 1e6))
+        late, twice = random.random(2)
+        late_ns = to_ns(disturbance.late_s) if late < disturbance.late_share else 0
+        yield message, late_ns
+        if twice < disturbance.twice_share:
+            yield message, late_ns + to_ns(0.05)
+
+
+def _best(
+    taken: list[tuple[float, tuple[Labelled, ...]]], most: int
+) -> list[tuple[float, tuple[Labelled, ...]]]:
+    """The pictures with the most corners, at most so many, in order of time."""
+    counts = [-sum(len(face.sighting.corners) for face in faces) for _, faces in taken]
+    chosen = sorted(np.argsort(counts, kind="stable")[:most].tolist())
+    return [taken[index] for index in chosen]

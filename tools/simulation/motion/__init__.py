@@ -1,0 +1,1 @@
+"""How simulated robots move, and what their odometry makes of it."""

@@ -1,0 +1,69 @@
+"""What a simulated robot's encoders say at any moment, as a function of its odometry alone."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from trigpoint.base.clock import NANOSECONDS, to_ns
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array, log
+from trigpoint.tools.simulation.motion.odometry import OdometryLog, increments
+
+
+@dataclass(frozen=True)
+class Readings:
+    """A robot's odometry; after the world's end the robot stands still and goes on sending."""
+
+    log: OdometryLog
+    epoch_ns: int
+    _ways: dict[float, Array] = field(default_factory=dict)
+
+    @property
+    def period_s(self) -> float:
+        return float(self.log.stamps_s[1] - self.log.stamps_s[0])
+
+    def first_after(self, unix_ns: int) -> int:
+        """The number of the first reading at or after a time."""
+        elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
+        return max(0, int(np.ceil((elapsed_s - self.log.stamps_s[0]) / self.period_s)))
+
+    def unix_ns(self, number: int) -> int:
+        """When a reading is taken."""
+        return self.epoch_ns + to_ns(float(self.log.stamps_s[0]) + number * self.period_s)
+
+    def number(self, unix_ns: int) -> int:
+        """The number of the last reading at or before a time, 0 before the first."""
+        elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
+        return max(0, int((elapsed_s - self.log.stamps_s[0]) / self.period_s + 1e-6))
+
+    def pose(self, number: int) -> Pose:
+        """odom_from_base."""
+        return self.log.poses[min(number, len(self.log.stamps_s) - 1)]
+
+    def twist(self, number: int) -> tuple[Array, Array]:
+        """Linear and angular speed over the last increment, base frame."""
+        if not 0 < number < len(self.log.stamps_s):
+            return np.zeros(3), np.zeros(3)
+        step = self.pose(number - 1).inverse() @ self.pose(number)
+        return step.translation / self.period_s, log(step.rotation) / self.period_s
+
+    @cached_property
+    def _steps(self) -> tuple[Array, Array]:
+        """Each step's way along its arc, and its turn."""
+        steps = increments(self.log.poses)
+        turn = steps[:, 2]
+        chord = steps[:, 0] * np.cos(turn / 2) + steps[:, 1] * np.sin(turn / 2)
+        return chord / np.sinc(turn / 2 / np.pi), turn
+
+    def wheels_m(self, unix_ns: int, track_m: float) -> tuple[float, float]:
+        """How far the left and the right wheel have gone since the beginning, metres."""
+        if track_m not in self._ways:
+            way, turn = self._steps
+            sides = np.stack([way - turn * track_m / 2, way + turn * track_m / 2])
+            total = np.cumsum(sides, axis=1)
+            self._ways[track_m] = np.column_stack([np.zeros(2), total])
+        elapsed_s = (unix_ns - self.epoch_ns) / NANOSECONDS
+        left, right = self._ways[track_m]
+        stamps = self.log.stamps_s
+        return float(np.interp(elapsed_s, stamps, left)), float(np.interp(elapsed_s, stamps, right))

@@ -1,0 +1,1 @@
+"""Which corners of which targets a simulated camera sees, and when."""

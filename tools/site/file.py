@@ -1,0 +1,275 @@
+"""Writes site.toml and target.toml from the structs that read them, so they cannot go stale."""
+
+import json
+import math
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from trigpoint.geometry import Pose
+from trigpoint.site.config import (
+    BusConfig,
+    CameraConfig,
+    FusionConfig,
+    MapConfig,
+    MavlinkConfig,
+    OdometryNoise,
+    PointConfig,
+    PriorConfig,
+    RecorderConfig,
+    RobotConfig,
+    RouterConfig,
+    SafetyConfig,
+    TlsConfig,
+    WheelConfig,
+)
+
+COMMENTS: dict[tuple[type[Struct], str], str] = {
+    (BusConfig, "connect"): "a router or a peer elsewhere, like tls/192.168.1.10:7447; "
+    "quic/… beside it: corrections by datagrams too",
+    (BusConfig, "listen"): "what to open to the network; nothing unless it is written here",
+    (BusConfig, "scouting"): "true: find peers on the link by multicast",
+    (BusConfig, "insecure"): "true: no certificates, on a network of its own",
+    (TlsConfig, "directory"): "trust.pem and this machine's keys (trigpoint secure)",
+    (RouterConfig, "picture_rate"): "pictures a second of a camera that a router hands on",
+    (CameraConfig, "source"): "or rtsp://…, file:///clip.mp4, dir:///pictures",
+    (CameraConfig, "width"): "pixels",
+    (CameraConfig, "height"): "pixels",
+    (CameraConfig, "rate"): "pictures a second that are looked at",
+    (CameraConfig, "intrinsics"): "or a camera_info YAML (trigpoint intrinsics), taken as known",
+    (CameraConfig, "horizontal_fov"): "degrees; the start where nothing else is known of the lens",
+    (CameraConfig, "focal_sigma"): "prior sigmas where estimated: focal length, relative",
+    (CameraConfig, "centre_sigma"): "principal point, of the width",
+    (CameraConfig, "distortion_sigma"): "each distortion coefficient",
+    (
+        CameraConfig,
+        "time_offset_sigma",
+    ): "prior sigma of the time offset, s; estimated above 0 (rtsp: 0.2)",
+    (CameraConfig, "time_drift_sigma"): "of the clock's drift, s/s; only with a time offset",
+    (CameraConfig, "line_delay"): "of a rolling shutter: s from one row to the next, like 30e-6",
+    (CameraConfig, "picture_rate"): "pictures a second that are sent where someone looks",
+    (CameraConfig, "picture_quality"): "of their JPEG, 1 to 100",
+    (RobotConfig, "port"): "or any URL that pyserial opens",
+    (RobotConfig, "baud"): "bits a second",
+    (RobotConfig, "protocol"): "or create2, mavlink, ros_arduino_bridge; ros2: no port, on the bus",
+    (RobotConfig, "topic"): "of a ros2 robot: its odometry's topic, where that is not ours",
+    (RobotConfig, "max_speed"): "m/s; odometry that says more is refused",
+    (RobotConfig, "max_turn"): "rad/s; the same of turns",
+    (
+        WheelConfig,
+        "diameter",
+    ): "m; for protocols that send encoder counts; 0: as the protocol knows it",
+    (WheelConfig, "track"): "m between the wheels' contact points",
+    (WheelConfig, "ticks"): "counts a turn of a wheel",
+    (WheelConfig, "left_scale"): "the left wheel's diameter by the one above; below 0: reversed",
+    (WheelConfig, "right_scale"): "the same of the right wheel",
+    (WheelConfig, "bits"): "ros_arduino_bridge: at how many bits its counts wrap, 32 or 16",
+    (WheelConfig, "order"): 'which count is of which side, like "lrlr"; -: of none',
+    (MavlinkConfig, "system"): "the bridge's system id: the vehicle's own",
+    (MavlinkConfig, "component"): "the bridge's component id (197: visual inertial odometry)",
+    (MavlinkConfig, "send"): "the message that tells a pose: odometry or vision",
+    (MavlinkConfig, "key"): "file with the signing key, 64 hexadecimal digits",
+    (RobotConfig, "target"): "this robot's own target file",
+    (RobotConfig, "planar"): "false: the odometry's full 3D motion is used (a ramp, an arm)",
+    (SafetyConfig, "max_age"): "s; an older correction is not handed on",
+    (SafetyConfig, "max_jump"): "m; nor one that moves the robot further",
+    (SafetyConfig, "max_turn"): "rad; or turns it further",
+    (SafetyConfig, "max_sigma"): "m; nor one that is less certain",
+    (SafetyConfig, "max_heading_sigma"): "rad",
+    (SafetyConfig, "establish_motion"): "m or rad between corrections that place it anew",
+    (SafetyConfig, "blend"): "s over which a step is spread; 0: the robot takes it at once",
+    (OdometryNoise, "distance"): "m per √m, along the track",
+    (OdometryNoise, "lateral"): "m per √m, across it",
+    (OdometryNoise, "heading_drive"): "rad per √m",
+    (OdometryNoise, "heading_turn"): "rad per √rad",
+    (OdometryNoise, "vertical"): "m per √m, where planar = false",
+    (OdometryNoise, "tilt"): "rad per √m, where planar = false",
+    (OdometryNoise, "tilt_turn"): "rad per √rad, where planar = false",
+    (OdometryNoise, "distance_scale"): "prior sigma of a constant scale error; estimated above 0",
+    (OdometryNoise, "heading_scale"): "the same of turns",
+    (FusionConfig, "estimator"): "or particle, ekf",
+    (FusionConfig, "late"): "s; an older sighting still enters the network, but corrects nobody",
+    (FusionConfig, "correction_rate"): "Hz, at most",
+    (FusionConfig, "seed"): "of the particle filter",
+    (FusionConfig, "target_translation"): "m; prior sigma of each face's pose; estimated above 0",
+    (FusionConfig, "target_rotation"): "rad; the same",
+    (PriorConfig, "wrong_sighting"): "probability that a sighting does not show its robot",
+    (PriorConfig, "wild_corner"): "that a corner of a good sighting is far off",
+    (PriorConfig, "disturbed"): "that somebody carries a robot or moves a camera in a session",
+    (PriorConfig, "event"): "then, from one visit to the next, that it happens in between",
+    (
+        PriorConfig,
+        "push_translation",
+    ): "m; sigma of how far a camera is pushed, if not hung elsewhere",
+    (PriorConfig, "push_rotation"): "rad; the same",
+    (PriorConfig, "noise"): "that noise is far from what is stated, unless the session tells",
+    (PriorConfig, "room"): "m; the box in which cameras hang and robots drive",
+    (RecorderConfig, "directory"): "where recordings go",
+    (RecorderConfig, "pictures"): "true: pictures are recorded too (then they leave the cameras)",
+    (RecorderConfig, "keys"): "only keys that match, like camera/*/sightings; none: all",
+    (RecorderConfig, "compression"): "or lz4, none",
+    (RecorderConfig, "synchronise"): "s; what a power cut may take",
+    (RecorderConfig, "split_bytes"): "a new file at this size; 0: never",
+    (RecorderConfig, "split_time"): "s; a new file after this time; 0: never",
+    (RecorderConfig, "minimum_free"): "bytes that stay free on the disk",
+    (RecorderConfig, "when_full"): "or free: then the oldest finished recording is removed",
+    (RecorderConfig, "ring_bytes"): "most that `record --ring` holds in memory",
+    (MapConfig, "frame"): "the building's frame, in which points and plan are",
+    (MapConfig, "level"): "false: tilt is worked out too, from 3 points not in line",
+    (MapConfig, "origin"): "without points: the map's origin in the frame, m, m, rad",
+    (MapConfig, "plan"): "a floor plan, as ROS map_server's YAML",
+    (PointConfig, "position"): "x, y (and z) in the frame, m",
+    (PointConfig, "pixel"): "or column and row in the plan's picture",
+    (PointConfig, "sigma"): "m; how well it was surveyed, each axis",
+    (PointConfig, "robot"): "not a camera but a mark: which robot stood on it,",
+    (PointConfig, "at"): "s after its first odometry",
+}
+
+_EXAMPLES = {
+    (CameraConfig, "source"): "v4l2:///dev/video0",
+    (RobotConfig, "target"): "target.toml",
+    (RouterConfig, "picture_rate"): 2.0,
+    (WheelConfig, "bits"): 16,
+    (RobotConfig, "topic"): "/r1/odom",
+    (MavlinkConfig, "key"): "mavlink.key",
+    (MapConfig, "origin"): (0.0, 0.0, 0.0),
+    (MapConfig, "plan"): "plan.yaml",
+    (PointConfig, "position"): (1.25, 4.5, 2.6),
+    (PointConfig, "pixel"): (312.0, 870.5),
+    (PointConfig, "robot"): "r1",
+}
+"""Values of keys without a default; optional keys are written as comments."""
+
+_WRITTEN = {
+    (CameraConfig, "intrinsics"): "estimate",
+    (CameraConfig, "time_offset_sigma"): 0.0,
+    (RobotConfig, "port"): "/dev/ttyUSB0",
+}
+"""Values that replace defaults unsuitable for a first site: nothing announces a lens that nobody
+has measured, and a robot without a port is another kind of robot."""
+
+_TABLES = ("tls",)
+"""Optional tables; they are written as comments."""
+
+_COMMENT_COLUMN = 32
+
+_HEAD = """\
+# One file for a whole site; each program reads its own part. Paths are relative to this file.
+# `trigpoint doctor --site site.toml` says whether it fits this machine.
+site = "lab"
+target = "target.toml"          # default for every robot
+"""
+
+_EXPECT = """\
+# expect = ["fusion"]           # and "recorder": what must run; none: what was ever seen alive
+"""
+
+
+_FIRST_KEYS = ("source", "width", "height", "rate", "intrinsics", "horizontal_fov")
+
+
+def first_site_text() -> str:
+    """The shortest site file: one camera, one robot, this machine alone."""
+    tables = [
+        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS),
+        _table("robots.r1", RobotConfig, only=("port", "baud")),
+    ]
+    return "\n".join([_HEAD, *tables])
+
+
+def full_site_text() -> str:
+    """Every key with its default and a comment."""
+    tables = [
+        _table("bus", BusConfig),
+        _commented(_table("bus.tls", TlsConfig)),
+        _table("cameras.c1", CameraConfig),
+        _table("robots.r1", RobotConfig),
+        _table("robots.r1.wheels", WheelConfig),
+        _table("robots.r1.mavlink", MavlinkConfig),
+        _table("robots.r1.odometry", OdometryNoise),
+        _table("robots.r1.safety", SafetyConfig),
+        _table("fusion", FusionConfig),
+        _table("fusion.priors", PriorConfig),
+        _table("recorder", RecorderConfig),
+        _table("router", RouterConfig),
+        _commented(_table("map", MapConfig)),
+        _commented(_table("map.points.c1", PointConfig)),
+    ]
+    return "\n".join([_HEAD + _EXPECT, *tables])
+
+
+def _commented(table: str) -> str:
+    """An optional table, as comments."""
+    return "".join(f"# {line.removeprefix('# ')}\n" for line in table.splitlines() if line)
+
+
+def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = None) -> str:
+    rows = [line for line in _rows(struct) if only is None or line.lstrip("# ").startswith(only)]
+    return "\n".join([f"[{name}]", *rows, ""])
+
+
+def _rows(struct: type[Struct]) -> Iterator[str]:
+    for field in msgspec.structs.fields(struct):
+        default = field.default
+        if isinstance(default, Struct) or field.name in _TABLES or field.default_factory is dict:
+            continue  # a table of its own
+        place = (struct, field.name)
+        value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)
+        sign = "# " if default is None and place in _EXAMPLES else ""
+        row = f"{sign}{field.name} = {toml_value(value)}"
+        yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"
+
+
+def toml_value(value: object) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(toml_value(item) for item in value)}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+_TARGET_HEAD = """\
+# Three ChArUco faces on a box: ahead, left and right. Measure your own box, write where corner 0 of
+# each face is (metres) and how it is turned, and print with `trigpoint target draw target.toml`.
+# base_from_face: x along a row of corners, y from row to row, z into the board; the robot's base
+# has x forward, y left, z up. Corner 0 is the top left inner corner of the face seen upright.
+name = "box"
+"""
+
+_COLUMNS, _ROWS, _SQUARE, _MARKER = 5, 7, 0.035, 0.026
+_BOX_HALF_WIDTH, _BOX_HEIGHT = 0.15, 0.40
+
+
+def first_target_text() -> str:
+    """A target of three faces that fit on A4 and that a picture can tell apart."""
+    directions_rad = (0.0, math.pi / 2, -math.pi / 2)
+    return "\n".join([_TARGET_HEAD, *(_face(i, angle) for i, angle in enumerate(directions_rad))])
+
+
+def _face(number: int, direction_rad: float) -> str:
+    pose = _base_from_face(direction_rad)
+    rows = {
+        "id": number,
+        "pattern": "charuco",
+        "columns": _COLUMNS,
+        "rows": _ROWS,
+        "square": _SQUARE,
+        "marker": _MARKER,
+        "dictionary": "DICT_4X4_100",
+        "first_marker": number * (_COLUMNS * _ROWS // 2),
+        "translation": [round(float(value), 6) + 0.0 for value in pose.translation],
+        "quaternion": [round(float(value), 9) + 0.0 for value in pose.quaternion],
+    }
+    lines = [f"{key} = {toml_value(value)}" for key, value in rows.items()]
+    return "\n".join(["[[faces]]", *lines, ""])
+
+
+def _base_from_face(direction_rad: float) -> Pose:
+    """Pose of a face on the side of the box facing `direction_rad` in the robot's plane."""
+    normal = np.array([math.cos(direction_rad), math.sin(direction_rad), 0.0])
+    along = np.array([-normal[1], normal[0], 0.0])  # to the viewer's right
+    down = np.array([0.0, 0.0, -1.0])
+    across = (_COLUMNS - 2) * _SQUARE * along + (_ROWS - 2) * _SQUARE * down
+    corner = _BOX_HALF_WIDTH * normal + [0.0, 0.0, _BOX_HEIGHT] - across / 2
+    return Pose(np.stack([along, down, -normal], axis=-1), corner)

@@ -1,0 +1,237 @@
+"""Summarises what a site's nodes report about themselves."""
+
+import re
+import textwrap
+from collections.abc import Iterable
+
+from msgspec import Struct
+
+from trigpoint.contract.messages import DiagnosticStatus
+from trigpoint.contract.topics import SIGHTINGS, topic_of
+from trigpoint.node.health import LOST_SO_FAR
+from trigpoint.node.peers import MET
+
+_NO_GAUGES = (
+    "version",
+    "contract",
+    "session",
+    "node",
+    "process",
+    "started",
+    "uptime",
+    "last_error",
+    MET,
+)
+_FACES = "faces"
+STATES = ("ok", "warning", "error", "stale")
+
+
+class NodeStatus(Struct, frozen=True):
+    """One node. `state`: ok, warning, error, or silent (alive without diagnostics), gone
+    (diagnostics without a token), or missing (named in the site file, but nobody runs it). Rates
+    are a second; losses are totals since the node's start; `words`: states like its source's."""
+
+    name: str
+    state: str
+    message: str = ""
+    host: str = ""
+    version: str = ""
+    contract: str = ""
+    uptime_s: float = 0.0
+    rates: dict[str, float] = {}
+    totals: dict[str, int] = {}
+    depths: dict[str, int] = {}
+    losses: dict[str, int] = {}
+    gauges: dict[str, float] = {}
+    words: dict[str, str] = {}
+    last_error: str = ""
+
+    @property
+    def is_well(self) -> bool:
+        """Whether the node is running without an error."""
+        return self.state in ("ok", "warning")
+
+
+class SiteStatus(Struct, frozen=True):
+    """All nodes of a site, by name; `peers`: how many sessions the bus is connected to;
+    `versions`: the nodes of each version that runs; `time`: when they were looked at, ISO 8601
+    with its zone."""
+
+    site: str
+    peers: int
+    nodes: list[NodeStatus]
+    versions: dict[str, list[str]] = {}
+    time: str = ""
+
+    @property
+    def is_well(self) -> bool:
+        """Whether no node is missing or in error."""
+        return all(node.is_well for node in self.nodes)
+
+
+def summarise(
+    site: str,
+    *,
+    peers: int,
+    tokens: Iterable[str],
+    statuses: Iterable[DiagnosticStatus],
+    wanted: Iterable[str] = (),
+    expect: Iterable[str] | None = None,
+    time: str = "",
+) -> SiteStatus:
+    """Combine liveliness tokens with the nodes' latest diagnostics; `wanted`: the nodes named in
+    the site file; `expect`: the kinds of node needed beside them, by default those that another
+    node has heard since it started."""
+    alive = {token.partition("/alive/")[2] for token in tokens}
+    latest = {(status.name, status.values.get("node", "")): status for status in statuses}
+    nodes = [_node(status, status.name in alive) for status in latest.values()]
+    spoken = {name for name, _ in latest}
+    nodes += [NodeStatus(name, "silent", "alive, but says nothing") for name in alive - spoken]
+    missing = set(wanted) - alive - spoken
+    nodes += [
+        NodeStatus(name, "missing", "named in the site file; not running") for name in missing
+    ]
+    nodes += _absent(expect, {name.partition("/")[0] for name in alive | spoken}, latest.values())
+    nodes.sort(key=lambda node: node.name)
+    return SiteStatus(site, peers, nodes, _versions(nodes), time)
+
+
+def _absent(
+    expect: Iterable[str] | None, present: set[str], statuses: Iterable[DiagnosticStatus]
+) -> list[NodeStatus]:
+    """The kinds of node that are expected, but of which none is there."""
+    if expect is not None:
+        kinds, why = set(expect), "expected by the site file (`expect`); not running"
+    else:
+        heard = (status.values.get(MET, "") for status in statuses)
+        kinds = {kind for text in heard for kind in text.split(", ") if kind}
+        why = (
+            "was running, and is not any more; where the site does not need it, write `expect` at "
+            "the top of the site file"
+        )
+    return [NodeStatus(kind, "missing", why) for kind in kinds - present]
+
+
+def _versions(nodes: list[NodeStatus]) -> dict[str, list[str]]:
+    """The running nodes by version; the most common version first."""
+    found: dict[str, list[str]] = {}
+    for node in nodes:
+        if node.version and node.state != "gone":
+            found.setdefault(node.version, []).append(node.name)
+    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[0])))
+
+
+def _node(status: DiagnosticStatus, is_alive: bool) -> NodeStatus:
+    values = status.values
+    state = STATES[min(status.level, 3)] if is_alive else "gone"
+    return NodeStatus(
+        name=status.name,
+        state=state,
+        message=status.message,
+        host=status.hardware_id,
+        version=values.get("version", ""),
+        contract=values.get("contract", ""),
+        uptime_s=_number(values.get("uptime", "")),
+        rates={name: _number(text) for name, text in _ending(values, ".rate")},
+        totals={name: int(_number(text)) for name, text in _ending(values, ".total")},
+        depths={name: int(_number(text)) for name, text in _ending(values, ".depth")},
+        losses={name: int(_number(text)) for name, text in _ending(values, ".lost")},
+        gauges={
+            n: _number(text) for n, text in values.items() if _is_gauge(n) and _is_number(text)
+        },
+        words={n: text for n, text in values.items() if _is_gauge(n) and not _is_number(text)},
+        last_error=values.get("last_error", ""),
+    )
+
+
+def _is_gauge(name: str) -> bool:
+    return "." not in name and name not in _NO_GAUGES
+
+
+def _ending(values: dict[str, str], ending: str) -> list[tuple[str, str]]:
+    return [
+        (key.removesuffix(ending), text) for key, text in values.items() if key.endswith(ending)
+    ]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(text: str) -> float:
+    """A number sent by another node; 0 if it is not a number."""
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if abs(value) < 1e15 else 0.0
+
+
+def table(status: SiteStatus, *, width: int = 100) -> str:
+    """The status for people, in lines of at most `width` if their words allow it."""
+    if not status.nodes:
+        return f"Nobody is alive on site {status.site} ({status.peers} sessions on the bus)."
+    rows = [("node", "state", "up")]
+    rows += [(node.name, node.state, f"{node.uptime_s:.0f} s") for node in status.nodes]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    heads = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
+    lines = [
+        f"Site {status.site}, {status.peers} other sessions on the bus",
+        f"{heads[0]}  what it does a second, what was lost, what is wrong",
+    ]
+    margin = " " * (len(heads[0]) + 2)
+    for head, node in zip(heads[1:], status.nodes, strict=True):
+        first = f"{head}  "
+        for text in _notes(node) or ["-"]:
+            lines += textwrap.wrap(
+                text,
+                max(width, len(margin) + 20),
+                initial_indent=first,
+                subsequent_indent=margin,
+                break_on_hyphens=False,
+            )
+            first = margin
+    if len(status.versions) > 1:
+        usual, *others = status.versions
+        told = "; ".join(f"{version}: {', '.join(status.versions[version])}" for version in others)
+        lines.append(f"Versions differ: {usual} on most, but {told}")
+    return "\n".join(lines)
+
+
+def _notes(node: NodeStatus) -> list[str]:
+    """Remarks on a node, one per line; none for an idle one."""
+    told = _by_topic(node.rates).items()
+    rates = ", ".join(f"{name} {rate:g}" for name, rate in told if rate or name == _FACES)
+    losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
+    words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
+    notes = [rates, words, losses and f"lost: {losses}"]
+    is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
+    notes += ["" if is_told else node.message]
+    if _without_numbers(node.last_error) != _without_numbers(node.message):
+        notes += [node.last_error and f"last error: {node.last_error}"]
+    return [note for note in notes if note]
+
+
+def _by_topic(rates: dict[str, float]) -> dict[str, float]:
+    """Rates of counters like «sent lab/camera/c1/sightings», summed over the cameras or robots, and
+    those others that add information: «sightings» is merely the queue of what was received or
+    recorded, and their messages, most of them empty, say less than the faces in them."""
+    sums: dict[str, float] = {}
+    for name, rate in rates.items():
+        verb, _, key = name.partition(" ")
+        topic = topic_of(key)
+        short = f"{verb} {topic.name}" if topic is not None else name
+        sums[short] = round(sums.get(short, 0.0) + rate, 1)
+    told = {name.partition(" ")[2] for name in sums if name.startswith(("received ", "recorded "))}
+    if _FACES in sums:
+        told |= {name for name in sums if name.endswith(f" {SIGHTINGS.name}")}
+    return {name: rate for name, rate in sums.items() if name not in told}
+
+
+def _without_numbers(text: str) -> str:
+    """A text as it is however long its trouble has lasted."""
+    return re.sub(r"\d+", "", text)

@@ -1,0 +1,1 @@
+"""`trigpoint target`: target files checked, drawn for print, taken from Kalibr."""

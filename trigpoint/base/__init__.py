@@ -1,0 +1,1 @@
+"""What everything rests on: errors, clocks, words, logging, the terminal, an orderly end."""

@@ -1,0 +1,39 @@
+"""Wording of messages: numbers with their nouns, suggestions of similar names, commands to run."""
+
+import difflib
+import os
+import re
+from collections.abc import Iterable, Sequence
+
+from trigpoint import __version__
+
+
+def counted(number: int, noun: str) -> str:
+    """«1 face», «2 faces»."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """«; did you mean «charuco»?», "" if there is nothing to choose from."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.0)
+    return f"; did you mean «{close[0]}»?" if close else ""
+
+
+def numberless(text: str) -> str:
+    """A text without its numbers: the same for all that differ in them alone."""
+    return re.sub(r"\d+", "#", text)
+
+
+def listed(names: Sequence[str]) -> str:
+    """«a, b or c»."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def install_command(extra: str) -> str:
+    """How a part is installed here, as README has it: versions that were not tested together are
+    never mixed."""
+    tag = f"py3-none-manylinux_2_28_{os.uname().machine}"
+    wheel = f"file:///path/to/trigpoint-{__version__}-{tag}.whl"
+    return f"pip install -c constraints.txt 'trigpoint[{extra}] @ {wheel}'"

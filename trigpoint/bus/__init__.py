@@ -1,0 +1,1 @@
+"""The bus that every part uses, and what its implementations share."""

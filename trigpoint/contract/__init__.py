@@ -1,0 +1,1 @@
+"""What goes over the bus: keys, types, CDR, who may, corrections."""

@@ -1,0 +1,1 @@
+"""A network of cameras, and the building that it hangs in."""

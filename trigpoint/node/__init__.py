@@ -1,0 +1,1 @@
+"""A node's life, its health, its peers and its watchdog."""

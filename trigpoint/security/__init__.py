@@ -1,0 +1,1 @@
+"""Certificates of a secured site, and signatures on corrections."""

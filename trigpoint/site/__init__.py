@@ -1,0 +1,1 @@
+"""The files of a site: `site.toml`, targets, lenses."""

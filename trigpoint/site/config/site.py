@@ -1,0 +1,155 @@
+"""site.toml: one frozen configuration for a whole site; each node reads its own part."""
+
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from msgspec import Struct
+
+from trigpoint.base.errors import ConfigError, read_text
+from trigpoint.base.words import nearest
+from trigpoint.site.toml_file import parse_toml
+
+from .bus import BusConfig, RouterConfig
+from .camera import CameraConfig
+from .fusion import FusionConfig
+from .map import MapConfig, PointConfig
+from .names import validate_name
+from .recorder import RecorderConfig
+from .robot import RobotConfig
+
+_Item = TypeVar("_Item")
+Server = Literal["fusion", "recorder"]
+"""What a site may need beside its cameras' agents and its robots' bridges."""
+
+
+class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
+    site: str
+    cameras: dict[str, CameraConfig]
+    robots: dict[str, RobotConfig] = {}
+    target: str | None = None
+    expect: tuple[Server, ...] | None = None
+    bus: BusConfig = BusConfig()
+    fusion: FusionConfig = FusionConfig()
+    recorder: RecorderConfig = RecorderConfig()
+    router: RouterConfig = RouterConfig()
+    map: MapConfig | None = None
+
+    def __post_init__(self) -> None:
+        for what, name in [
+            ("site", self.site),
+            *(("camera", name) for name in self.cameras),
+            *(("robot", name) for name in self.robots),
+        ]:
+            validate_name(what, name)
+        if not self.cameras:
+            raise ValueError("a site needs at least one camera; add it")
+        for name, robot in self.robots.items():
+            if robot.target is None and self.target is None:
+                raise ValueError(f'robot «{name}» has no target; write target = "target.toml"')
+        for name, point in (self.map.points if self.map else {}).items():
+            self._check_point(name, point)
+
+    def _check_point(self, name: str, point: PointConfig) -> None:
+        if point.robot is None and name not in self.cameras:
+            raise ValueError(
+                f"map.points.{name}: there is no camera «{name}»{nearest(name, self.cameras)} "
+                "(a mark on the floor says which `robot` stood on it)"
+            )
+        if point.robot is not None and point.robot not in self.robots:
+            raise ValueError(
+                f"map.points.{name}: there is no robot «{point.robot}»"
+                f"{nearest(point.robot, self.robots)}"
+            )
+        if point.robot is not None and name in self.cameras:
+            raise ValueError(f"map.points.{name} is a camera; a mark needs another name")
+
+
+class Site(Struct, frozen=True):
+    """A whole site. `directory`: the folder to which the file's paths are relative; `expect`: what
+    runs beside agents and bridges, None if that is whatever was seen alive."""
+
+    name: str
+    cameras: dict[str, CameraConfig]
+    robots: dict[str, RobotConfig]
+    bus: BusConfig
+    fusion: FusionConfig
+    recorder: RecorderConfig
+    directory: Path
+    text: str
+    default_target: str | None = None
+    expect: tuple[Server, ...] | None = None
+    router: RouterConfig = RouterConfig()
+    map: MapConfig | None = None
+
+    def camera(self, name: str) -> CameraConfig:
+        """A camera by name; raise a ConfigError that lists the known ones."""
+        return _pick(self.cameras, name, "camera")
+
+    def robot(self, name: str) -> RobotConfig:
+        """A robot by name; raise a ConfigError that lists the known ones."""
+        return _pick(self.robots, name, "robot")
+
+    def target_name(self, robot: str) -> str:
+        """The path of a robot's target file, as written in the site file."""
+        name = self.robot(robot).target or self.default_target
+        assert name is not None  # guaranteed by the file's check
+        return name
+
+    @property
+    def target_names(self) -> list[str]:
+        """The paths of the target files that cameras look for: every robot's, or the site's own
+        where there is no robot yet."""
+        if not self.robots and self.default_target is not None:
+            return [self.default_target]
+        return [self.target_name(robot) for robot in self.robots]
+
+    def path(self, relative: str) -> Path:
+        """A path from the file, made absolute or relative to the working folder."""
+        return self.directory / relative
+
+    @property
+    def first_robot(self) -> str:
+        """The robot whose odometry frame is the map's origin; raise ConfigError where the site has
+        none, so that nothing can be located."""
+        if not self.robots:
+            raise ConfigError(
+                f"site {self.name} has no robot, and cameras are located by one that drives past "
+                "them; add [robots.r1] to the site file (cameras alone: edge, record, view, status)"
+            )
+        return next(iter(self.robots))
+
+
+def load_site(path: Path) -> Site:
+    """Read site.toml; raise a ConfigError that names file, line and key."""
+    remedy = "give --site FILE, or set TRIGPOINT_SITE"
+    text = read_text(path, "site file", ConfigError, remedy=remedy)
+    return parse_site(text, directory=path.parent, file=str(path))
+
+
+def parse_site(text: str, *, directory: Path, file: str = "site.toml") -> Site:
+    """Like `load_site`, from text (a recording's attachment)."""
+    return _site(parse_toml(text, _SiteFile, file, ConfigError), directory, text)
+
+
+def _site(file: _SiteFile, directory: Path, text: str) -> Site:
+    return Site(
+        name=file.site,
+        cameras=file.cameras,
+        robots=file.robots,
+        bus=file.bus,
+        fusion=file.fusion,
+        recorder=file.recorder,
+        directory=directory,
+        text=text,
+        default_target=file.target,
+        expect=file.expect,
+        router=file.router,
+        map=file.map,
+    )
+
+
+def _pick(items: dict[str, _Item], name: str, kind: str) -> _Item:
+    if name not in items:
+        known = ", ".join(items) or "none"
+        raise ConfigError(f"there is no {kind} «{name}» in the site file; it has {known}")
+    return items[name]

@@ -1,0 +1,268 @@
+"""target.toml: the rigid set of pattern faces on a robot, and where their corners are.
+
+A face's frame has x along a row of corners, y from row to row, z into the board, and its origin at
+corner 0; corner numbers and the half turn are defined in the contract.
+"""
+
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from trigpoint.base.errors import TargetError
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .config import Count, Positive
+from .toml_file import load_toml, parse_toml
+
+# No robot carries larger squares, or any so far from its base, and no camera sees smaller ones.
+_SMALLEST_SQUARE_M, _LARGEST_SQUARE_M, _FARTHEST_M = 2e-4, 2.0, 50.0
+
+
+class Pattern(StrEnum):
+    """The kind of pattern printed on a face."""
+
+    CHECKERBOARD = "checkerboard"
+    CHARUCO = "charuco"
+    APRILGRID = "aprilgrid"
+
+
+class Numbering(StrEnum):
+    """Where counting an AprilGrid's tags starts; row by row, from left to right."""
+
+    TOP_LEFT = "top-left"
+    KALIBR = "kalibr"  # from the bottom left, rows upwards
+
+
+class Face(Struct, frozen=True, forbid_unknown_fields=True):
+    """One planar pattern; `translation` and `quaternion` are base_from_face.
+
+    `corner_squares`: whether there are black squares between an AprilGrid's tags; `tags_turned`:
+    whether its tags are upside down compared with OpenCV's dictionaries. Kalibr's grids have both,
+    so this is the default for drawing; a detector goes by what the picture shows.
+    """
+
+    id: Annotated[int, Meta(ge=0)]
+    pattern: Pattern
+    columns: Count
+    rows: Count
+    square: Positive
+    translation: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    marker: Positive | None = None
+    dictionary: str | None = None
+    first_marker: Annotated[int, Meta(ge=0)] = 0
+    legacy: bool = False
+    inverted: bool = False
+    border_bits: Count = 1
+    numbering: Numbering = Numbering.TOP_LEFT
+    corner_squares: bool | None = None
+    tags_turned: bool | None = None
+
+    def __post_init__(self) -> None:
+        self._check_lengths()
+        length = float(np.linalg.norm(self.quaternion))
+        if abs(length - 1) > 1e-3:
+            raise ValueError(f"the quaternion's length is {length:.4f}; it must be 1")
+        if self.pattern is Pattern.CHECKERBOARD:
+            self._check_checkerboard()
+        else:
+            self._check_marked()
+
+    def _check_lengths(self) -> None:
+        """Raise ValueError for lengths that are in other units than metres."""
+        if self.square > _LARGEST_SQUARE_M:
+            keys = [key for key in ("square", "marker") if getattr(self, key) is not None]
+            written = " and ".join(f"{key} = {getattr(self, key) / 1000:g}" for key in keys)
+            raise ValueError(
+                f"squares of {self.square:g} m are no board's; lengths are in metres: write "
+                f"{written} if they were millimetres"
+            )
+        if self.square < _SMALLEST_SQUARE_M:
+            raise ValueError(
+                f"squares of {self.square:g} m are too small to be seen; lengths are in metres"
+            )
+        away = float(np.linalg.norm(self.translation))
+        if away > _FARTHEST_M:
+            metres = ", ".join(f"{value / 1000:g}" for value in self.translation)
+            raise ValueError(
+                f"the face is {away:g} m from its robot's base; lengths are in metres: write "
+                f"translation = [{metres}] if they were millimetres"
+            )
+
+    def _check_checkerboard(self) -> None:
+        if min(self.columns, self.rows) < 3:
+            raise ValueError("a checkerboard needs at least 3 columns and 3 rows of squares")
+        if self.columns == self.rows:
+            raise ValueError(
+                "a checkerboard with as many columns as rows reads the same from four sides; "
+                "make columns and rows differ"
+            )
+
+    def _check_marked(self) -> None:
+        if self.pattern is Pattern.CHARUCO and min(self.columns, self.rows) < 2:
+            raise ValueError("a charuco board needs at least 2 columns and 2 rows of squares")
+        for key in ("marker", "dictionary"):
+            if getattr(self, key) is None:
+                raise ValueError(f"a {self.pattern.value} face needs the key «{key}»; add it")
+        if self.marker is not None and self.marker >= self.square:
+            raise ValueError("the marker must be smaller than the square (or the pitch)")
+
+    @property
+    def base_from_face(self) -> Pose:
+        """Pose of the face on the robot."""
+        return Pose.from_quaternion(self.translation, self.quaternion)
+
+    @property
+    def corner_count(self) -> int:
+        """Number of corner ids: 0 … corner_count - 1."""
+        if self.pattern is Pattern.APRILGRID:
+            return 4 * self.columns * self.rows
+        return (self.columns - 1) * (self.rows - 1)
+
+    @property
+    def marker_count(self) -> int:
+        """Number of marker ids that the face uses, from `first_marker` on."""
+        if self.pattern is Pattern.CHECKERBOARD:
+            return 0
+        squares = self.columns * self.rows
+        if self.pattern is Pattern.APRILGRID:
+            return squares
+        return squares // 2
+
+    @property
+    def corners(self) -> Array:
+        """Corner positions in the face frame by id, (corner_count, 3), metres."""
+        if self.pattern is Pattern.APRILGRID:
+            return self._tag_corners()
+        return _grid(self.columns - 1, self.rows - 1, self.square)
+
+    @property
+    def has_corner_squares(self) -> bool:
+        """Whether black squares are drawn between the tags of an AprilGrid."""
+        return self._as_kalibr(self.corner_squares)
+
+    @property
+    def has_turned_tags(self) -> bool:
+        """Whether tags are drawn with their dictionary's top at the bottom."""
+        return self._as_kalibr(self.tags_turned)
+
+    def _as_kalibr(self, said: bool | None) -> bool:
+        if self.pattern is not Pattern.APRILGRID:
+            return False
+        return self.numbering is Numbering.KALIBR if said is None else said
+
+    def _tag_corners(self) -> Array:
+        """Kalibr's rows go up; the face's frame, with y down, starts at the lowest row."""
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        if self.numbering is Numbering.KALIBR:
+            y = -y
+        tags = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 1, 3) * self.square
+        around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+        return (tags + around * (self.marker or 0.0)).reshape(-1, 3)
+
+    @property
+    def outline(self) -> Array:
+        """The printed pattern's four outer corners in the face frame, (4, 3), metres."""
+        beside = self.square
+        if self.pattern is Pattern.APRILGRID:
+            gap = self.square - (self.marker or 0.0)
+            beside = gap if self.has_corner_squares else 0.0
+        low_x, low_y, _ = self.corners.min(axis=0) - beside
+        high_x, high_y, _ = self.corners.max(axis=0) + beside
+        return np.array(
+            [
+                [low_x, low_y, 0],
+                [high_x, low_y, 0],
+                [high_x, high_y, 0],
+                [low_x, high_y, 0],
+            ]
+        )
+
+    @property
+    def reads_from_both_ends(self) -> bool:
+        """Whether a half turn leaves the pattern unchanged (the contract's «half turn»)."""
+        return self.pattern is Pattern.CHECKERBOARD and (self.columns + self.rows) % 2 == 0
+
+    @property
+    def appearance(self) -> tuple[object, ...]:
+        """What a picture can reveal about the face; faces with equal appearance look alike."""
+        geometry = (self.pattern, self.columns, self.rows)
+        if self.pattern is Pattern.CHECKERBOARD:
+            return (*geometry, self.inverted)
+        marks = (
+            self.dictionary,
+            self.first_marker,
+            self.legacy,
+            self.inverted,
+            self.border_bits,
+            self.numbering,
+        )
+        return (*geometry, *marks)
+
+
+@cache
+def _grid(columns: int, rows: int, pitch: float) -> Array:
+    """Corners in row-major order, (n, 3); one array shared by all callers, so do not write to
+    it."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * pitch
+    points.flags.writeable = False
+    return points
+
+
+class Target(Struct, frozen=True, forbid_unknown_fields=True):
+    """All faces of one robot."""
+
+    name: str
+    faces: tuple[Face, ...]
+
+    def __post_init__(self) -> None:
+        if not self.faces:
+            raise ValueError("a target needs at least one face; add a [[faces]] table")
+        ids = [face.id for face in self.faces]
+        for face in ids:
+            if ids.count(face) > 1:
+                raise ValueError(f"two faces have the id {face}; give each its own")
+        self._check_markers()
+
+    def _check_markers(self) -> None:
+        """Raise ValueError if two faces use the same marker of one dictionary."""
+        ranges = [
+            (f.dictionary, f.first_marker, f.first_marker + f.marker_count, f.id)
+            for f in self.faces
+            if f.marker_count
+        ]
+        for i, (dictionary, first, end, face) in enumerate(ranges):
+            for other_dictionary, other_first, other_end, other in ranges[:i]:
+                overlap = first < other_end and other_first < end
+                if dictionary == other_dictionary and overlap and first != other_first:
+                    raise ValueError(
+                        f"faces {other} and {face} share markers from {max(first, other_first)} "
+                        f"of {dictionary}; move first_marker"
+                    )
+
+    def face(self, face: int) -> Face:
+        """A face by id; raise TargetError if there is none."""
+        for candidate in self.faces:
+            if candidate.id == face:
+                return candidate
+        raise TargetError(f"target «{self.name}» has no face {face}")
+
+    def look_alikes(self, appearance: tuple[object, ...]) -> tuple[Face, ...]:
+        """The faces that look like this one; several if no picture can tell them apart."""
+        return tuple(face for face in self.faces if face.appearance == appearance)
+
+
+def load_target(path: Path) -> Target:
+    """Read target.toml; raise a TargetError that names file, line and key."""
+    return load_toml(path, Target, "target file", TargetError)
+
+
+def parse_target(text: str, *, file: str = "target.toml") -> Target:
+    """Like `load_target`, from text (a recording's attachment)."""
+    return parse_toml(text, Target, file, TargetError)
