@@ -17,9 +17,9 @@ import zenoh
 
 from trigpoint.bus.bus import Subscription
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import ZenohBus, open_session
 from trigpoint.contract import topics
 from trigpoint.contract.topics import Topic
+from trigpoint.zenoh import ZenohBus, open_session
 
 from .bus_wire import WARM_UP, Wire, free_endpoint, open_bare, sent_ns
 from .table import Row, share_of

@@ -6,8 +6,8 @@ import time
 import zenoh
 
 from trigpoint.bus.settings import LOOPBACK, Settings
-from trigpoint.bus_zenoh import ZenohBus, open_session
 from trigpoint.contract.topics import TOPICS
+from trigpoint.zenoh import ZenohBus, open_session
 
 from .bus_wire import WARM_UP, Wire, open_bare, stamped
 

@@ -1,5 +1,4 @@
-"""`python -m benchmarks.fire`: ten minutes of a site under fire, as tests/support/site/faulty_run.py
-has it."""
+"""`python -m benchmarks.fire`: ten minutes of a site under fire."""
 
 import socket
 import tempfile

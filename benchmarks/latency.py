@@ -26,7 +26,6 @@ import numpy as np
 
 from trigpoint.base.clock import to_ns
 from trigpoint.bus.bus import Subscription
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import topics
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
@@ -36,6 +35,7 @@ from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.site.config import load_site
 from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import World, load_world
+from trigpoint.zenoh import open_bus
 
 from .machine import machine
 from .robot_bridge import measured

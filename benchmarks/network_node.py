@@ -19,12 +19,12 @@ from uuid import UUID
 
 from trigpoint.base.ending import ENDING
 from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import topics
 from trigpoint.contract.access import Kind
 from trigpoint.contract.correction import CorrectionMark, MissedCorrections
 from trigpoint.contract.topics import Topic
 from trigpoint.site.config import load_site
+from trigpoint.zenoh import open_bus
 
 Row = tuple[int, int, int]
 

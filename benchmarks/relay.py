@@ -18,13 +18,13 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from trigpoint.base.clock import SystemClock
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import ZenohBus, open_session
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.contract.topics import ODOMETRY
 from trigpoint.security.authenticator import CorrectionSigner, CorrectionVerifier
 from trigpoint.security.credentials import node_credentials
 from trigpoint.site.config import Site, load_site
 from trigpoint.tools.secure.authority import Authority, addresses_of
+from trigpoint.zenoh import ZenohBus, open_session
 from trigpoint.zenoh.patience import open_patiently
 
 _MESSAGES = 20_000

@@ -28,7 +28,6 @@ import zenoh
 
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import open_session
 from trigpoint.contract.cdr import decode, encode
 from trigpoint.contract.correction import CorrectionMark, encode_mark
 from trigpoint.contract.messages import Diagnostics, Odometry, PoseEstimate
@@ -39,6 +38,7 @@ from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.node import RobotNode
 from trigpoint.site.config import parse_site
 from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.zenoh import open_session
 
 from .bus_wire import free_endpoint
 from .robot_line_ends import BARE_CORRECTION, BARE_ODOMETRY, FRAME, STEP_M

@@ -8,10 +8,10 @@ import sys
 import time
 from pathlib import Path
 
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import IMAGE, SIGHTINGS
 from trigpoint.site.config import load_site
+from trigpoint.zenoh import open_bus
 
 _PAUSE_S = 0.001
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Subscription
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import topics
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import Diagnostics, Odometry, PoseEstimate, Sightings
 from trigpoint.site.config import load_site
+from trigpoint.zenoh import open_bus
 
 _PERIOD_S = 0.5
 _TAKE_S = 0.05

@@ -7,12 +7,12 @@ import cv2
 import typer
 
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.access import Kind
 from trigpoint.node.node import Node, stop_on_signals
 from trigpoint.node.watchdog import Watchdog
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.zenoh import open_bus
 
 from .node import KIND, EdgeNode, load_targets
 from .sources.opencv_log import quieten_opencv

@@ -10,12 +10,12 @@ import typer
 
 from trigpoint.base.clock import SteadyClock
 from trigpoint.base.errors import OperationError
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import cdr
 from trigpoint.contract.access import Kind
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.zenoh import open_bus
 
 from .inputs import load_inputs
 from .live.memory import return_large_arrays

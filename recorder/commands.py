@@ -14,13 +14,13 @@ import typer
 
 from trigpoint.base.clock import SystemClock, to_seconds
 from trigpoint.base.errors import InputError, OperationError
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import command_key
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import Site, load_site, parse_site
 from trigpoint.site.option import SITE_FILE, SiteFile
 from trigpoint.site.target import load_target
+from trigpoint.zenoh import open_bus
 
 from . import node as recorder
 from .replay import player

@@ -4,11 +4,11 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.access import Kind
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import ROS2_PROTOCOL, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.zenoh import open_bus
 
 from .dry_run import look
 from .line.protocol import check_protocol

@@ -17,8 +17,8 @@ from support.builders import eventually
 from support.site.secured import NODES, SecuredSite, needs_zenohd
 
 from trigpoint.bus.settings import session_settings
-from trigpoint.bus_zenoh import open_bus, open_router, open_session
 from trigpoint.contract.access import Kind
+from trigpoint.zenoh import open_bus, open_router, open_session
 
 SITE = "lab"
 CAMERA_KEYS = ("image/compressed", "camera_info", "sightings", "pose", "snapshot", "calibrate")

@@ -10,7 +10,6 @@ from support.builders import eventually, make_site
 from trigpoint.base.errors import BusError, InputError
 from trigpoint.bus.bus import Bus, Sample, Subscription
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
 from trigpoint.contract.topics import (
     CAMERA_INFO,
     CORRECTION,
@@ -23,6 +22,7 @@ from trigpoint.contract.topics import (
     alive_key,
 )
 from trigpoint.testing.memory_bus import MemoryBroker
+from trigpoint.zenoh import ZenohBus, open_bus, open_session
 from trigpoint.zenoh.patience import open_patiently
 
 ODOM_KEY = ODOMETRY.key("lab", "r1")

@@ -20,7 +20,6 @@ from trigpoint.base.errors import BusError, ConfigError
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Multicast, Settings, TlsFiles
 from trigpoint.bus.urgent import AGAIN_S
-from trigpoint.bus_zenoh import Datagrams, ZenohBus, open_bus, open_router, open_session
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.contract.topics import (
     CAMERA_INFO,
@@ -31,6 +30,7 @@ from trigpoint.contract.topics import (
     SIGHTINGS,
 )
 from trigpoint.tools.secure import authority as authority_module
+from trigpoint.zenoh import Datagrams, ZenohBus, open_bus, open_router, open_session
 from trigpoint.zenoh.patience import open_patiently
 
 OUTSIDE = "from outside"

@@ -12,7 +12,6 @@ from support.site.secured import SecuredSite
 
 from trigpoint.base.clock import SystemClock
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import ZenohBus, open_router
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.contract.cdr import encode
 from trigpoint.contract.correction import CorrectionMark, encode_mark
@@ -22,6 +21,7 @@ from trigpoint.geometry import Pose
 from trigpoint.node.node import Node
 from trigpoint.robot.node import RobotNode
 from trigpoint.security.authenticator import correction_signer
+from trigpoint.zenoh import ZenohBus, open_router
 
 
 class Fusion:

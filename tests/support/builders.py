@@ -15,7 +15,7 @@ from trigpoint.geometry import Pose
 from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target, parse_target
 
-REAL_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+REAL_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 """Real pictures and sessions; tests that need them are skipped where the folder is absent."""
 
 

@@ -14,17 +14,17 @@ from support.builders import eventually, make_site
 
 from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import ZenohBus, open_bus, open_session
 from trigpoint.contract.topics import ODOMETRY, SIGHTINGS
 from trigpoint.site.config import Site
+from trigpoint.zenoh import ZenohBus, open_bus, open_session
 from trigpoint.zenoh.patience import open_patiently
 
 KEY = ODOMETRY.key("lab", "r1")
 
 COUNTER = """
 import sys, time
-from builders import make_site
-from trigpoint.bus_zenoh import open_bus
+from support.builders import make_site
+from trigpoint.zenoh import open_bus
 from trigpoint.contract.topics import ODOMETRY
 with open_bus(make_site(bus=sys.argv[1])) as bus:
     bus.declare_alive("lab/alive/robot/r1")
@@ -37,7 +37,7 @@ with open_bus(make_site(bus=sys.argv[1])) as bus:
 MEETING_POINT = """
 import sys, time
 from trigpoint.bus.settings import Settings
-from trigpoint.bus_zenoh import open_session
+from trigpoint.zenoh import open_session
 session = open_session(Settings("peer", listen=(sys.argv[1],)))
 time.sleep(600)
 """

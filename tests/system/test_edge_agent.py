@@ -14,13 +14,13 @@ from support.builders import REAL_DATA, eventually
 from support.pictures.boards import charuco, picture_of, placed, plain_picture, worst_error
 
 from trigpoint.bus.bus import Subscription
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import CameraInfo, Sightings
 from trigpoint.contract.topics import CAMERA_INFO, SIGHTINGS, alive_key, command_key
 from trigpoint.geometry import CameraModel
 from trigpoint.site.camera_info import format_camera_info
 from trigpoint.site.config import Site, parse_site
+from trigpoint.zenoh import open_bus
 
 VIDEO = REAL_DATA / "charuco-video" / "cam_0.mp4"
 BOARD = charuco()

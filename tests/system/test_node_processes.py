@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from support.builders import eventually, make_site, site_text
 
-from trigpoint.bus_zenoh import ZenohBus, open_bus
+from trigpoint.zenoh import ZenohBus, open_bus
 
 NODE = """
 import sys
 from pathlib import Path
 from trigpoint import cli
-from trigpoint.bus_zenoh import open_bus
+from trigpoint.zenoh import open_bus
 from trigpoint.site.config import load_site
 from trigpoint.node.node import Node, stopped_by_signals
 
@@ -109,7 +109,7 @@ def test_killed_node_starts_again_under_its_name(
 
 def test_program_whose_bus_is_left_open_still_ends() -> None:
     code = (
-        "from builders import make_site; from trigpoint.bus_zenoh import open_bus;"
+        "from support.builders import make_site; from trigpoint.zenoh import open_bus;"
         "from trigpoint.contract.topics import ODOMETRY;"
         "bus = open_bus(make_site(bus='listen = [\"tcp/127.0.0.1:0\"]'));"
         "bus.subscribe(ODOMETRY, 'lab/robot/*/odom'); bus.serve('lab/clock', bytes)"

@@ -14,10 +14,10 @@ import pytest
 from support.builders import TARGET_TEXT, eventually, make_odometry, make_site, site_text
 
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import cdr
 from trigpoint.contract.topics import DIAGNOSTICS, ODOMETRY
 from trigpoint.recorder.session.recording import open_recording
+from trigpoint.zenoh import open_bus
 
 KEY = ODOMETRY.key("lab", "r1")
 PERIOD_S = 0.01

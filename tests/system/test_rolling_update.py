@@ -9,12 +9,11 @@ from uuid import UUID
 import numpy as np
 import pytest
 from support.builders import eventually
-from support.site.forks import Nursery
+from support.site.forks import ForkedPrograms
 from support.site.programs import answers
 
 from trigpoint.base.clock import SteadyClock, to_ns
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import topics
 from trigpoint.contract.cdr import decode, encode
 from trigpoint.contract.correction import decode_mark
@@ -30,6 +29,7 @@ from trigpoint.site.config import BusConfig, load_site
 from trigpoint.tools.simulation.site_files import sim_url, stamps_ns, write_site
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.tools.site.state import SiteStatus, summarise, table
+from trigpoint.zenoh import open_bus
 
 pytestmark = pytest.mark.timeout(400)
 
@@ -59,7 +59,7 @@ class Site:
             )
         )
         _remember(world, folder / "out" / "checkpoint.bin", self.epoch_ns)
-        self.folder, self.nursery = folder, stack.enter_context(Nursery(folder))
+        self.folder, self.programs = folder, stack.enter_context(ForkedPrograms(folder))
         self._processes: dict[str, int] = {}
 
     def start(self, name: str, version: str) -> None:
@@ -71,15 +71,15 @@ class Site:
             "robot": ("robot", *site, "--robot", ROBOT),
             "fusion": ("fusion", *site, *out),
         }
-        self._processes[name] = self.nursery.start(name, words[name], version)
+        self._processes[name] = self.programs.start(name, words[name], version)
 
     def start_firmware(self) -> None:
         words = ("firmware", "--world", "lab", "--seed", "1", "--epoch-ns", str(self.epoch_ns))
         port = str(self.folder / "r1.port")
-        self.nursery.start("firmware", (*words, "--robot", ROBOT, "--link", port))
+        self.programs.start("firmware", (*words, "--robot", ROBOT, "--link", port))
 
     def update(self, name: str) -> None:
-        assert self.nursery.stop(self._processes[name]) == 0, self.nursery.said(name)
+        assert self.programs.stop(self._processes[name]) == 0, self.programs.said(name)
         self.start(name, AFTER)
 
 
@@ -169,14 +169,14 @@ def test_map_stays_while_every_node_is_updated(
         site.start(name, BEFORE)
     bus = stack.enter_context(open_bus(load_site(site.path)))
     listener = Listener(bus)
-    assert listener.is_corrected(), site.nursery.said("fusion")
+    assert listener.is_corrected(), site.programs.said("fusion")
     before = answers(bus, "fusion/map")
     camera = _camera(bus)
     for number, name in enumerate(ORDER, 1):
         site.update(name)
         expected = {AFTER: number, BEFORE: len(ORDER) - number}
-        assert listener.is_running(expected), (name, listener.status(), site.nursery.said(name))
-        assert listener.is_corrected(), site.nursery.said(name)
+        assert listener.is_running(expected), (name, listener.status(), site.programs.said(name))
+        assert listener.is_corrected(), site.programs.said(name)
         if name == "edge":
             words = f"Versions differ: {AFTER} on most, but {BEFORE}: fusion/fusion, robot/r1"
             assert listener.tells(words), table(listener.status())

@@ -19,7 +19,7 @@ from trigpoint.edge.sources.frames import Frame
 from trigpoint.edge.sources.frames_rtsp import RtspFrames
 from trigpoint.site.config import CameraConfig
 
-SERVER = Path(__file__).parents[1] / "rtsp_server.py"
+SERVER = Path(__file__).parents[1] / "support" / "site" / "rtsp_server.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
 PROBE = (
     "import gi; gi.require_version('GstRtspServer', '1.0'); gi.require_version('Gst', '1.0');"

@@ -5,9 +5,9 @@ import itertools
 import math
 
 import numpy as np
-import oracle as oracle_module
 import pytest
 from scipy.optimize import least_squares
+from support.oracle import posterior as oracle_module
 from support.oracle.posterior import Oracle
 from support.oracle.sessions import Shape, SmallSession, drawn_shape, small_session
 from support.oracle.solver import gaps_of

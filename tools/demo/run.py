@@ -13,9 +13,9 @@ import msgspec
 from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.site.config import BusConfig, FusionConfig, RecorderConfig, Site
 from trigpoint.tools.simulation.world import World
+from trigpoint.zenoh import open_bus
 
 from .folder import DemoFolder, DemoRecord
 from .parts import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER, parts_of, tokens_of, viewer_of

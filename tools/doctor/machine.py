@@ -15,9 +15,9 @@ from trigpoint.base.checks import Check, Level
 from trigpoint.base.errors import BusError
 from trigpoint.base.words import install_command
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.topics import ODOMETRY
 from trigpoint.site.config import ROS2_PROTOCOL, BusConfig, Site
+from trigpoint.zenoh import open_bus
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "edge": ("cv2", "av"),

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from trigpoint.base.errors import InputError
-from trigpoint.bus_zenoh import open_router
 from trigpoint.contract.access import Kind
 from trigpoint.node.node import Node, stop_on_signals
 from trigpoint.site.config import Site, check_name, load_site
 from trigpoint.site.option import SITE_FILE, site_here
+from trigpoint.zenoh import open_router
 from trigpoint.zenoh.patience import means_of
 
 _log = logging.getLogger(__name__)

@@ -12,13 +12,13 @@ import typer
 
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS, alive_key
 from trigpoint.node.node import stop_on_signals
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.zenoh import open_bus
 
 from .state import SiteStatus, summarise, table
 

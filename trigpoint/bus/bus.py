@@ -1,4 +1,4 @@
-"""The bus interface that every part uses; `bus_zenoh` and `bus_memory` implement it.
+"""The bus interface that every part uses; `trigpoint.zenoh` and `testing.memory_bus` implement it.
 
 The bus's own threads only put samples into our bounded queues; subscribers take them out on their
 own threads. Closing the bus closes everything declared on it.

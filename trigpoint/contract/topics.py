@@ -11,7 +11,7 @@ UNTYPED = ("", "zenoh/bytes", "application/cdr", "application/octet-stream")
 
 
 class Delivery(Enum):
-    """How a key's samples are delivered; `bus_zenoh` maps each to Zenoh settings."""
+    """How a key's samples are delivered; `trigpoint.zenoh` maps each to Zenoh settings."""
 
     NEWEST = "best effort, newest wins, low priority"
     RECOVERED = "reliable, recovered after a break"

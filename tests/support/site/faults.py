@@ -38,7 +38,7 @@ target = "other.toml"
 _SUBSCRIBER = """
 import sys, time
 from pathlib import Path
-from trigpoint.bus_zenoh import open_bus
+from trigpoint.zenoh import open_bus
 from trigpoint.site.config import load_site
 from trigpoint.contract.topics import ODOMETRY, SIGHTINGS
 site = load_site(Path(sys.argv[1]))

@@ -1,8 +1,8 @@
 """Programs of ours as processes that start at once: one that has imported them forks for each.
 
-`Nursery` runs this file. On standard input come JSON lines: what to start (words, version, log), or
-whose end to wait for; on standard output the process, or its status. A test that starts a dozen
-programs would else import them a dozen times.
+`ForkedPrograms` runs this file. On standard input come JSON lines: what to start (words, version,
+log), or whose end to wait for; on standard output the process, or its status. A test that starts a
+dozen programs would else import them a dozen times.
 """
 
 import json
@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Self
 
 
-class Nursery:
+class ForkedPrograms:
     """The process that forks; what it started ends with it."""
 
     def __init__(self, folder: Path) -> None:
@@ -67,6 +67,13 @@ class Nursery:
 
 def _serve() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    import trigpoint.edge.command
+    import trigpoint.fusion.command
+    import trigpoint.recorder.commands
+    import trigpoint.robot.command
+    import trigpoint.tools.secure.router
+    import trigpoint.tools.simulation.frames
+    import trigpoint.tools.simulation.serial.firmware  # noqa: F401
 
     for line in sys.stdin:
         asked = json.loads(line)

@@ -18,7 +18,6 @@ from support.fusion.drives import EPOCH_NS, Sent, Session, offline
 
 from trigpoint.base.clock import to_ns
 from trigpoint.bus.bus import Bus
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Odometry
 from trigpoint.contract.topics import command_key
@@ -27,6 +26,7 @@ from trigpoint.map.network import Network
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import Site, load_site, parse_site
 from trigpoint.tools.simulation.sight.targets import target_text
+from trigpoint.zenoh import open_bus
 
 LEAD_S = 1.0
 STOP_LIMIT_S = 8.0

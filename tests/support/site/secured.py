@@ -12,11 +12,11 @@ import zenoh
 from support.builders import site_text
 
 from trigpoint.bus.settings import Settings, router_settings
-from trigpoint.bus_zenoh import open_session
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.security.credentials import door, node_credentials
 from trigpoint.site.config import Site, parse_site
 from trigpoint.tools.secure.authority import Authority, addresses_of
+from trigpoint.zenoh import open_session
 from trigpoint.zenoh.patience import open_patiently
 
 NODES = (

@@ -73,7 +73,7 @@ import resource, signal, sys, time
 from pathlib import Path
 import numpy as np
 from trigpoint.base.clock import SystemClock
-from trigpoint.recorder import sink_mcap
+from trigpoint.recorder.writing import sink as sink_mcap
 from trigpoint.contract.topics import IMAGE
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000_000, resource.RLIM_INFINITY))

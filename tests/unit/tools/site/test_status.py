@@ -9,7 +9,6 @@ import msgspec
 import pytest
 from support.builders import site_text
 
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.cli import run
 from trigpoint.contract.messages import DiagnosticStatus
 from trigpoint.contract.topics import DIAGNOSTICS
@@ -18,6 +17,7 @@ from trigpoint.site.config import parse_site
 from trigpoint.testing.memory_bus import MemoryBroker
 from trigpoint.tools.site.state import NodeStatus, SiteStatus, summarise, table
 from trigpoint.tools.site.status import look, wanted_of
+from trigpoint.zenoh import open_bus
 
 
 def test_tokens_and_diagnostics_are_put_together() -> None:

@@ -9,7 +9,7 @@ import pytest
 from trigpoint.cli import GROUPS
 from trigpoint.site.target import Face, Pattern, Target, load_target
 
-PAGE = Path(__file__).parents[3] / "docs" / "target.md"
+PAGE = Path(__file__).parents[4] / "docs" / "target.md"
 _AS_KALIBR = ("corner_squares", "tags_turned")
 _MARKED = ("marker", "dictionary")
 

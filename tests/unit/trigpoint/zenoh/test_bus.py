@@ -9,8 +9,8 @@ from support.builders import eventually, make_site
 
 from trigpoint.base.errors import BusError
 from trigpoint.bus.gate import Gate
-from trigpoint.bus_zenoh import open_bus
 from trigpoint.contract.topics import ODOMETRY, TF
+from trigpoint.zenoh import open_bus
 
 
 def test_unreachable_endpoint_elsewhere_is_named_when_patience_ends() -> None:

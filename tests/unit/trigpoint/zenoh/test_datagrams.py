@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from zenoh import Reliability
 
-from trigpoint.bus_zenoh import Datagrams
+from trigpoint.zenoh import Datagrams
 
 STREAM, DATAGRAM = Reliability.RELIABLE, Reliability.BEST_EFFORT
 
