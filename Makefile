@@ -16,7 +16,7 @@ demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
 
 # Three at a time: the longest wait for processes that they started, and for time to pass.
-test: $(CORE)  ## every test
+test: $(CORE)  ## every test but the long ones, which are the study's
 	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 check: lint types imports test  ## what CI runs
@@ -37,7 +37,8 @@ bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; t
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.stops
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.fire
 
-study: $(WITH_BENCH)  ## accuracy over simulated sessions, to docs/accuracy.md; goes on where it was
+study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/accuracy.md; goes on where it was
+	$(BIN)/python -m pytest -n 2 -m long
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study report

@@ -26,7 +26,10 @@ from trigpoint.tools.sessions.inputs import session_inputs
 FOLDER = REAL_DATA / "real-odometry"
 # Of corners about the board that fits them best, over what they were drawn with.
 MOST_SCATTER = 4.0
-ROBOTS = ("robot1", "robot2", "robot3", "robot4", "robot5")
+ROBOTS = (
+    "robot1",
+    *(pytest.param(f"robot{number}", marks=pytest.mark.long) for number in (2, 3, 4, 5)),
+)
 
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason=f"the real sessions are not at {FOLDER}"

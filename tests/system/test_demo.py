@@ -92,6 +92,7 @@ def test_short_demo_finds_the_cameras_that_it_meets_and_leaves_its_files(start):
     assert not any(is_alive(number) for number in demo.parts().values())
 
 
+@pytest.mark.long
 def test_killed_parts_are_started_again_and_the_demo_goes_on(start):
     demo = start("--seconds", "20", "--seed", "1")
     assert eventually(demo.is_up, 120.0)

@@ -17,6 +17,8 @@ from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.command import worked_out
 from trigpoint.tools.sessions.inputs import session_inputs
 
+LONG = pytest.mark.long
+
 
 @pytest.mark.parametrize(
     ("kind", "seed"),
@@ -24,11 +26,11 @@ from trigpoint.tools.sessions.inputs import session_inputs
         # Either of two sightings that contradict each other may be wrong.
         pytest.param("mismatch", 7, id="contradiction"),
         # What a visit saw before and after a gap says how the robot came across it.
-        pytest.param("composition", 110, id="lift beside a visit that goes on"),
+        pytest.param("composition", 110, id="lift beside a visit that goes on", marks=LONG),
         # A lift of a robot that rises, sinks and leans: three cameras were 0.2 to 2.4 m off.
         pytest.param("space", 12, id="robot in space"),
         # A camera's last picture before the lift is stamped later than another's first after it.
-        pytest.param("everything", 39, id="lift between clocks"),
+        pytest.param("everything", 39, id="lift between clocks", marks=LONG),
         # Of single pictures the last hundredth of a step was taken for a contradiction.
         pytest.param("everything", 79, id="single pictures, lenses unknown"),
         # Ten cameras, one picture a stop: too few to tell of odometry by themselves.
@@ -41,6 +43,7 @@ def test_every_camera_is_where_it_says(kind: str, seed: int, tmp_path: Path) -> 
     assert_where_they_say(located, places)
 
 
+@LONG
 def test_camera_between_two_gaps_of_which_a_lift_was_in_either_is_not_located(
     tmp_path: Path,
 ) -> None:
@@ -51,6 +54,7 @@ def test_camera_between_two_gaps_of_which_a_lift_was_in_either_is_not_located(
     assert_where_they_say(located, places)
 
 
+@LONG
 def test_one_right_picture_beside_a_displaced_one_is_no_push(tmp_path: Path) -> None:
     """Taken for a camera that had been pushed, it cost all five cameras their places. By the
     default prior a robot may have been lifted instead."""
@@ -59,6 +63,7 @@ def test_one_right_picture_beside_a_displaced_one_is_no_push(tmp_path: Path) -> 
     assert_where_they_say(located, places)
 
 
+@LONG
 def test_solution_behind_a_lift_starts_on_either_side_of_it(tmp_path: Path) -> None:
     """Nodes between a lift and the next picture were drawn towards where the robot was before: no
     step found the minimum, and two cameras had a scale of 0.71 in their places."""

@@ -113,6 +113,7 @@ def test_pictures_of_too_few_corners_are_said_so() -> None:
     assert found.reason == "no picture of it shows enough of a face to place it"
 
 
+@pytest.mark.long
 def test_pictures_that_contradict_each_other_leave_many_places_open() -> None:
     data = seen_data(target_of("charuco"))
     random = np.random.default_rng(0)

@@ -69,12 +69,12 @@ def test_many_sightings_are_judged_as_each_by_itself() -> None:
     assert 100 < np.sum(wild) < 500
 
 
-@pytest.mark.parametrize("count", [12, 48])
-def test_wild_corners_do_not_spoil_the_fit_of_a_board_by_itself(count: int) -> None:
+@pytest.mark.parametrize(("count", "boards"), [(12, 100), (48, 25)])
+def test_wild_corners_do_not_spoil_the_fit_of_a_board_by_itself(count: int, boards: int) -> None:
     target, camera = make_target(), lens()
     face = target.faces[0]
     missed = 0
-    for seed in range(100):
+    for seed in range(boards):
         random = np.random.default_rng(seed)
         corners = np.sort(random.choice(48, count, replace=False))
         points = face_points(face, corners, is_turned=False)

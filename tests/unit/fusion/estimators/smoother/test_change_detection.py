@@ -75,6 +75,7 @@ def assert_honest(session: Session, pipeline: Pipeline) -> None:
     assert error.nees < NEES
 
 
+@pytest.mark.long
 def test_moved_camera_whose_clock_is_estimated_is_relocated_by_the_filter() -> None:
     session = with_moved_camera(1)
     site = session.inputs.site
