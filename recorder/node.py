@@ -11,8 +11,8 @@ from trigpoint.base.clock import Clock, SystemClock, to_ns
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.bus.bus import Bus, Sample
-from trigpoint.contract.messages import Message, PoseEstimate
-from trigpoint.contract.topics import CAMERA_POSE, Topic, command_key
+from trigpoint.contract.messages import Diagnostics, Message
+from trigpoint.contract.topics import Topic, command_key
 from trigpoint.map.network import decode_network
 from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
@@ -93,7 +93,7 @@ class Recorder:
         self._bus, self._node = bus, node
         node.health.gauge("file.depth", self._depth)
         topics = recorded_topics(self._site)
-        self._intake = Intake(bus, node, self._site, topics, self._write, self._lose)
+        self._intake = Intake(bus, node, self._site, topics, self._take, self._lose)
         self._pulse = node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S)
         if self._sink is not None:
             self._sink.watch(self._pulse)
@@ -194,7 +194,12 @@ class Recorder:
         self.ring.save(path, files, settings_of(self._site).compression)
         return path
 
-    def _write(self, topic: Topic, sample: Sample, message: Message) -> None:
+    def _take(self, topic: Topic, sample: Sample, message: Message) -> None:
+        self._write(topic, sample)
+        if self.ring is not None and isinstance(message, Diagnostics):
+            self._save_where_moved(sample, message)
+
+    def _write(self, topic: Topic, sample: Sample) -> None:
         into = self.ring or self._sink
         if into is None or not is_wanted(self._site, sample.key):
             return
@@ -211,23 +216,21 @@ class Recorder:
             self._node.health.count(f"recorded {sample.key}")
         else:
             self._node.health.lose(f"file {sample.key}")
-        if self.ring is not None and topic is CAMERA_POSE and isinstance(message, PoseEstimate):
-            self._save_where_moved(sample, message)
 
     def _lose(self, key: str, count: int) -> None:
         """Count samples dropped by the bus's queue in the session too, where they are missing."""
         if self._sink is not None:
             self._sink.lose(key, count)
 
-    def _save_where_moved(self, sample: Sample, pose: PoseEstimate) -> None:
-        """If a camera was moved, save the ring, once per event."""
+    def _save_where_moved(self, sample: Sample, diagnostics: Diagnostics) -> None:
+        """If fusion says that a camera was moved, save the ring, once per event."""
         is_new = sample.received_ns - self._saved_ns > to_ns(self._ring_s)
-        if self._moved.add(sample.key, pose) and is_new:
+        if self._moved.are_more(diagnostics) and is_new:
             self._saved_ns = sample.received_ns
             with self._lock:
                 path = self._save()
             assert self._node is not None
-            self._node.health.describe("saved", f"{path}: {sample.key} moved")
+            self._node.health.describe("saved", f"{path}: a camera was moved")
 
     def _depth(self) -> int:
         into = self.ring or self._sink

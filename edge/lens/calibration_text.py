@@ -8,18 +8,13 @@ from trigpoint.site.camera_info import format_camera_info
 from .calibration import Calibration, Rejected
 from .calibration_choice import Candidate
 
-COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
-    LensModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
-    LensModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    LensModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
-}
 THINLY_COVERED = 0.7
 """A share of the picture below which the lens is a guess in the rest of it."""
 
 
 def parameter_names(model: LensModel) -> tuple[str, ...]:
     """The names of a camera's `parameters`."""
-    return ("fx", "fy", "cx", "cy", *COEFFICIENTS[model])
+    return ("fx", "fy", "cx", "cy", *model.coefficients)
 
 
 def covered_share(found: Calibration) -> float:

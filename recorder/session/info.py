@@ -23,7 +23,6 @@ class KeyInfo:
     bytes: int = 0
     rate_hz: float = 0.0
     longest_gap_s: float = 0.0
-    gap_at_s: float = 0.0
     lost: int = 0
     sequence_breaks: int = 0
     attachments: int = 0
@@ -66,7 +65,6 @@ def session_info(recording: Recording) -> SessionInfo:
         track.info.lost = int(losses.get(key, "0"))
         span_s = to_seconds(track.last_ns - track.first_ns)
         track.info.rate_hz = (track.info.messages - 1) / span_s if span_s > 0 else 0.0
-        track.info.gap_at_s = to_seconds(track.gap_ns - info.start_ns) if track.gap_ns else 0.0
         info.keys[key] = track.info
     for key in losses.keys() - tracks.keys():
         info.keys[key] = KeyInfo(type="", lost=int(losses[key]))
@@ -104,7 +102,6 @@ class _Track:
     info: KeyInfo
     first_ns: int
     last_ns: int
-    gap_ns: int = 0
 
 
 def _read_part(
@@ -147,6 +144,5 @@ def _count(track: _Track, log_ns: int, size: int) -> None:
     track.info.messages += 1
     track.info.bytes += size
     gap_s = to_seconds(log_ns - track.last_ns)
-    if gap_s > track.info.longest_gap_s:
-        track.info.longest_gap_s, track.gap_ns = gap_s, track.last_ns
+    track.info.longest_gap_s = max(gap_s, track.info.longest_gap_s)
     track.last_ns = log_ns

@@ -3,6 +3,7 @@
 import logging
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -177,11 +178,11 @@ class Recording:
         wanted.sort(key=lambda span: (span.start_ns, span.offset))
         with unpacked(part.path).open("rb") as file:
             for span in wanted:
-                ready = bisect_left(waiting, span.start_ns, key=_log_time)
+                ready = bisect_left(waiting, span.start_ns, key=attrgetter("log_ns"))
                 yield from _between(waiting[:ready], from_ns, to_ns)
                 waiting = waiting[ready:]
                 waiting.extend(chunk_messages(self._read(part, file, span), channels))
-                waiting.sort(key=_log_time)
+                waiting.sort(key=attrgetter("log_ns"))
         yield from _between(waiting, from_ns, to_ns)
 
     def _read(self, part: McapIndex, file: IO[bytes], span: ChunkSpan) -> bytes:
@@ -269,7 +270,3 @@ def check_types(index: McapIndex) -> None:
                 f"{topic.type_name} in cdr; record it with Trigpoint, or give the topics of "
                 "another bag to detect, intrinsics or calibrate by --topic"
             )
-
-
-def _log_time(message: RawMessage) -> int:
-    return message.log_ns

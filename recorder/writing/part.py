@@ -4,6 +4,7 @@ import json
 from bisect import bisect_left
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 from trigpoint.recorder.mcap.chunk import Compression
@@ -64,7 +65,7 @@ class Part:
         """Append messages in the order of their log times. One that comes after its log time was
         written already (the bus's threads were late by more than the sink waits) gets the last
         one's."""
-        late = bisect_left(messages, self._last_ns, key=_log_time)
+        late = bisect_left(messages, self._last_ns, key=attrgetter("log_ns"))
         if late:
             in_time = [m._replace(log_ns=self._last_ns) for m in messages[:late]]
             messages = [*in_time, *messages[late:]]
@@ -92,7 +93,3 @@ class Part:
     def abandon(self) -> None:
         """Close without writing any more, after an error."""
         self.writer.abandon()
-
-
-def _log_time(message: Message) -> int:
-    return message.log_ns

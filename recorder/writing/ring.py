@@ -4,12 +4,11 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Collection
+from operator import attrgetter
 from pathlib import Path
 
-import numpy as np
-
 from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.messages import Diagnostics
 from trigpoint.contract.topics import Delivery, Topic
 from trigpoint.recorder.mcap.chunk import Compression
 from trigpoint.recorder.mcap.rosbag_metadata import PartFacts, write_metadata
@@ -17,8 +16,7 @@ from trigpoint.recorder.mcap.writer import Message
 
 from .part import AttachedFile, Part
 
-# χ² of three degrees of freedom that chance exceeds once in a thousand million poses.
-_MOVED = 45.0
+_MOVED = "left_out.camera_moved.total"  # in fusion's diagnostics
 
 
 class Ring:
@@ -62,7 +60,8 @@ class Ring:
         """Write what is held as a session; return how many messages of each key. Raises
         OperationError where that cannot be done."""
         with self._lock:
-            messages, latched = sorted(self._messages, key=_log_time), dict(self._latched)
+            messages, latched = list(self._messages), dict(self._latched)
+        messages.sort(key=attrgetter("log_ns"))
         start_ns = messages[0].log_ns if messages else 0
         part = Part(
             path,
@@ -90,22 +89,18 @@ class Ring:
 
 
 class MovedCameras:
-    """Notices a camera's pose that contradicts the one before it: the camera was moved."""
+    """Hears of cameras that were moved from fusion, which decides it and counts them."""
 
     def __init__(self) -> None:
-        self._last: dict[str, PoseEstimate] = {}
+        self._counts: dict[str, int] = {}
 
-    def add(self, key: str, pose: PoseEstimate) -> bool:
-        """Take a camera's next pose; return whether it moved."""
-        last = self._last.get(key)
-        self._last[key] = pose
-        if last is None:
-            return False
-        step = pose.pose.translation - last.pose.translation
-        # The two share most of their data, so that they differ by less than this.
-        covariance = (pose.covariance + last.covariance)[:3, :3] + 1e-12 * np.eye(3)
-        return float(step @ np.linalg.solve(covariance, step)) > _MOVED
-
-
-def _log_time(message: Message) -> int:
-    return message.log_ns
+    def are_more(self, diagnostics: Diagnostics) -> bool:
+        """Take a node's diagnostics; return whether it counts more than the time before."""
+        are_more = False
+        for status in diagnostics.statuses:
+            if not status.name.startswith("fusion/"):
+                continue
+            count = int(status.values.get(_MOVED, "0"))
+            are_more |= count > self._counts.get(status.name, count)
+            self._counts[status.name] = count
+        return are_more

@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -236,7 +237,7 @@ class McapSink:
     def _write_waiting(self, part: Part, *, is_last: bool) -> None:
         now_ns = self._times.now_ns()
         self._held += self._times.of_all(self._queue.take(), now_ns)
-        self._held.sort(key=_log_time)
+        self._held.sort(key=attrgetter("log_ns"))
         ready = len(self._held) if is_last else _count_until(self._held, now_ns - to_ns(_HOLD_S))
         messages, self._held = self._held[:ready], self._held[ready:]
         for message in messages:
@@ -368,7 +369,3 @@ def _count_until(messages: list[Message], until_ns: int) -> int:
     while count and messages[count - 1].log_ns > until_ns:
         count -= 1
     return count
-
-
-def _log_time(message: Message) -> int:
-    return message.log_ns

@@ -31,7 +31,7 @@ CAMERA = CameraModel(640, 480, 500.0, 501.0, 319.5, 239.5, (-0.3, 1e-05, 1e-4, 0
     coefficients=st.lists(COEFFICIENT, min_size=8, max_size=8),
 )
 def test_written_camera_reads_back(model, focal, coefficients) -> None:
-    distortion = tuple(coefficients[: model.coefficients])
+    distortion = tuple(coefficients[: len(model.coefficients)])
     camera = CameraModel(1280, 720, focal[0], focal[1], 640.25, 359.5, distortion, model)
     assume(camera.folded_share() < 0.5)
     assert parse_camera_info(format_camera_info(camera, "c1")) == camera
@@ -218,7 +218,7 @@ def camel(key: str) -> str:
 )
 def test_lens_of_any_dialect_is_the_same_lens(write, key, model, focal, coefficients) -> None:
     # Where nothing names a rational model, its last coefficient does.
-    values = [*coefficients[: model.coefficients - 1], 0.125]
+    values = [*coefficients[: len(model.coefficients) - 1], 0.125]
     camera = CameraModel(1280, 720, focal[0], focal[1], 640.25, 359.5, tuple(values), model)
     assume(camera.folded_share() < 0.5)
     if write is of_ros_ini:  # it names no model

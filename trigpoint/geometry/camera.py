@@ -28,9 +28,9 @@ _GRID = 101
 class LensModel(StrEnum):
     """Distortion model, with the coefficients' order of ROS and OpenCV."""
 
-    PLUMB_BOB = "plumb_bob"  # k1 k2 p1 p2 k3
-    RATIONAL_POLYNOMIAL = "rational_polynomial"  # k1 k2 p1 p2 k3 k4 k5 k6
-    EQUIDISTANT = "equidistant"  # k1 k2 k3 k4
+    PLUMB_BOB = "plumb_bob"
+    RATIONAL_POLYNOMIAL = "rational_polynomial"
+    EQUIDISTANT = "equidistant"
 
     @classmethod
     def _missing_(cls, value: object) -> "LensModel | None":
@@ -39,9 +39,13 @@ class LensModel(StrEnum):
         return next((cls(model) for model, words in _OTHER_NAMES if word in words.split()), None)
 
     @property
-    def coefficients(self) -> int:
-        """How many distortion coefficients the model has."""
-        return {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[self.value]
+    def coefficients(self) -> tuple[str, ...]:
+        """The names of its distortion coefficients, in their order."""
+        return {
+            "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
+            "rational_polynomial": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+            "equidistant": ("k1", "k2", "k3", "k4"),
+        }[self.value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +69,9 @@ class CameraModel:
             raise ValueError("a camera needs a positive width, height and focal length")
         if not np.all(np.isfinite([self.fx, self.fy, self.cx, self.cy, *self.distortion])):
             raise ValueError("a camera's intrinsics must be finite numbers")
-        missing = self.model.coefficients - len(self.distortion)
+        missing = len(self.model.coefficients) - len(self.distortion)
         if missing < 0:
-            raise ValueError(f"{self.model.value} has {self.model.coefficients} coefficients")
+            raise ValueError(f"{self.model.value} has {len(self.model.coefficients)} coefficients")
         padded = (*(float(value) for value in self.distortion), *([0.0] * missing))
         object.__setattr__(self, "distortion", padded)
 

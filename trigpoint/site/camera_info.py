@@ -70,7 +70,7 @@ def write_camera_info(path: Path, camera: CameraModel, name: str) -> None:
 
 def _shortened(distortion: np.ndarray, model: LensModel) -> tuple[float, ...]:
     """The coefficients without zeros beyond the model's: OpenCV's rational files carry 12 or 14."""
-    used = distortion[: model.coefficients]
+    used = distortion[: len(model.coefficients)]
     return tuple(distortion.tolist() if np.any(distortion[len(used) :]) else used.tolist())
 
 

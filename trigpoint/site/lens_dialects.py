@@ -183,13 +183,13 @@ def _model_of(found: _Keys, used: int) -> LensModel:
     named = _named_model(found)
     if named is not None:
         return named
-    if used > LensModel.RATIONAL_POLYNOMIAL.coefficients:
+    if used > len(LensModel.RATIONAL_POLYNOMIAL.coefficients):
         raise InputError(
             f"{found.file}: {used} coefficients are a thin prism's or a tilted sensor's, which no "
             f"lens here has; calibrate without{_LATER}"
         )
     plumb_bob = LensModel.PLUMB_BOB
-    return plumb_bob if used <= plumb_bob.coefficients else LensModel.RATIONAL_POLYNOMIAL
+    return plumb_bob if used <= len(plumb_bob.coefficients) else LensModel.RATIONAL_POLYNOMIAL
 
 
 def _of_matlab(found: _Keys) -> LensFile:

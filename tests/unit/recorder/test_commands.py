@@ -5,16 +5,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.builders import eventually, make_odometry
 
 from trigpoint.bus.bus import Bus
 from trigpoint.cli import run
 from trigpoint.contract import cdr
-from trigpoint.contract.messages import PoseEstimate
-from trigpoint.contract.topics import CAMERA_INFO, CAMERA_POSE, ODOMETRY, SIGHTINGS
-from trigpoint.geometry import Pose
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
+from trigpoint.contract.topics import CAMERA_INFO, DIAGNOSTICS, ODOMETRY, SIGHTINGS
 from trigpoint.node.node import Node
 from trigpoint.recorder.mcap.check import check
 from trigpoint.recorder.node import Recorder, settings_of
@@ -84,23 +82,24 @@ def test_a_ring_is_saved_from_elsewhere_and_when_a_camera_moved(site_folder: Pat
         assert not path.exists()
         assert ask(remote, "save")["saved"] == str(path)
         assert open_recording(path).counts[KEY] == 1
-        cameras = remote.publisher(CAMERA_POSE, CAMERA_POSE.key("lab", "c1"))
-        for x in (1.0, 1.001, 1.5):
-            cameras.put(cdr.encode(estimate(x)))
+        said = remote.publisher(DIAGNOSTICS, DIAGNOSTICS.key("lab"))
+        for count in (0, 0, 1):
+            said.put(cdr.encode(diagnostics(count)))
         moved = path.with_name("session_2.mcap")
         assert eventually(moved.exists)
-    assert CAMERA_POSE.key("lab", "c1") in open_recording(moved).counts
+    assert open_recording(moved).counts[DIAGNOSTICS.key("lab")] >= 3
 
 
-def estimate(x: float) -> PoseEstimate:
-    covariance = np.diag([1e-4, 1e-4, 0, 0, 0, 1e-5])
-    return PoseEstimate(1, "map", Pose.planar(x, 0.0, 0.0), covariance)
+def diagnostics(moved: int) -> Diagnostics:
+    values = {"left_out.camera_moved.total": str(moved)} if moved else {}
+    return Diagnostics(1, (DiagnosticStatus(0, "fusion/fusion", "", "m", values),))
 
 
-def test_a_pose_that_is_refined_is_no_camera_that_moved() -> None:
+def test_a_ring_is_saved_once_for_each_camera_that_fusion_says_was_moved() -> None:
     moved = MovedCameras()
-    assert not any(moved.add("c1", estimate(1 + 0.01 * i)) for i in range(10))
-    assert moved.add("c1", estimate(2.0))
+    # What was counted before the recorder came, and a fusion that started again, are nothing new.
+    found = [moved.are_more(diagnostics(count)) for count in (3, 3, 4, 4, 0, 1)]
+    assert found == [False, False, True, False, False, True]
 
 
 def test_a_ring_forgets_what_is_old_but_for_the_last_values(tmp_path: Path) -> None:

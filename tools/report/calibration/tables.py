@@ -6,18 +6,12 @@ from html import escape
 
 import numpy as np
 
-from trigpoint.geometry.camera import LensModel
 from trigpoint.map.network import CameraRecord
 from trigpoint.tools.report.drawing.style import PALETTE
 from trigpoint.tools.report.drawing.svg import element
 
 from .facts import CalibrationResults, view_angle_sigmas, view_angles
 
-_COEFFICIENTS = {
-    LensModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
-    LensModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    LensModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
-}
 _REASONS = {
     "wrong_size": "pictures of another size than the camera's intrinsics are for",
     "repeated": "pictures that came twice",
@@ -108,7 +102,7 @@ def intrinsics_table(camera: CameraRecord) -> str:
     values += [("cx", lens.cx, sigma.cx), ("cy", lens.cy, sigma.cy)]
     rows = [_value_row(n, f"{v:.2f} px", _sigma(s, "{:.2f} px")) for n, v, s in values]
     for name, value, deviation in zip(
-        _COEFFICIENTS[lens.model], lens.distortion, sigma.d, strict=True
+        lens.model.coefficients, lens.distortion, sigma.d, strict=True
     ):
         rows.append(_value_row(name, f"{value:.5f}", _sigma(deviation, "{:.5f}")))
     return table(("lens", escape(lens.model.value), "±"), rows)

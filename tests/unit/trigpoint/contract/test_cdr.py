@@ -54,7 +54,7 @@ def face_sightings(draw: st.DrawFn) -> FaceSighting:
 @st.composite
 def cameras(draw: st.DrawFn) -> CameraModel:
     model = draw(st.sampled_from(LensModel))
-    distortion = draw(st.tuples(*[st.floats(-1, 1)] * model.coefficients))
+    distortion = draw(st.tuples(*[st.floats(-1, 1)] * len(model.coefficients)))
     focal = st.floats(1.0, 1e4)
     return CameraModel(
         draw(st.integers(1, 9999)),
