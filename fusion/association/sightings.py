@@ -10,21 +10,26 @@ import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
 from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.reading.best_readings import groups_of
 from trigpoint.fusion.reading.planar_pose import planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 from trigpoint.site.target import Target
 
 from .events import Events
 
 _MOST_REFITS = 3
-_MOST_WEIGHINGS = 6
 _LEAST_GOOD = 4
 _LEAST_CORNERS = 12
-# Share of the information that is added to it: keeps a direction that no corner shows solvable.
-_OPEN = 1e-14
-_LEAST = 1e-14
+_REAL = np.float64
+_WITHOUT_WILD = Kernel(
+    "tp_without_wild",
+    In(_REAL, ("v", "n", 12)),
+    In(_REAL, ("v", "n", 2)),
+    float,
+    Out(_REAL, ("v", 6)),
+    Out(np.bool_, ("v", "n")),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,15 +143,7 @@ def _fit(
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
     """Flags (n,) of each sighting's wild corners, from its derivatives (n, 2, 6) and residuals
     (n, 2)."""
-    found = [np.zeros(0, dtype=bool)] * len(sightings)
-    for rows in groups_of([len(residual) for _, residual in sightings]):
-        by_pose, residual = (
-            np.stack(each) for each in zip(*(sightings[r] for r in rows), strict=True)
-        )
-        _, wild = all_without_wild(by_pose, residual, limit)
-        for row, flags in zip(rows.tolist(), wild, strict=True):
-            found[row] = flags
-    return found
+    return [all_without_wild(by[None], left[None], limit)[1][0] for by, left in sightings]
 
 
 def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Array, np.ndarray]:
@@ -156,46 +153,11 @@ def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Arr
 
     `by_pose`: (v, n, 2, 6); `residual`: (v, n, 2), in sigmas.
     """
-    weight = np.ones(residual.shape[:2])
-    step, square = _steps(by_pose, residual, weight)
-    rows = np.flatnonzero(np.any(square > limit, axis=1))
-    if len(rows):
-        weight[rows] = _weights(by_pose[rows], residual[rows], limit)
-        step[rows], _ = _steps(by_pose[rows], residual[rows], weight[rows])
-    return step, weight == 0
-
-
-def _weights(by_pose: Array, residual: Array, limit: float) -> Array:
-    """Corner weights (v, n) of sightings that may have wild corners: 0 for those, else 1; all 1
-    where no such choice settles."""
-    weight = np.ones(residual.shape[:2])
-    for _ in range(_MOST_WEIGHINGS):
-        _, square = _steps(by_pose, residual, weight)
-        middle = np.median(square, axis=1, keepdims=True)
-        weight = 1 / (1 + square / np.maximum(2.0, 2 * middle))
-    for _ in range(_MOST_REFITS):
-        _, square = _steps(by_pose, residual, weight)
-        is_good = square <= limit
-        is_board = np.sum(is_good, axis=1) >= _LEAST_GOOD  # fewer good corners are no board
-        weight = np.where(is_board[:, None], is_good, weight)
-    is_settled = np.all((weight == 0) | (weight == 1), axis=1)
-    is_settled &= np.sum(weight > 0, axis=1) >= _LEAST_GOOD
-    return np.where(is_settled[:, None], weight, 1.0)
-
-
-def _steps(by_pose: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
-    """Weighted least-squares steps (v, 6), with a weight for each corner (v, n), and the χ² (v, n)
-    that they leave of every corner."""
-    flat = by_pose.reshape(len(by_pose), -1, 6)
-    weighted = np.swapaxes((by_pose * weight[..., None, None]).reshape(flat.shape), 1, 2)
-    normal = weighted @ flat
-    # Collinear corners leave a direction undetermined; the step along it is zero.
-    normal += _OPEN * np.eye(6) * np.diagonal(normal, axis1=1, axis2=2)[:, None] + _LEAST * np.eye(
-        6
-    )
-    step = -np.linalg.solve(normal, weighted @ residual.reshape(len(flat), -1, 1))
-    left = residual + (flat @ step).reshape(residual.shape)
-    return step[..., 0], np.sum(left**2, axis=-1)
+    count, corners = residual.shape[:2]
+    step, wild = np.empty((count, 6)), np.empty((count, corners), dtype=bool)
+    by_pose = np.ascontiguousarray(by_pose).reshape(count, corners, 12)
+    _WITHOUT_WILD(by_pose, np.ascontiguousarray(residual), limit, step, wild)
+    return step, wild
 
 
 def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:

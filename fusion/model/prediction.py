@@ -12,18 +12,40 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import relative_jacobians
+from trigpoint.native.library import In, Kernel, Out
 
 from .motion import Motion
 from .problem import Batch, Problem, State
-from .projection import before_camera, by_disturbance
+from .projection import many
+
+_NO_TWISTS = np.empty((0, 6))
+_REAL = np.float64
+_CORNERS = Kernel(
+    "tp_corner_terms",
+    In(_REAL, ("p",)),
+    *(In(_REAL, (1, 3, 3)), In(_REAL, (1, 3))),
+    *(In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
+    *(In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
+    *(In(_REAL, ("f", 3, 3)), In(_REAL, ("f", 3))),
+    In(np.int64, ("n", "k")),
+    In(_REAL, ("n", "k", 3)),
+    In(_REAL, ("n", "k", 2)),
+    In(_REAL, ("n", "k")),
+    In(_REAL, ("t", 6)),
+    In(_REAL, ("n",)),
+    In(np.int64, ("d",)),
+    int,
+    int,
+    Out(_REAL, ("n", "k", 2)),
+    Out(_REAL, ("n", "k", "c")),
+    Out(_REAL, ("n", "k", "s")),
+)
 
 
 def batch_residual(batch: Batch, state: State, disturbance: Array | None = None) -> Array:
     """`batch_jacobian`'s residual alone, (n, K, 2); with a disturbance (n, 6) of the robot's pose
     when it was seen, in the map's axes."""
-    camera = state.cameras[batch.camera]
-    scene = _scene(batch, state, disturbance)
-    return (camera.lens.project(scene.optical) - batch.pixels) * batch.weights[..., None]
+    return _terms(batch, state, disturbance=disturbance)[0]
 
 
 def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
@@ -32,114 +54,91 @@ def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array,
     Residual = (projection - pixel)/sigma. The first d columns are the node's; the dense ones begin
     with the camera's pose.
     """
-    return _jacobian(problem, batch, state, _scene(batch, state))[:3]
+    residual, jacobian, _ = _terms(batch, state, problem)
+    return jacobian, residual, _dense_columns(problem, batch)
 
 
 def batch_jacobians(
     problem: Problem, batch: Batch, state: State
 ) -> tuple[Array, Array, np.ndarray, Array]:
     """`batch_jacobian` and `base_jacobian` of one batch."""
-    scene = _scene(batch, state)
-    jacobian, residual, columns, by_map = _jacobian(problem, batch, state, scene)
-    return jacobian, residual, columns, by_disturbance(by_map, scene.in_seen_axes)
-
-
-def _jacobian(
-    problem: Problem, batch: Batch, state: State, scene: "_Scene"
-) -> tuple[Array, Array, np.ndarray, Array]:
-    """`batch_jacobian`, and the derivative (n, K, 2, 3) by a corner's position, map axes."""
-    camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
-    chain, layout = problem.chains[batch.robot], problem.layout
-    weights = batch.weights[..., None]
-    parts: list[Array] = []
-    columns = [layout.pose[batch.camera]]
-    if batch.camera in layout.lens:
-        pixels, by_optical, by_lens = camera.lens.project_jacobians(scene.optical)
-        parts.append(by_lens * weights[..., None])
-        columns.append(layout.lens[batch.camera])
-    else:
-        pixels, by_optical = camera.lens.project_by_point(scene.optical)
-    residual = (pixels - batch.pixels) * weights
-    by_optical *= weights[..., None]
-    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
-    if scene.twist is not None:
-        speed = (scene.twist.reshape(-1, 2, 3) @ np.swapaxes(scene.seen.rotation, 1, 2))[:, :, None]
-        by_time = speed[:, 0] + np.cross(speed[:, 1], scene.in_seen_axes)
-        by_offset = -by_map @ by_time[..., None]
-        parts.append(by_offset * _offset_and_drift(batch.since_epoch_s))
-        columns.append(layout.time_offset[batch.camera])
-    if batch.robot in layout.faces:
-        by_base = by_map @ scene.seen.rotation[:, None]
-        by_face = by_disturbance(by_base, scene.in_face_axes)
-        count = len(robot.base_from_face)
-        mine = batch.faces[..., None] == np.arange(count)
-        parts.append(
-            (by_face[..., None, :] * mine[..., None, :, None]).reshape(*by_face.shape[:3], -1)
-        )
-        columns.append(layout.faces[batch.robot])
-    by_node = by_disturbance(by_map, scene.arm, chain.tangent)
-    by_camera = by_disturbance(-by_map, scene.from_camera)
-    jacobian = np.concatenate([by_node, by_camera, *parts], axis=-1)
-    return jacobian, residual, np.concatenate(columns), by_map
+    residual, jacobian, by_seen = _terms(batch, state, problem, by_seen=True)
+    return jacobian, residual, _dense_columns(problem, batch), by_seen
 
 
 def base_jacobian(batch: Batch, state: State) -> Array:
     """Weighted derivative (n, K, 2, 6) of `batch_residual` by a disturbance of the robot's pose
     when it was seen, in the map's axes."""
-    camera = state.cameras[batch.camera]
-    scene = _scene(batch, state)
-    by_optical = camera.lens.project_by_point(scene.optical)[1] * batch.weights[..., None, None]
-    by_map = _rotated(by_optical, camera.map_from_camera.rotation.T)
-    return by_disturbance(by_map, scene.in_seen_axes)
+    return _terms(batch, state, by_seen=True)[2]
 
 
-@dataclass(frozen=True, slots=True)
-class _Scene:
-    """A batch's corners (n, K, 3) at a state: from the face's origin, in the base's axes; from the
-    robot as it was seen (`seen`), from its node (`arm`) and from the camera, in the map's axes; and
-    in the optical frame. `twist` (n, 6): the robot's, where the time offset is estimated."""
-
-    in_face_axes: Array
-    in_seen_axes: Array
-    arm: Array
-    from_camera: Array
-    optical: Array
-    seen: Pose
-    twist: Array | None
+def _dense_columns(problem: Problem, batch: Batch) -> np.ndarray:
+    """The columns of a batch's Jacobian but for the node's, in the order of the core."""
+    layout = problem.layout
+    columns = [layout.pose[batch.camera]]
+    if batch.camera in layout.lens:
+        columns.append(layout.lens[batch.camera])
+    if batch.carried is not None:
+        columns.append(layout.time_offset[batch.camera])
+    if batch.robot in layout.faces:
+        columns.append(layout.faces[batch.robot])
+    return np.concatenate(columns)
 
 
-def _scene(batch: Batch, state: State, disturbance: Array | None = None) -> _Scene:
+def _terms(
+    batch: Batch,
+    state: State,
+    problem: Problem | None = None,
+    *,
+    disturbance: Array | None = None,
+    by_seen: bool = False,
+) -> tuple[Array, Array, Array]:
+    """Residual (n, K, 2), Jacobian (n, K, 2, c) by the unknowns of a problem, and the derivative
+    (n, K, 2, 6) by the robot as it was seen: the last two without columns where not asked for."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
-    base_from_face = robot.base_from_face[batch.faces]
-    in_face_axes = (base_from_face.rotation @ batch.face_points[..., None])[..., 0]
-    in_base = in_face_axes + base_from_face.translation
+    shape, shape_seen = batch.weights.shape, 12 if by_seen else 0
     node = robot.map_from_base[batch.nodes]
-    seen, twist = node, None
+    seen, twists = node, _NO_TWISTS
     if batch.carried is not None:
         seen = node @ batch.carried.at(camera.offset_s(batch.since_epoch_s))
-        twist = batch.carried.twists
+        twists = np.ascontiguousarray(batch.carried.twists)
     if disturbance is not None:
-        turned = so3.exp(disturbance[:, 3:]) @ seen.rotation
-        seen = Pose(turned, seen.translation + disturbance[:, :3])
-    in_seen_axes = in_base @ np.swapaxes(seen.rotation, 1, 2)
-    arm = in_seen_axes
-    if seen is not node:
-        arm = in_seen_axes + (seen.translation - node.translation)[:, None]
-    from_camera = arm + (node.translation - camera.map_from_camera.translation)[:, None]
-    optical = _rotated(from_camera, camera.map_from_camera.rotation)
-    optical = before_camera(optical)
-    optical[..., 2] = np.where(batch.weights > 0, optical[..., 2], 1.0)
-    return _Scene(in_face_axes, in_seen_axes, arm, from_camera, optical, seen, twist)
-
-
-def _rotated(rows: Array, matrix: Array) -> Array:
-    """Rows (…, 3) times one matrix, in one product; numpy would make many small ones."""
-    return (rows.reshape(-1, 3) @ matrix).reshape(rows.shape)
-
-
-def _offset_and_drift(since_epoch_s: Array) -> Array:
-    """Derivative (n, 1, 1, 2) of the time offset at each stamp by a camera's offset and drift."""
-    return np.stack([np.ones_like(since_epoch_s), since_epoch_s], axis=-1)[:, None, None]
+        seen = seen.disturbed(disturbance)
+    tangent, columns = [], 0
+    has_lens = has_faces = False
+    if problem is not None:
+        tangent = problem.chains[batch.robot].tangent
+        has_lens, has_faces = (
+            batch.camera in problem.layout.lens,
+            batch.robot in problem.layout.faces,
+        )
+        columns = len(tangent) + len(_dense_columns(problem, batch))
+    residual = np.empty((*shape, 2))
+    jacobian, by_robot = np.empty((*shape, 2 * columns)), np.empty((*shape, shape_seen))
+    _CORNERS(
+        camera.lens.parameters,
+        *many(camera.map_from_camera, (1,)),
+        *many(node, (len(node),)),
+        *many(seen, (len(node),)),
+        *many(robot.base_from_face, (len(robot.base_from_face),)),
+        batch.faces,
+        batch.face_points,
+        batch.pixels,
+        batch.weights,
+        twists,
+        batch.since_epoch_s,
+        np.array(tangent, dtype=np.int64),
+        has_lens,
+        has_faces,
+        residual,
+        jacobian,
+        by_robot,
+    )
+    return (
+        residual,
+        jacobian.reshape(*shape, 2, columns),
+        by_robot.reshape(*shape, 2, shape_seen // 2),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """Projects corners into a picture, with the derivative by the poses that they depend on."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,10 +8,25 @@ import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 # Points behind a camera, or nearer to its plane than this, are put this far in front of it: there a
 # residual is large and its derivative harmless.
 NEAREST_M = 1e-2
+_HERE = Pose.identity()
+_REAL = np.float64
+_PROJECTED = Kernel(
+    "tp_projected",
+    In(_REAL, ("p",)),
+    In(_REAL, ("b", 3, 3)),
+    In(_REAL, ("b", 3)),
+    In(_REAL, ("b", "k", 3)),
+    In(_REAL, (3, 3)),
+    In(_REAL, (3,)),
+    Out(_REAL, ("b", "k", 2)),
+    Out(_REAL, ("b", "k", 12)),
+    Out(np.bool_, ("b", "k")),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,22 +45,33 @@ def projected(
 ) -> Projection:
     """Project points (…, k, 3) of a body at its poses (…) into a camera; without
     `frame_from_camera` the poses are in the camera's optical frame."""
-    arm = points @ np.swapaxes(frame_from_body.rotation, -1, -2)
-    optical = arm + frame_from_body.translation[..., None, :]
-    if frame_from_camera is not None:
-        optical = (optical - frame_from_camera.translation) @ frame_from_camera.rotation
-    is_ahead = optical[..., 2] > NEAREST_M
-    pixels, by_point = lens.project_by_point(before_camera(optical))
-    if frame_from_camera is not None:
-        by_point = by_point @ frame_from_camera.rotation.T
-    return Projection(pixels, by_disturbance(by_point, arm), is_ahead)
+    camera = _HERE if frame_from_camera is None else frame_from_camera
+    shape = np.broadcast_shapes(points.shape[:-2], frame_from_body.translation.shape[:-1])
+    corners = points.shape[-2]
+    count = math.prod(shape)
+    pixels, by_body = np.empty((count, corners, 2)), np.empty((count, corners, 12))
+    is_ahead = np.empty((count, corners), dtype=bool)
+    _PROJECTED(
+        lens.parameters,
+        *many(frame_from_body, shape),
+        np.ascontiguousarray(np.broadcast_to(points, (*shape, corners, 3))).reshape(-1, corners, 3),
+        np.ascontiguousarray(camera.rotation),
+        np.ascontiguousarray(camera.translation),
+        pixels,
+        by_body,
+        is_ahead,
+    )
+    rows = (*shape, corners)
+    return Projection(
+        pixels.reshape(*rows, 2), by_body.reshape(*rows, 2, 6), is_ahead.reshape(rows)
+    )
 
 
-def before_camera(optical: Array) -> Array:
-    """Points (…, 3) in the optical frame, pushed to at least `NEAREST_M` in front of it."""
-    pushed = optical.copy()
-    pushed[..., 2] = np.maximum(optical[..., 2], NEAREST_M)
-    return pushed
+def many(poses: Pose, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Poses of some leading shape as the core takes them: (b, 3, 3) and (b, 3)."""
+    rotation = np.broadcast_to(poses.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
+    translation = np.broadcast_to(poses.translation, (*shape, 3)).reshape(-1, 3)
+    return np.ascontiguousarray(rotation), np.ascontiguousarray(translation)
 
 
 def by_disturbance(by_point: Array, arm: Array, tangent: Sequence[int] = range(6)) -> Array:

@@ -9,15 +9,23 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from trigpoint.fusion.model.projection import projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 _MINIMUM_CORNERS = 4
-_MOST_STEPS = 10
-_SMALLEST_STEP = 1e-7
-_FARTHEST_M = 1e3
+_REAL = np.float64
+_REFINED = Kernel(
+    "tp_refined_poses",
+    In(_REAL, ("p",)),
+    Out(_REAL, ("b", 3, 3)),
+    Out(_REAL, ("b", 3)),
+    In(_REAL, ("b", "n", 3)),
+    In(_REAL, ("n", 2)),
+    In(_REAL, ("n",)),
+    Out(_REAL, ("b",)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,27 +75,22 @@ def refined_poses(
     lens: CameraModel, starts: Pose, points: Array, pixels: Array, sigma: float | Array
 ) -> list[PoseFit | None]:
     """The poses of least reprojection error near many starts (b), each with its own points
-    (b, n, 3), by Gauss-Newton; None where it diverges.
+    (b, n, 3), by Gauss-Newton in the core; None where it diverges.
 
     `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
     """
     if not len(points):
         return []  # OpenCV returns no pose for nearly collinear corners
-    weights = np.broadcast_to(1 / np.asarray(sigma), (points.shape[1],))[:, None]
-    pose, rms = starts, np.full(len(points), np.nan)
-    is_sound = np.ones(len(points), dtype=bool)
-    for _ in range(_MOST_STEPS):
-        found = projected(lens, pose, points)
-        residual = ((found.pixels - pixels) * weights).reshape(len(points), -1)
-        is_sound &= np.all(found.is_ahead, axis=1) & np.all(np.isfinite(residual), axis=1)
-        jacobian = (found.by_body * weights[..., None]).reshape(*residual.shape, 6)
-        step = least_squares_steps(jacobian, residual, is_sound)
-        rms = np.sqrt(np.mean(residual**2, axis=1))
-        pose = pose.disturbed(step)
-        if np.abs(step).max() < _SMALLEST_STEP:
-            break
-    is_sound &= np.linalg.norm(pose.translation, axis=-1) < _FARTHEST_M
-    return [PoseFit(pose[i], float(rms[i])) if is_sound[i] else None for i in range(len(is_sound))]
+    weights = np.ascontiguousarray(np.broadcast_to(1 / np.asarray(sigma), points.shape[1:2]))
+    rotation, translation = np.array(starts.rotation), np.array(starts.translation)
+    rms = np.empty(len(points))
+    corners = np.ascontiguousarray(points), np.ascontiguousarray(pixels)
+    _REFINED(lens.parameters, rotation, translation, *corners, weights, rms)
+    found = Pose(rotation, translation)
+    return [
+        PoseFit(found[i], float(value)) if np.isfinite(value) else None
+        for i, value in enumerate(rms)
+    ]
 
 
 def least_squares_steps(jacobian: Array, residual: Array, is_wanted: np.ndarray) -> Array:

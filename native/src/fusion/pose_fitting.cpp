@@ -1,0 +1,158 @@
+// Poses of least reprojection error, and corners that no pose explains.
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
+#include <algorithm>
+#include <limits>
+#include <vector>
+
+#include "border.hpp"
+#include "fusion/projection.hpp"
+
+using namespace trigpoint;
+
+namespace {
+
+constexpr int MOST_STEPS = 10;
+constexpr double SMALLEST_STEP = 1e-7, FARTHEST_M = 1e3;
+// Of the largest eigenvalue: directions that nothing determines are not changed.
+constexpr double OPEN = 1e-12;
+
+// The least-squares step of normal equations.
+Vector6d step_of(const Matrix6d& normal, const Vector6d& gradient) {
+    const Eigen::SelfAdjointEigenSolver<Matrix6d> parts(normal);
+    const auto values = parts.eigenvalues().array();
+    const double least = OPEN * values.abs().maxCoeff();
+    const Vector6d inverse = (values.abs() > least).select(values.inverse(), 0.0);
+    return -(parts.eigenvectors() *
+             (inverse.asDiagonal() * (parts.eigenvectors().transpose() * gradient)));
+}
+
+using Points3 = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>>;
+using Pixels = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>>;
+using Weights = Eigen::Map<const Eigen::VectorXd>;
+
+// Gauss-Newton from a pose; the RMS of the residuals, NaN where it diverges.
+double refine(const Lens& lens, Pose& pose, const Points3& points, const Pixels& pixels,
+              const Weights& weights) {
+    const double none = std::numeric_limits<double>::quiet_NaN();
+    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+    double rms = none;
+    for (int round = 0; round < MOST_STEPS; ++round) {
+        Matrix6d normal = Matrix6d::Zero();
+        Vector6d gradient = Vector6d::Zero();
+        double squares = 0;
+        for (Eigen::Index k = 0; k < points.rows(); ++k) {
+            const Projected found = projected(lens, pose, points.row(k).transpose(), camera);
+            const Eigen::Vector2d residual = weights(k) * (found.pixel - pixels.row(k).transpose());
+            if (!found.is_ahead || !residual.allFinite()) return none;
+            const ByPose by = weights(k) * found.by_body;
+            normal.noalias() += by.transpose() * by;
+            gradient.noalias() += by.transpose() * residual;
+            squares += residual.squaredNorm();
+        }
+        if (!normal.allFinite()) return none;
+        rms = std::sqrt(squares / static_cast<double>(2 * points.rows()));
+        const Vector6d step = step_of(normal, gradient);
+        pose = pose.disturbed(step);
+        if (step.cwiseAbs().maxCoeff() < SMALLEST_STEP) break;
+    }
+    return pose.translation.norm() < FARTHEST_M ? rms : none;
+}
+
+// One sighting's derivatives by its pose and its residuals, in sigmas.
+struct Sighting {
+    Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor>> by_pose;  // 2n rows
+    Eigen::Map<const Eigen::VectorXd> residual;
+    Eigen::Index corners() const { return residual.size() / 2; }
+};
+
+constexpr int MOST_WEIGHINGS = 6, MOST_REFITS = 3, LEAST_GOOD = 4;
+// Share of the information that is added to it: keeps a direction that no corner shows solvable.
+constexpr double SHARE = 1e-14;
+
+// The weighted least-squares step, and the χ² that it leaves of every corner.
+Vector6d weighted_step(const Sighting& seen, const Eigen::VectorXd& weight, Eigen::VectorXd& left) {
+    Matrix6d normal = Matrix6d::Zero();
+    Vector6d gradient = Vector6d::Zero();
+    for (Eigen::Index k = 0; k < seen.corners(); ++k) {
+        const auto by = seen.by_pose.middleRows<2>(2 * k);
+        normal.noalias() += weight(k) * (by.transpose() * by);
+        gradient.noalias() += weight(k) * (by.transpose() * seen.residual.segment<2>(2 * k));
+    }
+    // Collinear corners leave a direction undetermined; the step along it is zero.
+    normal.diagonal() += (SHARE * normal.diagonal()).array().matrix();
+    normal.diagonal().array() += SHARE;
+    const Vector6d step = -normal.partialPivLu().solve(gradient);
+    const Eigen::VectorXd all = seen.residual + seen.by_pose * step;
+    left = Eigen::Map<const Eigen::Matrix<double, 2, Eigen::Dynamic>>(all.data(), 2, seen.corners())
+               .colwise()
+               .squaredNorm();
+    return step;
+}
+
+// Weights of corners: 0 for those that are wild, else 1; all 1 where no such choice settles.
+Eigen::VectorXd settled_weights(const Sighting& seen, double limit) {
+    const Eigen::Index count = seen.corners();
+    Eigen::VectorXd weight = Eigen::VectorXd::Ones(count), left(count);
+    std::vector<double> sorted(static_cast<std::size_t>(count));
+    for (int round = 0; round < MOST_WEIGHINGS; ++round) {  // Cauchy's
+        weighted_step(seen, weight, left);
+        std::copy(left.data(), left.data() + count, sorted.begin());
+        std::sort(sorted.begin(), sorted.end());
+        const auto half = static_cast<std::size_t>(count / 2);
+        const double middle = count % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
+        weight = (1 + left.array() / std::max(2.0, 2 * middle)).inverse();
+    }
+    for (int round = 0; round < MOST_REFITS; ++round) {
+        weighted_step(seen, weight, left);
+        const Eigen::VectorXd good = (left.array() <= limit).cast<double>();
+        if (good.sum() >= LEAST_GOOD) weight = good;  // fewer good corners are no board
+    }
+    const bool is_settled = (weight.array() == 0 || weight.array() == 1).all();
+    if (!is_settled || (weight.array() > 0).count() < LEAST_GOOD) weight.setOnes();
+    return weight;
+}
+
+}  // namespace
+
+// (lens (p,), rotations (b, 3, 3), translations (b, 3), points (b, n, 3), pixels (n, 2), weights
+// (n,), rms (b,)): poses become those of least reprojection error; rms is NaN where none is near.
+TRIGPOINT_KERNEL(tp_refined_poses) {
+    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
+    double *rotations = arguments[1].array.as<double>(), *shifts = arguments[2].array.as<double>();
+    const Array& points = arguments[3].array;
+    const Eigen::Index corners = points.shape[1];
+    const Pixels pixels(arguments[4].array.as<double>(), corners, 2);
+    const Weights weights(arguments[5].array.as<double>(), corners);
+    for (Eigen::Index b = 0; b < points.shape[0]; ++b) {
+        Pose pose = pose_at(rotations, shifts, b);
+        const Points3 mine(points.as<double>() + 3 * corners * b, corners, 3);
+        arguments[6].array.as<double>()[b] = refine(lens, pose, mine, pixels, weights);
+        Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotations + 9 * b) = pose.rotation;
+        Eigen::Map<Eigen::Vector3d>(shifts + 3 * b) = pose.translation;
+    }
+    return 0;
+}
+
+// (by pose (v, n, 12), residuals (v, n, 2), limit, steps (v, 6), is wild (v, n)): each sighting's
+// step without its wild corners.
+TRIGPOINT_KERNEL(tp_without_wild) {
+    const Array &by_pose = arguments[0].array, &residuals = arguments[1].array;
+    const Eigen::Index corners = by_pose.shape[1];
+    for (Eigen::Index v = 0; v < by_pose.shape[0]; ++v) {
+        const Sighting seen{{by_pose.as<double>() + 12 * corners * v, 2 * corners, 6},
+                            {residuals.as<double>() + 2 * corners * v, 2 * corners}};
+        Eigen::VectorXd weight = Eigen::VectorXd::Ones(corners), left(corners);
+        Vector6d step = weighted_step(seen, weight, left);
+        const double limit = arguments[2].number;
+        if ((left.array() > limit).any()) {
+            weight = settled_weights(seen, limit);
+            step = weighted_step(seen, weight, left);
+        }
+        Eigen::Map<Vector6d>(arguments[3].array.as<double>() + 6 * v) = step;
+        for (Eigen::Index k = 0; k < corners; ++k)
+            arguments[4].array.as<bool>()[v * corners + k] = weight(k) == 0;
+    }
+    return 0;
+}

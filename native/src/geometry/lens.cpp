@@ -1,0 +1,108 @@
+#include "geometry/lens.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+namespace trigpoint {
+
+Lens::Lens(const double* parameters, Eigen::Index count)
+    : coefficients_(count - 4),
+      focal_(parameters[0], parameters[1]),
+      centre_(parameters[2], parameters[3]) {
+    switch (coefficients_) {
+        case 5:
+            model_ = Model::PLUMB_BOB;
+            break;
+        case 8:
+            model_ = Model::RATIONAL_POLYNOMIAL;
+            break;
+        case 4:
+            model_ = Model::EQUIDISTANT;
+            break;
+        default:
+            throw std::invalid_argument("no lens model has so many parameters");
+    }
+    std::copy(parameters + 4, parameters + count, k_);
+}
+
+Eigen::Vector2d Lens::project(const Eigen::Vector3d& point,
+                              Eigen::Matrix<double, 2, 3>& by_point) const {
+    const double inverse = 1 / point.z();
+    const Eigen::Vector2d normalised = point.head<2>() * inverse;
+    Eigen::Matrix2d by;
+    const Eigen::Vector2d bent =
+        model_ == Model::EQUIDISTANT ? equidistant(normalised, by) : polynomial(normalised, by);
+    by_point.leftCols<2>() = (focal_ * inverse).asDiagonal() * by;
+    by_point.col(2) = -(by_point.leftCols<2>() * normalised);
+    return bent.cwiseProduct(focal_) + centre_;
+}
+
+void Lens::by_parameters(const Eigen::Vector3d& point, Eigen::Ref<Eigen::MatrixXd> by) const {
+    const Eigen::Vector2d n = point.head<2>() / point.z();
+    by.setZero();
+    auto by_k = by.rightCols(coefficients_);
+    Eigen::Matrix2d by_direction;
+    Eigen::Vector2d bent;
+    if (model_ == Model::EQUIDISTANT) {
+        bent = equidistant(n, by_direction);
+        const double radius = n.norm(), angle = std::atan(radius);
+        const Eigen::Vector2d unit = radius > 1e-9 ? Eigen::Vector2d(n / radius) : n;
+        for (int power = 3; power < 10; power += 2)
+            by_k.col(power / 2 - 1) = unit * std::pow(angle, power);
+    } else {
+        bent = polynomial(n, by_direction);
+        const double x = n.x(), y = n.y(), r2 = x * x + y * y, r4 = r2 * r2, r6 = r4 * r2;
+        const double below = 1 + k_[5] * r2 + k_[6] * r4 + k_[7] * r6;
+        const double radial = (1 + k_[0] * r2 + k_[1] * r4 + k_[4] * r6) / below;
+        by_k.col(0) = n * (r2 / below);
+        by_k.col(1) = n * (r4 / below);
+        by_k.col(2) << 2 * x * y, r2 + 2 * y * y;
+        by_k.col(3) << r2 + 2 * x * x, 2 * x * y;
+        by_k.col(4) = n * (r6 / below);
+        if (model_ == Model::RATIONAL_POLYNOMIAL) {
+            by_k.col(5) = -n * (radial * r2 / below);
+            by_k.col(6) = -n * (radial * r4 / below);
+            by_k.col(7) = -n * (radial * r6 / below);
+        }
+    }
+    by_k = focal_.asDiagonal() * by_k;
+    by(0, 0) = bent.x();
+    by(1, 1) = bent.y();
+    by(0, 2) = by(1, 3) = 1;
+}
+
+Eigen::Vector2d Lens::polynomial(const Eigen::Vector2d& normalised, Eigen::Matrix2d& by) const {
+    const auto [k1, k2, p1, p2, k3, k4, k5, k6] = k_;
+    const double x = normalised.x(), y = normalised.y(), r2 = x * x + y * y;
+    double radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    double slope = k1 + r2 * (2 * k2 + r2 * (3 * k3));  // of radial by r²
+    if (model_ == Model::RATIONAL_POLYNOMIAL) {
+        const double below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        radial /= below;
+        slope = (slope - radial * (k4 + r2 * (2 * k5 + r2 * (3 * k6)))) / below;
+    }
+    const double along = 2 * p1 * y + 2 * p2 * x;
+    by(0, 0) = radial + 2 * slope * x * x + 2 * p1 * y + 6 * p2 * x;
+    by(0, 1) = by(1, 0) = 2 * slope * x * y + 2 * p1 * x + 2 * p2 * y;
+    by(1, 1) = radial + 2 * slope * y * y + 6 * p1 * y + 2 * p2 * x;
+    return {x * (radial + along) + p2 * r2, y * (radial + along) + p1 * r2};
+}
+
+Eigen::Vector2d Lens::equidistant(const Eigen::Vector2d& normalised, Eigen::Matrix2d& by) const {
+    const double radius = normalised.norm();
+    if (!(radius > 1e-9)) {
+        by.setIdentity();
+        return normalised;
+    }
+    const double angle = std::atan(radius), s = angle * angle;
+    const double bent = angle * (1 + s * (k_[0] + s * (k_[1] + s * (k_[2] + s * k_[3]))));
+    const double slope = 1 + s * (3 * k_[0] + s * (5 * k_[1] + s * (7 * k_[2] + s * 9 * k_[3])));
+    const double scale = bent / radius;
+    const Eigen::Vector2d unit = normalised / radius;
+    by = (slope / (1 + radius * radius) - scale) * unit * unit.transpose();
+    by.diagonal().array() += scale;
+    return normalised * scale;
+}
+
+}  // namespace trigpoint

@@ -1,0 +1,36 @@
+// A camera's intrinsics by the names of ROS, as `trigpoint.geometry.CameraModel` packs them.
+#pragma once
+
+#include <Eigen/Core>
+
+namespace trigpoint {
+
+// From a direction to a raw (distorted) pixel; formulae: OpenCV's documentation of `calib3d` and of
+// `fisheye`.
+class Lens {
+public:
+    // fx, fy, cx, cy and the distortion's coefficients, whose number says the model: 5 plumb_bob,
+    // 8 rational_polynomial, 4 equidistant. Throws std::invalid_argument for any other.
+    Lens(const double* parameters, Eigen::Index count);
+
+    // fx, fy, cx, cy and the coefficients.
+    Eigen::Index parameters() const { return 4 + coefficients_; }
+
+    // The pixel of a point before the camera, and its derivative by the point.
+    Eigen::Vector2d project(const Eigen::Vector3d& point,
+                            Eigen::Matrix<double, 2, 3>& by_point) const;
+
+    // The derivative of the pixel of a point by the parameters, (2, parameters).
+    void by_parameters(const Eigen::Vector3d& point, Eigen::Ref<Eigen::MatrixXd> by) const;
+
+private:
+    Eigen::Vector2d polynomial(const Eigen::Vector2d& normalised, Eigen::Matrix2d& by) const;
+    Eigen::Vector2d equidistant(const Eigen::Vector2d& normalised, Eigen::Matrix2d& by) const;
+
+    enum class Model { PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT } model_;
+    Eigen::Index coefficients_;
+    Eigen::Vector2d focal_, centre_;
+    double k_[8] = {};  // k1 k2 p1 p2 k3 k4 k5 k6, or k1 k2 k3 k4
+};
+
+}  // namespace trigpoint

@@ -1,0 +1,47 @@
+// Rigid transforms and their disturbances, by the contract.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cmath>
+
+namespace trigpoint {
+
+using Vector6d = Eigen::Matrix<double, 6, 1>;
+using Matrix6d = Eigen::Matrix<double, 6, 6>;
+
+// The matrix of the cross product.
+inline Eigen::Matrix3d hat(const Eigen::Vector3d& v) {
+    Eigen::Matrix3d cross;
+    cross << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
+    return cross;
+}
+
+// The rotation of a rotation vector (Rodrigues).
+inline Eigen::Matrix3d exp(const Eigen::Vector3d& v) {
+    const double squared = v.squaredNorm(), angle = std::sqrt(squared);
+    const bool is_small = squared < 1e-8;
+    const double sine = is_small ? 1 - squared / 6 : std::sin(angle) / angle;
+    const double versine = is_small ? 0.5 - squared / 24 : (1 - std::cos(angle)) / squared;
+    const Eigen::Matrix3d cross = hat(v);
+    return Eigen::Matrix3d::Identity() + sine * cross + versine * (cross * cross);
+}
+
+struct Pose {
+    Eigen::Matrix3d rotation;
+    Eigen::Vector3d translation;
+
+    // The disturbance (metres, radians) in the parent's axes: t' = t + δt, R' = Exp(δθ) R.
+    Pose disturbed(const Vector6d& by) const {
+        return {exp(by.tail<3>()) * rotation, translation + by.head<3>()};
+    }
+};
+
+// One of many poses as Python has them, row by row.
+inline Pose pose_at(const double* rotations, const double* translations, Eigen::Index index) {
+    using Rows = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    return {Eigen::Map<const Rows>(rotations + 9 * index),
+            Eigen::Map<const Eigen::Vector3d>(translations + 3 * index)};
+}
+
+}  // namespace trigpoint
