@@ -10,7 +10,7 @@ SEEDS ?= 100
 SITUATIONS ?=
 KINDS ?=
 
-.PHONY: demo core wheels test check lint types imports bench study compositions clean
+.PHONY: demo core wheels test check lint types imports bench study compositions pictures clean
 
 demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -37,16 +37,20 @@ bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; t
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.stops
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.fire
 
-study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/accuracy.md; goes on where it was
+study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
 	$(BIN)/python -m benchmarks.study report
 	$(MAKE) compositions
 
-compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it, to docs/compositions.md
+compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it, to docs/background/compositions.md
 	-$(BIN)/python -m benchmarks.compositions run --seeds 1:$(SEEDS) $(KINDS)
 	$(BIN)/python -m benchmarks.compositions report
+
+pictures: $(CORE)  ## the README's pictures, from the demo in out/demo, by Debian's chromium
+	test -e out/demo/report.html || $(MAKE) demo
+	$(BIN)/python -m benchmarks.pictures out/demo
 
 core: $(CORE)  ## the compiled core, where its sources changed
 
