@@ -77,7 +77,7 @@ class Location:
         return LocatedPose(self.at.firmware_ns, self.map_from_base, self.covariance, self.resets)
 
 
-# Odometry comes at least 20 times a second (docs/serial.md); this long without any is a gap.
+# Odometry comes at least 20 times a second (docs/reference/serial.md); so long without is a gap.
 _GAP_NS = to_ns(0.5)
 # How often the pose of a robot that takes no corrections is sent to it and to the bus: navigation
 # stacks expect tf at 10 Hz or more, ArduPilot a position at 4 Hz or more.

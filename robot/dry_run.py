@@ -267,7 +267,7 @@ def _why_nothing(session: _Session) -> str:
     if session.config.protocol_name == ROS2_PROTOCOL:
         return (
             f"no odometry of robot {robot} comes on the bus; does its bridge run as a client of "
-            "this site (docs/ros2.md), and is `topic` right?"
+            "this site (docs/how-to/ros2.md), and is `topic` right?"
         )
     assert session.line is not None  # every other robot is at a port
     return why_nothing(robot, session.config.protocol_name, session.line, session.bridge)

@@ -1,4 +1,4 @@
-"""A robot that speaks ROS 2: no port; its odometry comes on the bus (docs/ros2.md).
+"""A robot that speaks ROS 2: no port; its odometry comes on the bus (docs/how-to/ros2.md).
 
 Through zenoh-bridge-ros2dds a topic's key is its name without the first slash; through rmw_zenoh it
 is `<domain>/<topic>/<type>/<hash>`. Either way the payload is the message's CDR without an

@@ -145,7 +145,7 @@ COMMANDS: dict[str, Command] = {
 }
 
 GROUPS = {
-    "target": "Draw, check, import targets; their keys: docs/target.md.",
+    "target": "Target files; their keys: docs/reference/target.md.",
     "secure": "Certificates of a site's nodes, and who may come in.",
 }
 
@@ -195,7 +195,7 @@ def run(arguments: Sequence[str]) -> int:
     chosen = chosen_command(_completed(os.environ) or arguments)
     _listen_for_stops(chosen)
     try:
-        status = _app(chosen)(
+        status = program(chosen)(
             args=_in_one_word(arguments, chosen) or ["--help"],
             prog_name=PROGRAM,
             standalone_mode=False,
@@ -254,7 +254,7 @@ def _in_one_word(arguments: Sequence[str], chosen: str) -> list[str]:
     return words
 
 
-def _app(chosen: str) -> typer.Typer:
+def program(chosen: str) -> typer.Typer:
     """The program with the chosen command loaded; the others are only names with a help line."""
     settings = {
         "rich_markup_mode": None,

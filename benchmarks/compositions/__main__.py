@@ -18,6 +18,7 @@ from .score import Score, scored
 from .session import composed_session
 
 FOLDER = Path("out/compositions")
+PAGES = Path("docs/background")
 SEEDS_HELP = "FIRST:LAST, both included, or one seed."
 
 app = typer.Typer(add_completion=False)
@@ -91,12 +92,12 @@ def run(
 @app.command()
 def report(
     folder: Annotated[Path, typer.Option(help="Where the scores are kept.")] = FOLDER,
-    docs: Annotated[Path, typer.Option(help="Where compositions.md goes.")] = Path("docs"),
+    docs: Annotated[Path, typer.Option(help="Where compositions.md goes.")] = PAGES,
     of_any_sources: Annotated[
         bool, typer.Option("--of-any-sources", help="Take also what other sources scored.")
     ] = False,
 ) -> None:
-    """Write docs/compositions.md from the scores."""
+    """Write docs/background/compositions.md from the scores."""
     found = {kind: kept(folder, kind, of_any_sources=of_any_sources) for kind in KINDS}
     if not any(found.values()):
         typer.echo(f"{folder}: nothing was scored yet with these sources; say run", err=True)

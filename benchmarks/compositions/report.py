@@ -1,4 +1,4 @@
-"""Writes docs/compositions.md from the scores."""
+"""Writes docs/background/compositions.md from the scores."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

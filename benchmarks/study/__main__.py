@@ -16,6 +16,7 @@ from .store import Store
 from .summary import summary_of
 
 FOLDER = Path("out/study")
+PAGES = Path("docs/background")
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
@@ -61,12 +62,12 @@ def run(
 @app.command()
 def report(
     folder: Annotated[Path, typer.Option(help="Where the measures are kept.")] = FOLDER,
-    docs: Annotated[Path, typer.Option(help="Where accuracy.md and figures go.")] = Path("docs"),
+    docs: Annotated[Path, typer.Option(help="Where accuracy.md and figures go.")] = PAGES,
     of_any_sources: Annotated[
         bool, typer.Option(help="Take also what other sources than these measured.")
     ] = False,
 ) -> None:
-    """Write docs/accuracy.md and its figures from the measures."""
+    """Write docs/background/accuracy.md and its figures from the measures."""
     from .report import write_report  # matplotlib takes a second
 
     store = Store(folder)

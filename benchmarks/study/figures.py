@@ -1,4 +1,4 @@
-"""The figures of docs/accuracy.md, as SVG."""
+"""The figures of docs/background/accuracy.md, as SVG."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Writes docs/accuracy.md from the measures."""
+"""Writes docs/background/accuracy.md from the measures."""
 
 from collections.abc import Mapping
 from pathlib import Path

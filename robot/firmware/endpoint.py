@@ -1,7 +1,8 @@
 """What a robot's firmware does on its side of the serial line, without a port or a clock.
 
-A real firmware is written in C or C++ after docs/serial.md; this is the same in Python: for tests,
-for the simulated robot, and to read beside the document. All times are the firmware's own clock.
+A real firmware is written in C or C++ after docs/reference/serial.md; this is the same in Python:
+for tests, for the simulated robot, and to read beside the document. All times are the firmware's
+own clock.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-/* The firmware's side of the serial protocol `trigpoint`, version 1 (docs/serial.md), in C99.
+/* The firmware's side of the serial protocol `trigpoint`, version 1 (docs/reference/serial.md), in C99.
  *
  * One header, no allocation, no dependencies but <stdint.h>, <string.h> and <math.h>. About 2.5 kB of
  * state with the defaults. In one source file:

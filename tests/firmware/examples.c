@@ -1,5 +1,5 @@
 /* Writes one frame of each kind that a firmware sends, as hexadecimal lines, with the numbers of the
- * examples in docs/serial.md; then answers the frames on standard input (a line each). */
+ * examples in docs/reference/serial.md; then answers the frames on standard input (a line each). */
 #define TRIGPOINT_IMPLEMENTATION
 #include "trigpoint_serial.h"
 

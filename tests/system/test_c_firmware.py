@@ -1,4 +1,4 @@
-"""The firmware's side in C99: compiled, its frames those of docs/serial.md, driven over a pty."""
+"""The firmware's side in C99: its frames those of docs/reference/serial.md, driven over a pty."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def content(digits: str) -> Content:
 
 
 def test_frames_are_those_of_the_document(tmp_path: Path) -> None:
-    document = (Path(__file__).parents[2] / "docs" / "serial.md").read_text("utf-8")
+    document = (Path(__file__).parents[2] / "docs" / "reference" / "serial.md").read_text("utf-8")
 
     def example(name: str) -> str:
         return "".join(document.split(f"```{name}\n")[1].split("```")[0].split())

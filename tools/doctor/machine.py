@@ -138,7 +138,7 @@ def check_ros2(site: Site) -> list[Check]:
     text = "the site listens nowhere, so nothing passes from or to a ROS 2 bridge, silently"
     remedy = (
         'write listen = ["tcp/127.0.0.1:7447"] under [bus] and start zenoh-bridge-ros2dds as '
-        "`client -e tcp/127.0.0.1:7447`, not in its default mode `router` (docs/ros2.md)"
+        "`client -e tcp/127.0.0.1:7447`, not in its default mode `router` (docs/how-to/ros2.md)"
     )
     return [Check(name, "warning", text, remedy)]
 

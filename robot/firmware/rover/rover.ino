@@ -1,4 +1,4 @@
-// A differential drive with two quadrature encoders that speaks `trigpoint` over USB (docs/serial.md).
+// A differential drive with two quadrature encoders that speaks `trigpoint` over USB (docs/reference/serial.md).
 // Copy trigpoint_serial.h beside this file. Written for boards with two interrupt pins and some
 // 4 kB of memory (ESP32, Teensy, SAMD, Mega 2560).
 

@@ -1,7 +1,8 @@
 """Frames on a serial line: kind, sequence number, payload and CRC-16, stuffed by COBS, ended by 0.
 
-docs/serial.md describes this byte by byte. COBS: Cheshire and Baker, «Consistent overhead byte
-stuffing» (1999); the CRC is CRC-16/CCITT, polynomial 0x1021, initial value 0xFFFF, not reflected.
+docs/reference/serial.md describes this byte by byte. COBS: Cheshire and Baker, «Consistent overhead
+byte stuffing» (1999); the CRC is CRC-16/CCITT, polynomial 0x1021, initial value 0xFFFF, nothing
+reflected.
 """
 
 import binascii

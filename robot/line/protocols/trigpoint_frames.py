@@ -1,4 +1,4 @@
-"""The payloads of the `trigpoint` serial protocol, both directions; docs/serial.md describes them.
+"""The payloads of the `trigpoint` serial protocol, both directions (docs/reference/serial.md).
 
 All numbers are little-endian. The bridge and the firmware's side use the same code. Decoding checks
 what comes: lengths, finite numbers, unit quaternions; it raises MessageError.

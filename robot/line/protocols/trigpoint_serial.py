@@ -1,4 +1,4 @@
-"""The bridge's side of the `trigpoint` serial protocol (docs/serial.md)."""
+"""The bridge's side of the `trigpoint` serial protocol (docs/reference/serial.md)."""
 
 from trigpoint import __version__
 from trigpoint.base.clock import to_ns

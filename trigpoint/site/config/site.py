@@ -22,7 +22,9 @@ Server = Literal["fusion", "recorder"]
 """What a site may need beside its cameras' agents and its robots' bridges."""
 
 
-class _SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
+class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """The file as it is written: every table below it."""
+
     site: str
     cameras: dict[str, CameraConfig]
     robots: dict[str, RobotConfig] = {}
@@ -128,10 +130,10 @@ def load_site(path: Path) -> Site:
 
 def parse_site(text: str, *, directory: Path, file: str = "site.toml") -> Site:
     """Like `load_site`, from text (a recording's attachment)."""
-    return _site(parse_toml(text, _SiteFile, file, ConfigError), directory, text)
+    return _site(parse_toml(text, SiteFile, file, ConfigError), directory, text)
 
 
-def _site(file: _SiteFile, directory: Path, text: str) -> Site:
+def _site(file: SiteFile, directory: Path, text: str) -> Site:
     return Site(
         name=file.site,
         cameras=file.cameras,

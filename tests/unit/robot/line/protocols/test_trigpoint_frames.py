@@ -30,7 +30,7 @@ from trigpoint.robot.line.protocols.trigpoint_frames import (
 )
 from trigpoint.robot.line.wheels import WheelGeometry
 
-DOCUMENT = Path(__file__).parents[5] / "docs" / "serial.md"
+DOCUMENT = Path(__file__).parents[5] / "docs" / "reference" / "serial.md"
 
 u32 = st.integers(0, 2**32 - 1)
 u64 = st.integers(0, 2**64 - 1)
