@@ -23,10 +23,13 @@ Answer = Callable[[int, int], bytes]
 
 
 class Board:
-    """Answers `e` by its own dialect, as long as it is entered; `rate`: counts a second."""
+    """Answers `e` by its own dialect and all else by `other`, as long as it is entered; `rate`:
+    counts a second."""
 
-    def __init__(self, answer: Answer, rate: float, begin: int = 0) -> None:
-        self._answer, self._rate, self._begin = answer, rate, begin
+    def __init__(
+        self, answer: Answer, rate: float, begin: int = 0, other: bytes = b"OK\r\n"
+    ) -> None:
+        self._answer, self._rate, self._begin, self._other = answer, rate, begin, other
         self._ours, self._theirs = pty.openpty()
         tty.setraw(self._ours)
         tty.setraw(self._theirs)
@@ -53,7 +56,7 @@ class Board:
             for line in filter(None, lines):
                 asked_s = asked_s or time.monotonic()  # the program may take long to start
                 count = self._begin + int(self._rate * (time.monotonic() - asked_s))
-                said = self._answer(count, count) if line == b"e" else b"OK\r\n"
+                said = self._answer(count, count) if line == b"e" else self._other
                 os.write(self._ours, said)
 
 
@@ -101,7 +104,7 @@ def refused(folder: Path, random: np.random.Generator) -> Case:
 
 
 def silent(folder: Path, random: np.random.Generator) -> Case:
-    board = Board(lambda _left, _right: b"", random.uniform(100, 900))
+    board = Board(lambda _left, _right: b"", random.uniform(100, 900), other=b"")
     return _looked_at(folder, board, (1,), ("nothing comes|does not answer|no answer",))
 
 

@@ -113,8 +113,11 @@ def other_dictionary(folder: Path, random: np.random.Generator) -> Case:
 
 
 def exchanged(folder: Path, random: np.random.Generator) -> Case:
-    pattern = random.choice([Pattern.CHARUCO, Pattern.CHECKERBOARD])
-    printed = board(random, Pattern(pattern))
+    """A checkerboard of an odd side, turned, is the one that is written: nothing would be wrong."""
+    pattern = Pattern(random.choice([Pattern.CHARUCO, Pattern.CHECKERBOARD]))
+    printed = board(random, pattern)
+    if pattern is Pattern.CHECKERBOARD:
+        printed = changed(printed, columns=int(random.choice([6, 8])), rows=4)
     written = changed(printed, columns=printed.rows, rows=printed.columns)
     line = rf"columns and rows exchanged|columns = {printed.columns}\b.*rows = {printed.rows}\b"
     return _detected(folder, random, printed, written, line)

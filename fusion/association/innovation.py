@@ -1,14 +1,29 @@
 """The innovation of a sighting: how far it is from where everything else predicts it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
+
+_REAL = np.float64
+_INNOVATION = Kernel(
+    "tp_innovation",
+    In(_REAL, ("k", 12)),
+    In(_REAL, ("k", 2)),
+    In(_REAL, ("k", "s")),
+    In(np.bool_, ("k",)),
+    In(_REAL, ("q", "q")),
+    In(_REAL, (6,)),
+    int,
+    float,
+    Out(_REAL, (2,)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,15 +34,6 @@ class Corners:
     residual: Array
     by_base: Array
     by_state: Array
-
-    def without(self, wild: np.ndarray) -> Self:
-        """Return the corners but those that are `wild` (k,)."""
-        return replace(
-            self,
-            residual=self.residual[~wild],
-            by_base=self.by_base[~wild],
-            by_state=self.by_state[~wild],
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,36 +71,37 @@ class Stood:
 
 
 def innovation_excess(
-    corners: Corners, covariance: Array, events: Events, *, is_used: bool, rest: float
+    corners: Corners,
+    wild: np.ndarray,
+    covariance: Array,
+    events: Events,
+    *,
+    is_used: bool,
+    rest: float,
 ) -> float:
     """Return by how much a sighting is less probable than a wrong one, given everything else:
     νᵀS⁻¹ν + ln|S| of the pose that it shows by itself, with ln|S| at most that of a board that may
     be anywhere, over the score of a wrong one (`Events.excess`).
 
-    `rest`: the χ² by which the state may still be off its minimum; where a sighting determines
-    something nearly alone, that must not count as a contradiction.
+    `wild` (k,): the corners that do not count; `rest`: the χ² by which the state may still be off
+    its minimum; where a sighting determines something nearly alone, that must not count as a
+    contradiction.
     `covariance`: Σ of the unknowns, which includes the sighting itself if it `is_used`. Then, with
     P the pose's own covariance and H its derivative by the unknowns, the residual has the
     covariance R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν is S P⁻¹ times the residual.
     """
-    flat = corners.by_base.reshape(-1, 6)
-    try:
-        own = np.linalg.inv(flat.T @ flat + np.diag(1 / events.room_variances))
-        step = -own @ (flat.T @ corners.residual.reshape(-1))
-        by_state = own @ (flat.T @ corners.by_state.reshape(len(flat), -1))
-        root = np.linalg.cholesky(own)
-    except np.linalg.LinAlgError:
-        # It determines no pose that could contradict anything.
-        return -events.wrong_limit
-    whitened = np.linalg.solve(root, by_state)
-    values, vectors = np.linalg.eigh(whitened @ covariance @ whitened.T)
-    pulled = np.maximum(np.abs(vectors.T @ np.linalg.solve(root, step)) - np.sqrt(rest), 0.0)
-    spread = 2 * float(np.sum(np.log(np.diagonal(root))))
-    if is_used:
-        left = np.clip(1 - values, 1e-6, 1.0)
-        spread -= float(np.sum(np.log(left)))
-    else:
-        left = 1 + np.maximum(values, 0.0)
-        spread += float(np.sum(np.log(left)))
-    chi2 = float(np.sum(pulled**2 / left))
-    return float(events.excess(chi2, spread))
+    found = np.empty(2)
+    count = len(corners.residual)
+    is_determined = _INNOVATION(
+        corners.by_base.reshape(count, 12),
+        np.ascontiguousarray(corners.residual),
+        np.ascontiguousarray(corners.by_state).reshape(count, -1),
+        wild,
+        np.ascontiguousarray(covariance),
+        events.room_variances,
+        is_used,
+        rest,
+        found,
+    )
+    # What determines no pose cannot contradict anything.
+    return float(events.excess(*found.tolist())) if is_determined else -events.wrong_limit

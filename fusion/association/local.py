@@ -180,7 +180,8 @@ class LocalProblem:
             if stood is not None:
                 corners, covariance = stood.beside(row, corners, covariance)
             gain = innovation_excess(
-                corners.without(flags),
+                corners,
+                flags,
                 covariance,
                 self.events,
                 is_used=not is_wrong,

@@ -10,6 +10,7 @@ import numpy as np
 
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events, window
 from .linear import Linear
@@ -19,6 +20,19 @@ from .linear import Linear
 # as six sightings have subsets.
 _MOST = 64
 _MOST_TOLD = 3
+_REAL = np.float64
+_LIKELIEST = Kernel(
+    "tp_likeliest_wrong",
+    In(_REAL, ("u",)),
+    In(_REAL, ("u", "u")),
+    In(_REAL, ("n", 6)),
+    In(_REAL, ("n", 6, 6)),
+    In(_REAL, ("n", 6, "u")),
+    float,
+    float,
+    Out(_REAL, ("m",)),
+    Out(np.bool_, ("m", "n")),
+)
 
 
 def likeliest_wrong(
@@ -29,29 +43,20 @@ def likeliest_wrong(
     `jitter`: how far the robot's pose in each picture deviates from what odometry says.
     """
     mean, covariance = _before(linear, events)
-    means, covariances = mean[None], covariance[None]
-    scores, flags = np.zeros(1), np.zeros((1, 0), dtype=bool)
-    limit = events.wrong_limit
-    for shift, own, by in zip(linear.shifts, linear.own, linear.by_unknowns, strict=True):
-        own = own if jitter is None else own + np.diag(jitter.variances)
-        gain = covariances @ by.T
-        spread = by @ gain + own
-        error = shift - means @ by.T
-        inverse = np.linalg.inv(spread)
-        surprise = np.einsum("bi,bij,bj->b", error, inverse, error)
-        room = np.minimum(np.linalg.slogdet(spread)[1], events.pose_score)
-        weighted = gain @ inverse
-        right_means = means + (weighted @ error[..., None])[..., 0]
-        right = covariances - weighted @ np.swapaxes(gain, 1, 2)
-        both = np.concatenate([scores + surprise + room, scores + limit])
-        kept = np.argsort(both, kind="stable")[:_MOST]
-        means = np.concatenate([right_means, means])[kept]
-        covariances = np.concatenate([right, covariances])[kept]
-        is_wrong = kept >= len(scores)
-        flags = np.column_stack([flags[kept % len(scores)], is_wrong])
-        scores = both[kept]
-    near = scores < scores[0] + window()
-    return [tuple(row) for row in flags[near][:_MOST_TOLD].tolist()]
+    own = linear.own if jitter is None else linear.own + np.diag(jitter.variances)
+    count = len(linear.parts)
+    scores, flags = np.empty(_MOST), np.empty((_MOST, count), dtype=bool)
+    kept = _LIKELIEST(
+        mean,
+        np.ascontiguousarray(covariance),
+        *(np.ascontiguousarray(each) for each in (linear.shifts, own, linear.by_unknowns)),
+        events.wrong_limit,
+        events.pose_score,
+        scores,
+        flags,
+    )
+    near = scores[:kept] < scores[0] + window()
+    return [tuple(row) for row in flags[:kept][near][:_MOST_TOLD].tolist()]
 
 
 def _before(linear: Linear, events: Events) -> tuple[Array, Array]:
