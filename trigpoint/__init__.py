@@ -11,6 +11,7 @@ CONTRACT = 1
 
 TYPE_CHECKING = False  # as typing's, which takes as long to import as all of this
 if TYPE_CHECKING:
+    from .api import plugins
     from .api.calibration import Calibration, calibrate
     from .api.networks import (
         Alternative,
@@ -62,6 +63,7 @@ __all__ = [
     "detect_all",
     "intrinsics",
     "open_session",
+    "plugins",
     "read_network",
     "read_target",
     "write_session",
@@ -71,6 +73,7 @@ _PLACES = {
     "api.calibration": "Calibration calibrate",
     "api.networks": "Alternative Camera EarlierPose Network Robot Trajectory read_network",
     "api.pictures": "Lens detect detect_all intrinsics read_target",
+    "api.plugins": "plugins",
     "api.sessions": "Session open_session write_session",
     "base.errors": "InputError MissingExtraError OperationError TrigpointError",
     "contract.messages": "FaceSighting Sightings",

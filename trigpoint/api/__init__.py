@@ -4,6 +4,7 @@ Thin: the commands' own work, without their printing. docs/python.md says what i
 """
 
 import importlib
+from typing import Any
 
 _EXTRAS = {
     "networks": "",
@@ -14,10 +15,12 @@ _EXTRAS = {
 """Module -> the extra that it needs."""
 
 
-def load(place: str, name: str) -> object:
-    """The object `name` of a module; raise MissingExtraError where a package is not installed."""
+def load(place: str, name: str) -> Any:
+    """What `name` is in a module, or the module itself if it is its name; raise MissingExtraError
+    where a package is not installed."""
     try:
-        return getattr(importlib.import_module(place), name)
+        module = importlib.import_module(place)
+        return module if place.endswith(f".{name}") else getattr(module, name)
     except ModuleNotFoundError as error:
         from trigpoint.cli import missing_extra  # typer is slow to import, and seldom needed
 

@@ -29,6 +29,7 @@ from trigpoint.recorder.session.recording import open_recording
 from trigpoint.recorder.writing.attachments import site_files
 from trigpoint.site.config import load_site
 
+from . import load
 from .networks import PathLike, Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -84,13 +85,9 @@ class Session:
 
     def pictures(self, source: str) -> Iterator[tuple[int, np.ndarray]]:
         """A camera's pictures as (stamp_ns, (height, width) grey), in the order of recording."""
-        # OpenCV is not needed by the rest.
-        from trigpoint.tools.pictures.bag import bag_pictures
-
-        left_out: list[InputError] = []
-        for name, _, picture in bag_pictures(
-            self.path, [self._topic(source, PICTURES)], left_out.append
-        ):
+        bag_pictures = load("trigpoint.tools.pictures.bag", "bag_pictures")  # needs OpenCV
+        topic, left_out = self._topic(source, PICTURES), list[InputError]()
+        for name, _, picture in bag_pictures(self.path, [topic], left_out.append):
             yield int(name.rpartition("#")[2]), picture
         if left_out:
             _LOG.warning("%d pictures left out: %s", len(left_out), left_out[0])
