@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Robot,
         Trajectory,
         read_network,
+        read_trajectory,
     )
     from .api.pictures import Lens, detect, detect_all, intrinsics, read_target
     from .api.sessions import Session, open_session, write_session
@@ -66,12 +67,14 @@ __all__ = [
     "plugins",
     "read_network",
     "read_target",
+    "read_trajectory",
     "write_session",
 ]
 
 _PLACES = {
     "api.calibration": "Calibration calibrate",
-    "api.networks": "Alternative Camera EarlierPose Network Robot Trajectory read_network",
+    "api.networks": "Alternative Camera EarlierPose Network Robot Trajectory read_network"
+    " read_trajectory",
     "api.pictures": "Lens detect detect_all intrinsics read_target",
     "api.plugins": "plugins",
     "api.sessions": "Session open_session write_session",

@@ -8,7 +8,7 @@ from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.tools.calibrate.work import fed, task_of
 
-from .networks import Network, PathLike, network_of
+from .networks import Network, PathLike, Trajectory, network_of
 from .sessions import Session
 
 
@@ -65,7 +65,7 @@ def calibrate(
         network=network_of(
             record,
             covariance=lambda: results.covariance,
-            trajectory=lambda robot: ways[robot],
+            trajectory=lambda robot: Trajectory(*ways[robot]),
         ),
         residuals=pipeline.residuals(),
         left_out=pipeline.messages_left_out,

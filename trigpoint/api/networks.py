@@ -122,7 +122,7 @@ class Network:
     chi2_per_dof: float | None
     _record: files.Network
     _covariance: Callable[[], Array]
-    _trajectory: Callable[[str], tuple[np.ndarray, Pose]]
+    _trajectory: Callable[[str], Trajectory]
 
     @property
     def located(self) -> list[str]:
@@ -154,7 +154,7 @@ class Network:
             raise InputError(f"the network has no robot «{robot}»{nearest(robot, self.robots)}")
         if record.trajectory is None:
             raise InputError(f"robot {robot} could not be tied to the map and has no trajectory")
-        return Trajectory(*self._trajectory(robot))
+        return self._trajectory(robot)
 
     def errors(self, truth: PathLike | Mapping[str, Pose]) -> NetworkError:
         """The located cameras against a truth: a truth.json, or camera -> map_from_camera."""
@@ -172,6 +172,16 @@ class Network:
         return self.located.index(name)
 
 
+def read_trajectory(path: PathLike) -> Trajectory:
+    """Read a TUM file: rows of `t x y z qx qy qz qw`, seconds and metres. Raises InputError that
+    names the line."""
+    file = Path(path)
+    try:
+        return Trajectory(*files.decode_tum(file.read_bytes(), source=str(file)))
+    except OSError as reason:
+        raise InputError(f"{file}: cannot be read ({reason.strerror}); check the path") from None
+
+
 def read_network(path: PathLike) -> Network:
     """Read a network.json, or the one in a folder; covariance.npz and trajectories beside it are
     read when they are asked for. Raises InputError."""
@@ -181,7 +191,7 @@ def read_network(path: PathLike) -> Network:
     return network_of(
         record,
         covariance=partial(files.load_covariance, place, record),
-        trajectory=lambda robot: _read_trajectory(folder, record, robot),
+        trajectory=lambda robot: read_trajectory(folder / str(record.robots[robot].trajectory)),
     )
 
 
@@ -189,7 +199,7 @@ def network_of(
     record: files.Network,
     *,
     covariance: Callable[[], Array],
-    trajectory: Callable[[str], tuple[np.ndarray, Pose]],
+    trajectory: Callable[[str], Trajectory],
 ) -> Network:
     """The network of a file's content, and where the rest of it comes from."""
     return Network(
@@ -204,16 +214,6 @@ def network_of(
         _covariance=covariance,
         _trajectory=trajectory,
     )
-
-
-def _read_trajectory(folder: Path, record: files.Network, name: str) -> tuple[np.ndarray, Pose]:
-    file = folder / str(record.robots[name].trajectory)
-    try:
-        return files.decode_tum(file.read_bytes(), source=str(file))
-    except OSError as reason:
-        raise InputError(
-            f"{file}: cannot be read ({reason.strerror}); keep it beside network.json"
-        ) from None
 
 
 def _camera(name: str, record: files.CameraRecord) -> Camera:
