@@ -7,7 +7,7 @@ import numpy as np
 
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.truth import load_truth, network_error
 from trigpoint.tools.sessions.inputs import session_inputs

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from trigpoint.contract.messages import Message, Odometry
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.world import load_world

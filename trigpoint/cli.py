@@ -206,7 +206,8 @@ def run(arguments: Sequence[str]) -> int:
         shown = " ".join(filter(None, [PROGRAM, chosen, "--help"]))
         return _fail(f"{error.format_message().rstrip('.')}; see `{shown}`", 2)
     except ModuleNotFoundError as error:
-        missing = _missing_extra(error, chosen)
+        extra = COMMANDS[chosen].extra if chosen else ""
+        missing = missing_extra(error, f"{PROGRAM} {chosen}", extra)
         if missing is None:
             raise
         return _fail(str(missing), missing.exit_status)
@@ -325,15 +326,15 @@ def _listen_for_stops(chosen: str) -> None:
         signal.signal(signal.SIGTERM, unwind)
 
 
-def _missing_extra(error: ModuleNotFoundError, chosen: str) -> MissingExtraError | None:
-    """The message for a missing third-party package; None for any other import error."""
+def missing_extra(error: ModuleNotFoundError, user: str, extra: str) -> MissingExtraError | None:
+    """The message for a third-party package that `user` lacks, and the `extra` that has it, where
+    it is known; None for any other import error."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS and package not in SITE_EXTRAS:
         return None
-    extra = SITE_EXTRAS.get(package)
-    extra = extra or (COMMANDS[chosen].extra if chosen else "") or EXTRAS[package]
+    extra = SITE_EXTRAS.get(package) or extra or EXTRAS[package]
     return MissingExtraError(
-        f"`{PROGRAM} {chosen}` needs the package «{package}», which is not installed here; "
+        f"`{user}` needs the package «{package}», which is not installed here; "
         f"run: {install_command(extra)}"
     )
 

@@ -30,8 +30,7 @@ def write_composition(session: Composition, folder: Path) -> Path:
     directory = folder / session.name
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-    writer = McapWriter(directory / "session.mcap")
-    try:
+    with McapWriter(directory / "session.mcap") as writer:
         with writing(directory):
             names = _write_inputs(session, directory)
             _write_truth(session, directory)
@@ -42,10 +41,6 @@ def write_composition(session: Composition, folder: Path) -> Path:
             topic = _topic(message)
             payload, log_ns = cdr.encode(message), EPOCH_NS + at_ns
             writer.add(topic, topic.key(SITE, node), payload, log_ns=log_ns, published_ns=log_ns)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.finish()
     return directory
 
 

@@ -28,8 +28,7 @@ def write_drawable(
     calibrated only afterwards; `building`: where the map lies in it, on tf_static too.
     """
     prepare()
-    writer = McapWriter(path)
-    try:
+    with McapWriter(path) as writer:
         drawn = _Drawn(writer)
         if network is not None:
             drawn.place(network, building, recording.start_ns)
@@ -37,10 +36,6 @@ def write_drawable(
             writer.attach(name, data, "", time_ns=recording.start_ns)
         for sample in recording.samples():
             drawn.add(sample)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.finish()
     return writer.counts
 
 

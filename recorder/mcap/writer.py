@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from mcap.opcode import Opcode
 
@@ -66,6 +66,16 @@ class McapWriter:
         self._last_ns = 0
         self._summary: dict[Opcode, list[bytes]] = {}
         self._output.write(records.MAGIC + records.header("ros2", f"trigpoint {__version__}"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        """Finish the file, or abandon it where something was raised."""
+        if error is None:
+            self.finish()
+        else:
+            self.abandon()
 
     @property
     def counts(self) -> dict[str, int]:

@@ -25,8 +25,7 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
     Messages that cannot be read as what their channel holds are left out, which is logged. Raises
     OperationError where none is left, or the file is there already or cannot be written.
     """
-    writer = McapWriter(out)
-    try:
+    with McapWriter(out) as writer:
         for name, data in recording.attachments.items():
             writer.attach(name, data, _media_type(name), time_ns=recording.start_ns)
         for name, values in recording.notes.items():
@@ -35,10 +34,6 @@ def recover(recording: Recording, out: Path) -> dict[str, int]:
         channels: dict[tuple[str, str, str], int] = {}
         for number, part in enumerate(recording.parts):
             _copy(recording, part, writer, channels, repeated_keys(part) if number else set())
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.finish()
     if not writer.counts:
         out.unlink()
         raise OperationError(f"{recording.path}: no message of it can be read; nothing is written")

@@ -7,7 +7,7 @@ import pytest
 from support.pictures.arm_session import ABOUT, ARM, write_arm_session
 
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.sessions.inputs import session_inputs
 
 pytestmark = pytest.mark.skipif(not ARM.is_dir(), reason=f"the arm's pictures are not at {ARM}")

@@ -19,7 +19,7 @@ from trigpoint.fusion.solver.relinearisation import solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_network
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import worked_out
+from trigpoint.tools.calibrate.work import worked_out
 from trigpoint.tools.networks.truth import TruthFile, load_truth, network_error
 from trigpoint.tools.sessions.inputs import session_inputs
 

@@ -5,29 +5,21 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import typer
 
 from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.base.terminal import Progress, table, waiting
 from trigpoint.base.words import counted
-from trigpoint.contract.messages import Odometry
-from trigpoint.fusion.estimators.registry import check_estimator
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.inputs import load_inputs
-from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
-from trigpoint.recorder.session.recording import Recording, open_recording
-from trigpoint.site.config import load_site
-from trigpoint.site.option import site_here
 from trigpoint.tools.networks.building_alignment import Alignment, align, alignment_text
 from trigpoint.tools.networks.truth import NetworkError, load_truth, network_error
-from trigpoint.tools.sessions.inputs import session_inputs
-from trigpoint.tools.sessions.messages import SessionMessages, messages_of
 
 from .noise_words import noise_text
 from .report import REPORT, write_report
+from .work import Task, fed, task_of
 
 
 def main(
@@ -62,19 +54,9 @@ def main(
     a page. Where a truth.json lies beside the session, the errors against it are stated too.
     """
     beside = session if session.is_dir() else session.parent
-    recording = None if topic else open_recording(session)
-    if recording is not None:
-        recording.check_is_session()
-    inputs = (
-        session_inputs(recording, site=site, network=network)
-        if recording
-        else _bag_inputs(site, network)
-    )
-    if estimator is not None:
-        fusion = msgspec.structs.replace(inputs.site.fusion, estimator=estimator)
-        chosen = msgspec.structs.replace(inputs.site, fusion=fusion)
-        check_estimator(chosen)
-        inputs = Inputs(chosen, inputs.targets, inputs.lenses, inputs.known)
+    settings = {"fusion.estimator": estimator} if estimator else {}
+    task = task_of(session, site=site, network=network, topics=topic, settings=settings)
+    inputs, recording = task.inputs, task.recording
     plan = (
         attached_plan(inputs.site, recording.attachments)
         if recording is not None and site is None
@@ -83,8 +65,7 @@ def main(
     folder = out if out is not None else beside / "calibration"
     with writing(folder):  # fail now, not after all the work
         folder.mkdir(parents=True, exist_ok=True)
-    messages = messages_of(recording) if recording else _bag_messages(session, topic, inputs)
-    pipeline = work_out(messages, inputs, source=session)
+    pipeline = _worked_out(task)
     results = pipeline.results()
     results.save(folder)
     error = _error(beside, results)
@@ -102,42 +83,13 @@ def main(
     _check_used(results)
 
 
-def calibrated(recording: Recording, inputs: Inputs) -> Results:
-    """The results of a whole session; raise InputError if nothing in it can be used."""
-    return worked_out(recording, inputs).results()
-
-
-def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
-    """A pipeline after a whole session; raise InputError if nothing in it can be used."""
-    return work_out(messages_of(recording), inputs, source=recording.path)
-
-
-def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipeline:
-    """A pipeline after these messages; raises OperationError where no odometry is sound."""
+def _worked_out(task: Task) -> Pipeline:
+    """Do the work, with a word on how far it is and on what was left out."""
+    found = task.messages()
     for words in found.unsound():
         typer.echo(f"left out: {words}", err=True)
-    pipeline, messages, robots = Pipeline(inputs, is_live=False), found.in_order, found.robots
-    unreadable = found.unreadable
-    for node in unreadable.keys() & inputs.site.cameras.keys():
-        pipeline.arrivals.unreadable[node] = unreadable.pop(node)
-    if not robots and (unsound := unreadable.values()):
-        raise OperationError(
-            f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "
-            "record anew"
-        )
-    if not robots:
-        raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
-    if robots.isdisjoint(inputs.site.robots):
-        raise InputError(
-            f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
-            f"{', '.join(sorted(inputs.site.robots))}; use the same names"
-        )
-    with closing(Progress("calibrate", len(messages))) as progress:
-        for node, message in messages:
-            pipeline.push(node, message)
-            if isinstance(message, Odometry):
-                pipeline.advance()
-            progress.step()
+    with closing(Progress("calibrate", found.count)) as progress:
+        pipeline = fed(found, task.inputs, source=task.path, step=progress.step)
     with waiting("calibrate: working out what happened"):
         pipeline.finish()
     for reason, count in sorted(pipeline.messages_left_out.items()):
@@ -145,22 +97,6 @@ def work_out(found: SessionMessages, inputs: Inputs, *, source: Path) -> Pipelin
     for text in pipeline.notes:
         typer.echo(f"note: {text}", err=True)
     return pipeline
-
-
-def _bag_inputs(site: Path | None, network: Path | None) -> Inputs:
-    site = site or site_here()
-    if site is None:
-        raise InputError("--topic: a bag has no site file; give it with --site")
-    return load_inputs(load_site(site), network=network)
-
-
-def _bag_messages(bag: Path, topics: list[str], inputs: Inputs) -> SessionMessages:
-    from trigpoint.tools.sessions.bag import (  # OpenCV and bags, not needed by sessions
-        bag_messages,
-        parse_roles,
-    )
-
-    return bag_messages(bag, parse_roles(topics), inputs)
 
 
 def _error(folder: Path, results: Results) -> NetworkError | None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.linalg import block_diag
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.geometry import Pose
@@ -95,7 +94,9 @@ def joint_error(estimated: list[Pose], true: list[Pose], covariance: Array) -> f
     (6n, 6n). `NetworkError` says what the errors are."""
     pairs = zip(estimated, true, strict=True)
     error = np.concatenate([_twist(pose @ other.inverse()) for pose, other in pairs])
-    turned = np.asarray(block_diag(*map(_about_origin, estimated)), dtype=float)
+    turned = np.zeros_like(covariance)
+    for start, pose in zip(range(0, len(error), 6), estimated, strict=True):
+        turned[start : start + 6, start : start + 6] = _about_origin(pose)
     spread = turned @ covariance @ turned.T
     return float(error @ np.linalg.solve(spread, error)) / len(error)
 

@@ -30,6 +30,8 @@ from trigpoint.site.target import load_target
 from .account import PictureAccount
 from .detect_drawing import draw_faces
 
+Given = Path | np.ndarray
+"""A picture file, a folder of them, a video or a bag; or a picture itself, grey or BGR."""
 LEAST_PICTURES = 10
 """So many pictures with nothing in them are worth a word."""
 
@@ -118,17 +120,18 @@ class _Sum:
 
 
 def stills(
-    paths: Sequence[Path], topics: Sequence[str] = (), account: PictureAccount | None = None
+    given: Sequence[Given], topics: Sequence[str] = (), account: PictureAccount | None = None
 ) -> Iterator[Still]:
-    """Every picture of files, folders, videos and bags, in order; raises InputError.
+    """Every picture of files, folders, videos and bags, and those given themselves, in order;
+    raises InputError.
 
     `topics`: of bags, those with the pictures; none: the only one that has some. `account`: takes
     what is left out.
     """
     names: dict[str, int] = {}
     account = account or PictureAccount()
-    for path in paths:
-        for name, stem, picture in _opened(path, topics, account):
+    for number, one in enumerate(given):
+        for name, stem, picture in _opened(one, number, topics, account):
             account.add(name, picture)
             names[stem] = names.get(stem, 0) + 1
             unique = stem if names[stem] == 1 else f"{stem}_{names[stem]}"
@@ -136,9 +139,11 @@ def stills(
 
 
 def _opened(
-    path: Path, topics: Sequence[str], account: PictureAccount
+    path: Given, number: int, topics: Sequence[str], account: PictureAccount
 ) -> Iterator[tuple[str, str, np.ndarray]]:
-    if is_bag(path):
+    if isinstance(path, np.ndarray):
+        yield f"#{number}", f"{number:05d}", path
+    elif is_bag(path):
         from .bag import bag_pictures  # the readers of bags take half a second to import
 
         yield from bag_pictures(path, topics, account.leave_out)
@@ -183,9 +188,10 @@ def _frames(path: Path, account: PictureAccount) -> Iterator[tuple[str, str, np.
         video.close()
 
 
-def check_all(paths: Sequence[Path]) -> None:
+def check_all(given: Sequence[Given]) -> None:
     """Raise InputError for a missing path, or pictures turned differently, before any work is
     done."""
+    paths = [one for one in given if isinstance(one, Path)]
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: there is no such picture, folder or video; check the path")

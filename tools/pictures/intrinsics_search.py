@@ -21,7 +21,7 @@ from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.site.target import Target
 
 from .account import PictureAccount
-from .detect import Still, stills
+from .detect import Given, Still, stills
 
 # A process takes as long to start as twenty pictures to search.
 _PICTURES_A_JOB = 20
@@ -49,14 +49,16 @@ _Found = tuple[list[View], tuple[str, ...]]
 
 
 def search(
-    pictures: Sequence[Path],
+    pictures: Sequence[Given],
     targets: Sequence[Target],
     *,
     topics: Sequence[str] = (),
     jobs: int | None = None,
+    is_shown: bool = True,
 ) -> Searched:
     """The views in pictures, folders, videos and bags (of their `topics`), the same whatever `jobs`
     is: so many pictures are searched at once, or as many as there are cores and work for.
+    `is_shown`: with a bar, on a terminal.
 
     Raises InputError for pictures of several sizes, OperationError where none shows the target.
     """
@@ -71,7 +73,7 @@ def search(
                 length=max(expected, 1),
                 label="searching",
                 file=sys.stderr,
-                hidden=not sys.stderr.isatty(),
+                hidden=not (is_shown and sys.stderr.isatty()),
             )
         )
         given = stills(pictures, topics, account)
@@ -101,9 +103,11 @@ def _several(sizes: dict[tuple[int, int], list[str]]) -> str:
     return f"pictures of several sizes: {counts} ({some}); give pictures of one camera at one size"
 
 
-def _expected(pictures: Sequence[Path]) -> int:
+def _expected(pictures: Sequence[Given]) -> int:
     """About how many pictures there are: of a video nobody knows."""
-    return sum(len(list(path.iterdir())) if path.is_dir() else 1 for path in pictures)
+    folders = [one for one in pictures if isinstance(one, Path) and one.is_dir()]
+    inside = sum(len(list(folder.iterdir())) for folder in folders)
+    return len(pictures) - len(folders) + inside
 
 
 def _nothing_found(count: int, targets: Sequence[Target]) -> str:

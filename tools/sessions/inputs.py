@@ -1,5 +1,6 @@
 """The inputs for processing a recorded session: its site, targets and lenses."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from trigpoint.base.errors import InputError
@@ -12,17 +13,25 @@ from trigpoint.site.config import Site, load_site, parse_site
 from trigpoint.site.target import parse_target
 
 
-def session_inputs(recording: Recording, *, site: Path | None, network: Path | None) -> Inputs:
-    """Inputs by a site file, or by the one that is attached to the session.
+def session_inputs(
+    recording: Recording,
+    *,
+    site: Path | None,
+    network: Path | None,
+    settings: Mapping[str, object] | None = None,
+) -> Inputs:
+    """Inputs by a site file, or by the one that is attached to the session; `settings`: as
+    `load_site` takes them.
 
     Raises InputError where the session has none or lacks a file that it names.
     """
     if site is not None:
-        return load_inputs(load_site(site), network=network)
+        return load_inputs(load_site(site, settings), network=network)
     attached = parse_site(
         recording.site_text,
         directory=recording.folder,
         file=f"{recording.path}: attached site.toml",
+        settings=settings,
     )
     targets = {}
     for robot in attached.robots:

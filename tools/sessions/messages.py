@@ -35,6 +35,11 @@ class SessionMessages:
         self._refused.setdefault(alike, (str(reason), []))[1].append(log_ns)
 
     @property
+    def count(self) -> int:
+        """How many were taken."""
+        return len(self._found)
+
+    @property
     def in_order(self) -> list[tuple[str, Message]]:
         """(camera or robot, message) in stamp order, lenses first."""
         return [(node, message) for *_, node, message in sorted(self._found, key=lambda f: f[:3])]

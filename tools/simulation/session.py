@@ -38,8 +38,7 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
     """
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-    writer = McapWriter(directory / "session.mcap")
-    try:
+    with McapWriter(directory / "session.mcap") as writer:
         with writing(directory):
             site = write_site(world, directory)
             write_truth(world, directory, epoch_ns=EPOCH_NS)
@@ -48,10 +47,6 @@ def write_session(world: World, directory: Path) -> dict[str, int]:
         for item in sorted(_told(world), key=lambda item: item.received_ns):
             payload, received_ns = cdr.encode(item.message), item.received_ns
             writer.add(item.topic, item.key, payload, log_ns=received_ns, published_ns=received_ns)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.finish()
     return writer.counts
 
 

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from types import UnionType
@@ -16,12 +17,21 @@ Struct = TypeVar("Struct", bound=msgspec.Struct)
 KeyPath = tuple[str | int, ...]
 
 
-def parse_toml(text: str, struct: type[Struct], file: str, error: type[InputError]) -> Struct:
-    """The struct in TOML `text`; raise `error` with «file:line: what, what to do»."""
+def parse_toml(
+    text: str,
+    struct: type[Struct],
+    file: str,
+    error: type[InputError],
+    settings: Mapping[str, object] | None = None,
+) -> Struct:
+    """The struct in TOML `text`; raise `error` with «file:line: what, what to do». `settings`:
+    dotted keys to values that stand in place of the text's."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as reason:
         raise error(f"{file}: not valid TOML: {reason}; mend that line") from None
+    for key, value in (settings or {}).items():
+        _put(document, key, value, error)
     lines = text.splitlines()
     try:
         return _convert(document, struct, ())
@@ -34,6 +44,15 @@ def parse_toml(text: str, struct: type[Struct], file: str, error: type[InputErro
 def load_toml(path: Path, struct: type[Struct], kind: str, error: type[InputError]) -> Struct:
     """The struct in a TOML file; `kind`: what messages call the file («site file»)."""
     return parse_toml(read_text(path, kind, error), struct, str(path), error)
+
+
+def _put(document: dict[str, Any], key: str, value: object, error: type[InputError]) -> None:
+    *tables, last = key.split(".")
+    for name in tables:
+        document = document.setdefault(name, {})
+        if not isinstance(document, dict):
+            raise error(f"the setting «{key}»: «{name}» is no table; write its keys as in the file")
+    document[last] = value
 
 
 class _Problem(Exception):

@@ -1,5 +1,6 @@
 """site.toml: one frozen configuration for a whole site; each node reads its own part."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -121,16 +122,23 @@ class Site(Struct, frozen=True):
         return next(iter(self.robots))
 
 
-def load_site(path: Path) -> Site:
-    """Read site.toml; raise a ConfigError that names file, line and key."""
+def load_site(path: Path, settings: Mapping[str, object] | None = None) -> Site:
+    """Read site.toml; raise a ConfigError that names file, line and key. `settings`: dotted keys,
+    like «fusion.seed», to values that stand in place of the file's."""
     remedy = "give --site FILE, or set TRIGPOINT_SITE"
     text = read_text(path, "site file", ConfigError, remedy=remedy)
-    return parse_site(text, directory=path.parent, file=str(path))
+    return parse_site(text, directory=path.parent, file=str(path), settings=settings)
 
 
-def parse_site(text: str, *, directory: Path, file: str = "site.toml") -> Site:
+def parse_site(
+    text: str,
+    *,
+    directory: Path,
+    file: str = "site.toml",
+    settings: Mapping[str, object] | None = None,
+) -> Site:
     """Like `load_site`, from text (a recording's attachment)."""
-    return _site(parse_toml(text, SiteFile, file, ConfigError), directory, text)
+    return _site(parse_toml(text, SiteFile, file, ConfigError, settings), directory, text)
 
 
 def _site(file: SiteFile, directory: Path, text: str) -> Site:

@@ -14,7 +14,7 @@ from trigpoint.fusion.estimators.smoother import batch
 from trigpoint.fusion.solver.relinearisation import Solved, solve_consistently
 from trigpoint.geometry import Pose
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import worked_out
+from trigpoint.tools.calibrate.work import worked_out
 from trigpoint.tools.sessions.inputs import session_inputs
 
 LONG = pytest.mark.long

@@ -12,7 +12,7 @@ from trigpoint.cli import run
 from trigpoint.contract.messages import Message, Odometry, Sightings
 from trigpoint.map.network import decode_network, decode_tum, encode_network, load_network
 from trigpoint.recorder.session.recording import open_recording
-from trigpoint.tools.calibrate.command import calibrated
+from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.simulation.sight.targets import target_text
 
@@ -177,7 +177,7 @@ def test_place_that_cannot_be_written_is_told_before_the_work(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
 ) -> None:
     monkeypatch.setattr(
-        "trigpoint.tools.calibrate.command.worked_out", lambda *_: pytest.fail("too late")
+        "trigpoint.tools.calibrate.command.fed", lambda *_, **__: pytest.fail("too late")
     )
     taken = tmp_path / "taken"
     taken.touch()

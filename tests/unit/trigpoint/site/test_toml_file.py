@@ -79,3 +79,14 @@ def test_wrong_choice_names_the_choices_and_the_nearest() -> None:
         "t.toml:4: faces[0].pattern: «chaurco» is none of checkerboard, charuco, aprilgrid; "
         "did you mean «charuco»?"
     )
+
+
+def test_settings_stand_in_place_of_the_files_keys() -> None:
+    text = 'name = "a"\ninner.number = 2'
+    settings = {"inner.number": 3, "table.x.word": "w"}
+    found = parse_toml(text, Outer, "f.toml", ConfigError, settings)
+    assert found == Outer("a", Inner(3), {"x": Inner(word="w")})
+    with pytest.raises(ConfigError, match=r"inner.numbr is not a known key; did you mean «number»"):
+        parse_toml(text, Outer, "f.toml", ConfigError, {"inner.numbr": 1})
+    with pytest.raises(ConfigError, match=r"«name.x»: «name» is no table"):
+        parse_toml(text, Outer, "f.toml", ConfigError, {"name.x": 1})

@@ -1,0 +1,104 @@
+"""The estimator over a recorded session or anybody's bag; prints nothing."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from trigpoint.base.errors import InputError, OperationError
+from trigpoint.contract.messages import Odometry
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.recorder.session.recording import Recording, open_recording
+from trigpoint.site.config import load_site
+from trigpoint.site.option import site_here
+from trigpoint.tools.sessions.inputs import session_inputs
+from trigpoint.tools.sessions.messages import SessionMessages, messages_of
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is to be worked out: the session at `path`, or anybody's bag (`recording` None) with the
+    `topics` «camera or robot=topic» of it, and the inputs beside its messages."""
+
+    path: Path
+    recording: Recording | None
+    topics: tuple[str, ...]
+    inputs: Inputs
+
+    def messages(self) -> SessionMessages:
+        """Read all of it; a bag's pictures are searched for the target."""
+        if self.recording is not None:
+            return messages_of(self.recording)
+        # OpenCV and bags are not needed by sessions.
+        from trigpoint.tools.sessions.bag import bag_messages, parse_roles
+
+        return bag_messages(self.path, parse_roles(self.topics), self.inputs)
+
+
+def task_of(
+    session: Path,
+    *,
+    site: Path | None = None,
+    network: Path | None = None,
+    topics: Sequence[str] = (),
+    settings: Mapping[str, object] | None = None,
+) -> Task:
+    """Open a session, or with `topics` a bag. `site`: the site file, None: the attached one, for a
+    bag that of this folder; `network`: whose cameras are known; `settings`: as `load_site` takes
+    them. Raises InputError."""
+    if topics:
+        site = site or site_here()
+        if site is None:
+            raise InputError("--topic: a bag has no site file; give it with --site")
+        inputs = load_inputs(load_site(site, settings), network=network)
+        return Task(session, None, tuple(topics), inputs)
+    recording = open_recording(session)
+    recording.check_is_session()
+    inputs = session_inputs(recording, site=site, network=network, settings=settings)
+    return Task(session, recording, (), inputs)
+
+
+def calibrated(recording: Recording, inputs: Inputs) -> Results:
+    """The results of a whole session; raise InputError if nothing in it can be used."""
+    return worked_out(recording, inputs).results()
+
+
+def worked_out(recording: Recording, inputs: Inputs) -> Pipeline:
+    """A pipeline after a whole session; raise InputError if nothing in it can be used."""
+    pipeline = fed(messages_of(recording), inputs, source=recording.path)
+    pipeline.finish()
+    return pipeline
+
+
+def fed(
+    found: SessionMessages,
+    inputs: Inputs,
+    *,
+    source: Path,
+    step: Callable[[], None] = lambda: None,
+) -> Pipeline:
+    """A pipeline that took these messages and is to be finished; `step`: told of each. Raises
+    OperationError where no odometry is sound, InputError where there is none of the site's."""
+    pipeline, robots = Pipeline(inputs, is_live=False), found.robots
+    unreadable = found.unreadable
+    for node in unreadable.keys() & inputs.site.cameras.keys():
+        pipeline.arrivals.unreadable[node] = unreadable.pop(node)
+    if not robots and (unsound := unreadable.values()):
+        raise OperationError(
+            f"{source}: no odometry can be used ({'; '.join(unsound)}); mend what sends it, and "
+            "record anew"
+        )
+    if not robots:
+        raise InputError(f"{source}: no odometry of a robot is in it; record a drive")
+    if robots.isdisjoint(inputs.site.robots):
+        raise InputError(
+            f"{source}: it is of robot {', '.join(sorted(robots))}, and the site file has only "
+            f"{', '.join(sorted(inputs.site.robots))}; use the same names"
+        )
+    for node, message in found.in_order:
+        pipeline.push(node, message)
+        if isinstance(message, Odometry):
+            pipeline.advance()
+        step()
+    return pipeline
