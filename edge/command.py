@@ -8,10 +8,11 @@ import typer
 
 from trigpoint.bus.bus import Bus
 from trigpoint.contract.access import Kind
+from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stop_on_signals
 from trigpoint.node.watchdog import Watchdog
 from trigpoint.site.config import Site, load_site
-from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
 from .node import KIND, EdgeNode, load_targets
@@ -25,6 +26,7 @@ def main(
         list[str], typer.Option(help="A camera's name in the site file; may be given again.")
     ],
     site: SiteFile = SITE_FILE,
+    metrics: MetricsAt = "",
 ) -> None:
     """The agent of one or several cameras: finds the robots' targets in their pictures."""
     loaded = load_site(site)
@@ -47,6 +49,7 @@ def main(
             for node, name in zip(nodes, names, strict=True)
         ]
         stop_on_signals(nodes)
+        stack.enter_context(metrics_served(loaded, metrics, nodes))
         for node, agent in zip(nodes, agents, strict=True):
             stack.enter_context(node)
             agent.start()

@@ -72,6 +72,7 @@ class EdgeNode:
         self._watch = TargetWatch(camera, self._clock)
         self._pause_s = _FIRST_PAUSE_S
         self._detection_ms = self._delay_ms = 0.0
+        self._newest_ns = self._clock.elapsed_ns()
         self._is_deep = False
 
     def start(self) -> None:
@@ -85,9 +86,14 @@ class EdgeNode:
         self._serve("calibrate", self._calibration.answer)
         self._node.health.gauge("detection_ms", lambda: self._detection_ms)
         self._node.health.gauge("delay_ms", lambda: self._delay_ms)
+        self._node.health.gauge("picture_age_s", self._picture_age_s)
         self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
         self._pulse = self._node.watchdog.pulse(f"{self._node.label} sees", within_s=_PATIENCE_S)
         self._node.thread("sees", self._run)
+
+    def _picture_age_s(self) -> float:
+        """How long no new picture has come, or since the start."""
+        return to_seconds(self._clock.elapsed_ns() - self._newest_ns)
 
     def _serve(self, command: str, answer: Callable[[bytes], bytes]) -> None:
         self._bus.serve(command_key(self._site.name, f"camera/{self._camera}/{command}"), answer)
@@ -174,6 +180,7 @@ class EdgeNode:
             health.lose("out_of_order")
             return
         self._last_ns = frame.captured_ns
+        self._newest_ns = self._clock.elapsed_ns()
         frame = replace(frame, picture=self._scaled(frame.picture))
         self._pictures.keep(frame)
         self._announce(frame, source)

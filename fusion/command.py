@@ -12,9 +12,10 @@ from trigpoint.base.clock import SteadyClock
 from trigpoint.base.errors import OperationError
 from trigpoint.contract import cdr
 from trigpoint.contract.access import Kind
+from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import load_site
-from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
 from .inputs import load_inputs
@@ -39,6 +40,7 @@ def main(
     network: Annotated[
         Path | None, typer.Option(help="A network.json whose cameras are known beforehand.")
     ] = None,
+    metrics: MetricsAt = "",
 ) -> None:
     """The live estimator: odometry and sightings in, the network and corrections out.
 
@@ -53,7 +55,7 @@ def main(
     return_large_arrays()
     with open_bus(loaded, (Kind.FUSION, NAME)) as bus, ExitStack() as stack:
         node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
-        with stopped_by_signals(node):
+        with metrics_served(loaded, metrics, [node]), stopped_by_signals(node):
             fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs, node))
             stack.push(_finishing(fusion))
             fusion.start()

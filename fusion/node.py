@@ -95,6 +95,9 @@ class FusionNode:
         self._inbox.open(name)
         self._node.health.gauge("waiting", lambda: self._pipeline.waiting)
         self._node.health.gauge("cameras_located", lambda: self._located_count)
+        cameras = len(self._site.cameras)
+        self._node.health.gauge("cameras_undetermined", lambda: cameras - self._located_count)
+        self._node.health.gauge("worst_sigma_m", lambda: self._accuracy.worst_sigma_m)
         for path, answer in (
             ("fusion/network", self._answer_network),
             ("fusion/map", self._answer_map),

@@ -19,11 +19,15 @@ class Output:
 
 
 class CameraAccuracy:
-    """Which cameras are located, and how well, from what is sent about them."""
+    """Which cameras are located, and how well, from what is sent about them.
+
+    `worst_sigma_m`: the largest sigma of a located camera, NaN where none is.
+    """
 
     def __init__(self, cameras: list[str]) -> None:
         self._cameras = cameras
         self._sigmas_m: dict[str, float] = {}
+        self.worst_sigma_m = math.nan
 
     def words_after(self, output: Output) -> str:
         """«c1 ± 0.8 cm, c2 not located», the largest sigma of the three axes; "" where this output
@@ -34,6 +38,9 @@ class CameraAccuracy:
         if output.topic is not topics.TF_STATIC or not isinstance(message, Transforms):
             return ""
         located = {one.child.partition("/")[0] for one in message.transforms}
+        self.worst_sigma_m = max(
+            (self._sigmas_m[name] for name in self._cameras if name in located), default=math.nan
+        )
         return ", ".join(self._of(name, is_located=name in located) for name in self._cameras)
 
     def _of(self, camera: str, *, is_located: bool) -> str:

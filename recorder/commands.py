@@ -16,9 +16,10 @@ from trigpoint.base.clock import SystemClock, to_seconds
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import command_key
+from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import Site, load_site, parse_site
-from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.site.target import load_target
 from trigpoint.zenoh import open_bus
 
@@ -82,6 +83,7 @@ def record(
             help="Tell the site's recorder, wherever it runs, and end.",
         ),
     ] = "",
+    metrics: MetricsAt = "",
 ) -> None:
     """Record every key of the site to an MCAP file until stopped (Ctrl-C).
 
@@ -97,7 +99,11 @@ def record(
     with open_bus(loaded, (Kind.RECORDER, recorder.NAME)) as bus:
         node = Node(bus, site=loaded.name, kind=recorder.KIND, name=recorder.NAME)
         stopped_by_signals(node)  # before there is anything to close
-        with recorder.Recorder(loaded, path, clock=clock, out=out, ring_s=ring_s) as session, node:
+        with (
+            metrics_served(loaded, metrics, [node]),
+            recorder.Recorder(loaded, path, clock=clock, out=out, ring_s=ring_s) as session,
+            node,
+        ):
             session.start(bus, node)
             what = f"keeping the last {ring_s:g} s of" if ring_s else "recording"
             typer.echo(f"{what} site {loaded.name} to {path}")

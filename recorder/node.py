@@ -22,7 +22,7 @@ from .mcap.chunk import Compression
 from .session.files import FILE, session_path
 from .session.recording import NETWORK_ATTACHMENT
 from .writing.attachments import site_files
-from .writing.free_space import Room
+from .writing.free_space import Room, free_bytes
 from .writing.intake import Intake, is_wanted, recorded_topics
 from .writing.part import AttachedFile
 from .writing.ring import MovedCameras, Ring
@@ -92,6 +92,7 @@ class Recorder:
         """Start the node's threads; they write until the node stops."""
         self._bus, self._node = bus, node
         node.health.gauge("file.depth", self._depth)
+        node.health.gauge("disk_free_bytes", lambda: free_bytes(self._path.parent))
         topics = recorded_topics(self._site)
         self._intake = Intake(bus, node, self._site, topics, self._take, self._lose)
         self._pulse = node.watchdog.pulse(f"{node.label} writes", within_s=_DISK_S)

@@ -5,9 +5,10 @@ from typing import Annotated
 import typer
 
 from trigpoint.contract.access import Kind
+from trigpoint.metrics.serving import metrics_served
 from trigpoint.node.node import Node, stopped_by_signals
 from trigpoint.site.config import ROS2_PROTOCOL, load_site
-from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
 from .dry_run import look
@@ -31,6 +32,7 @@ def main(
             "clock reads.",
         ),
     ] = False,
+    metrics: MetricsAt = "",
 ) -> None:
     """The serial bridge of one robot: odometry from its port to the bus, corrections back."""
     loaded = load_site(site)
@@ -40,7 +42,7 @@ def main(
         return
     with open_bus(loaded, (Kind.ROBOT, robot)) as bus:
         node = Node(bus, site=loaded.name, kind=KIND, name=robot)
-        with stopped_by_signals(node):
+        with metrics_served(loaded, metrics, [node]), stopped_by_signals(node):
             is_ros = loaded.robot(robot).protocol_name == ROS2_PROTOCOL
             (RosRobotNode if is_ros else RobotNode)(bus, node, loaded, robot).start()
             node.wait()

@@ -24,7 +24,7 @@ class Room:
         The oldest finished sessions are removed first, as far as that is allowed, never the one in
         the folder `running` nor one whose end was not written.
         """
-        while (free := _free(self.directory)) < self.minimum_free:
+        while (free := free_bytes(self.directory)) < self.minimum_free:
             oldest = self._oldest(running) if self.frees_oldest else None
             if oldest is None:
                 return (
@@ -42,7 +42,8 @@ class Room:
         return next((f for f in folders if f.resolve() != here and _is_finished(f)), None)
 
 
-def _free(directory: Path) -> float:
+def free_bytes(directory: Path) -> float:
+    """Room on the disk of a folder that may be yet to be made."""
     while not directory.exists():
         directory = directory.parent
     return shutil.disk_usage(directory).free

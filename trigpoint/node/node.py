@@ -89,6 +89,7 @@ class Node:
         self._logged_error = ""
         self._logged_held: dict[str, str] = {}
         self._connection = ""
+        self._reported: Diagnostics | None = None
 
     def __enter__(self) -> Self:
         self._refuse_second()
@@ -267,7 +268,13 @@ class Node:
             | report.values
         )
         status = DiagnosticStatus(int(level), self.label, message, socket.gethostname(), values)
-        return Diagnostics(self._clock.now_ns(), (status,))
+        self._reported = Diagnostics(self._clock.now_ns(), (status,))
+        return self._reported
+
+    @property
+    def reported(self) -> Diagnostics | None:
+        """The diagnostics that were read last, None before the first. Any thread."""
+        return self._reported
 
     def _log_held(self, held: dict[str, str]) -> None:
         """Log problems that have begun, and those that are over."""

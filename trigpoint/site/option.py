@@ -1,4 +1,4 @@
-"""The option `--site` of the commands that run a site: else $TRIGPOINT_SITE, else ./site.toml."""
+"""Options of the commands that run a site. `--site`: else $TRIGPOINT_SITE, else ./site.toml."""
 
 import os
 from pathlib import Path
@@ -11,6 +11,16 @@ SITE_FILE = Path("site.toml")
 
 SiteFile = Annotated[Path, typer.Option(help="The site file.", envvar=VARIABLE)]
 """To be used with the default `SITE_FILE`."""
+
+MetricsAt = Annotated[
+    str,
+    typer.Option(
+        "--metrics",
+        metavar="HOST:PORT",
+        help="Where to serve Prometheus's /metrics, instead of [metrics] listen in the site file; "
+        "port 0: one that is free. «off»: nowhere.",
+    ),
+]
 
 
 def site_here() -> Path | None:

@@ -10,6 +10,7 @@ from .endpoints import (
 )
 from .fusion import FusionConfig, PriorConfig
 from .map import MapConfig, PointConfig
+from .metrics import MetricsConfig
 from .names import check_name
 from .number_types import Count, NotNegative, Positive, Probability
 from .recorder import RecorderConfig
@@ -31,6 +32,7 @@ __all__ = [
     "FusionConfig",
     "MapConfig",
     "MavlinkConfig",
+    "MetricsConfig",
     "NotNegative",
     "OdometryNoise",
     "PointConfig",

@@ -14,6 +14,7 @@ from .bus import BusConfig, RouterConfig
 from .camera import CameraConfig
 from .fusion import FusionConfig
 from .map import MapConfig, PointConfig
+from .metrics import MetricsConfig
 from .names import validate_name
 from .recorder import RecorderConfig
 from .robot import RobotConfig
@@ -33,6 +34,7 @@ class SiteFile(Struct, frozen=True, forbid_unknown_fields=True):
     expect: tuple[Server, ...] | None = None
     bus: BusConfig = BusConfig()
     fusion: FusionConfig = FusionConfig()
+    metrics: MetricsConfig = MetricsConfig()
     recorder: RecorderConfig = RecorderConfig()
     router: RouterConfig = RouterConfig()
     map: MapConfig | None = None
@@ -83,6 +85,7 @@ class Site(Struct, frozen=True):
     expect: tuple[Server, ...] | None = None
     router: RouterConfig = RouterConfig()
     map: MapConfig | None = None
+    metrics: MetricsConfig = MetricsConfig()
 
     def camera(self, name: str) -> CameraConfig:
         """A camera by name; raise a ConfigError that lists the known ones."""
@@ -155,6 +158,7 @@ def _site(file: SiteFile, directory: Path, text: str) -> Site:
         expect=file.expect,
         router=file.router,
         map=file.map,
+        metrics=file.metrics,
     )
 
 

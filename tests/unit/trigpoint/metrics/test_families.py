@@ -1,0 +1,100 @@
+"""Diagnostics as Prometheus's samples, and that the table has whatever the nodes count."""
+
+import re
+from pathlib import Path
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
+from trigpoint.metrics.families import families
+from trigpoint.metrics.table import METRICS, OTHERS, metric_of
+from trigpoint.node.health import Health, Level
+
+ROOT = Path(__file__).parents[4]
+CALL = re.compile(r"\.(count|lose|gauge)\(\s*f?\"([^\"]+)\"")
+SUFFIX = {"count": ".total", "lose": ".lost", "gauge": ""}
+
+
+def samples(name: str, health: Health) -> dict[str, tuple[dict[str, str], float]]:
+    """Every sample of one node's diagnostics, as a Prometheus would read it."""
+    status = DiagnosticStatus(Level.WARN, name, "", "host", health.report().values)
+
+    class Collector:
+        def collect(self) -> list:
+            return families("lab", [Diagnostics(5_000_000_000, (status,))])
+
+    registry = CollectorRegistry()
+    registry.register(Collector())
+    read = text_string_to_metric_families(generate_latest(registry).decode())
+    return {one.name: (one.labels, one.value) for family in read for one in family.samples}
+
+
+def test_a_cameras_counters_have_names_units_and_labels() -> None:
+    health = Health()
+    health.count("pictures", 7)
+    health.lose("pictures", 2)
+    health.lose("frozen", 3)
+    health.gauge("detection_ms", lambda: 12.5)
+    health.describe("source", "running")
+    health.count("sent lab/camera/c1/sightings", 6)
+    found = samples("edge/c1", health)
+    who = {"site": "lab", "node": "edge/c1", "camera": "c1"}
+    assert found == {
+        "trigpoint_node_level": (who, 1.0),
+        "trigpoint_report_timestamp_seconds": (who, 5.0),
+        "trigpoint_pictures_total": (who, 7.0),
+        "trigpoint_pictures_skipped_total": (who, 2.0),
+        "trigpoint_pictures_unusable_total": (who | {"reason": "frozen"}, 3.0),
+        "trigpoint_detection_seconds": (who, 0.0125),
+        "trigpoint_source_state": (who | {"state": "running"}, 1.0),
+        "trigpoint_sent_total": (who | {"key": "lab/camera/c1/sightings"}, 6.0),
+    }
+
+
+def test_what_the_table_does_not_have_keeps_its_name_as_a_label() -> None:
+    health = Health()
+    health.count("sparks", 4)
+    health.lose("nerve")
+    health.gauge("mood", lambda: 0.5)
+    health.describe("place", "in the hall")  # words are no metric
+    found = samples("robot/r1", health)
+    assert {
+        name: (labels["name"], value) for name, (labels, value) in found.items() if "other" in name
+    } == {
+        "trigpoint_other_total": ("sparks", 4.0),
+        "trigpoint_other_lost_total": ("nerve", 1.0),
+        "trigpoint_other": ("mood", 0.5),
+    }
+
+
+def counted() -> list[tuple[str, str]]:
+    """(kind, value) of everything that the parts' code counts, loses or gauges by name."""
+    found = []
+    for kind, folder in (
+        ("edge", "edge"),
+        ("robot", "robot"),
+        ("fusion", "fusion"),
+        ("recorder", "recorder"),
+        ("edge", "trigpoint/node"),
+    ):
+        for path in (ROOT / folder).rglob("*.py"):
+            for call, name in CALL.findall(path.read_text(encoding="utf-8")):
+                part = "view" if "viewer" in path.parts else kind
+                found.append((part, re.sub(r"\{[^}]*\}", "x", name) + SUFFIX[call]))
+    return found
+
+
+def test_every_counter_and_gauge_of_the_parts_has_a_metric_of_its_own() -> None:
+    values = counted()
+    assert ("robot", "corrections_refused_x.lost") in values  # the search finds them
+    assert [value for kind, value in values if metric_of(kind, value)[0] in OTHERS] == []
+
+
+def test_names_follow_prometheus_and_are_each_others_only() -> None:
+    rows = [metric for rows in (*METRICS.values(), OTHERS) for metric in rows]
+    assert len({metric.name for metric in rows}) == len(rows)
+    for metric in rows:
+        assert re.fullmatch(r"trigpoint_[a-z_]+", metric.name)
+        assert not re.search(r"_(ms|us|ppm|ns|s|m)$", metric.name)
+        assert metric.type == "counter" or not metric.value.endswith((".total", ".lost"))

@@ -1,0 +1,1 @@
+"""A node's diagnostics as Prometheus metrics, under documented names."""

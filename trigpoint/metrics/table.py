@@ -1,0 +1,342 @@
+"""Which value of whose diagnostics is which metric; docs/reference/metrics.md is held to this.
+
+A metric is named once, here. What is in no row keeps its name as a label of `OTHERS`.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+from trigpoint.contract.topics import TOPICS
+
+_SCALES = {"_ms": 1e-3, "_us": 1e-6, "_ppm": 1e-6}
+"""Units in the names of values -> what makes Prometheus's unit of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One row. `value`: the value's name in the diagnostics, in which {label} stands for text that
+    becomes a label, and {label:a|b} for one of these. With `text`, the value is no number but
+    words, which become the label of that name, and the metric is 1."""
+
+    name: str
+    value: str
+    help: str
+    text: str = ""
+
+    @property
+    def type(self) -> str:
+        """counter or gauge, as Prometheus has it."""
+        return "counter" if self.name.endswith("_total") else "gauge"
+
+    @property
+    def scale(self) -> float:
+        """What makes Prometheus's unit of the value."""
+        if self.value in (REPORTED, "started"):
+            return 1e-9
+        return next((s for unit, s in _SCALES.items() if self.value.endswith(unit)), 1.0)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Its own labels; `site`, `node` and `camera` or `robot` are every metric's."""
+        own = tuple(re.findall(r"\{(\w+)", self.value))
+        return (*own, self.text) if self.text else own
+
+    def match(self, value: str) -> dict[str, str] | None:
+        """The labels in a value's name; None where it is not this metric's."""
+        found = _pattern(self.value).fullmatch(value)
+        return None if found is None else found.groupdict()
+
+
+@cache
+def _pattern(value: str) -> re.Pattern[str]:
+    parts = re.split(r"\{(\w+)(?::([^}]+))?\}", value)
+    text = re.escape(parts[0])
+    for label, choice, rest in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
+        text += f"(?P<{label}>{choice or '.+'}){re.escape(rest)}"
+    return re.compile(text)
+
+
+EVERY = "every node"
+LEVEL, REPORTED = "level", "reported"
+"""Values beside the diagnostics' own: the status's level, and when it was read, ns."""
+_QUEUE = f"{{queue:{'|'.join(topic.name for topic in TOPICS)}|odometry .+}}"
+
+METRICS: dict[str, tuple[Metric, ...]] = {
+    EVERY: (
+        Metric("trigpoint_node_level", LEVEL, "0 well, 1 warning, 2 error"),
+        Metric(
+            "trigpoint_report_timestamp_seconds",
+            REPORTED,
+            "when these values were read, Unix time; they are read once a second",
+        ),
+        Metric("trigpoint_build_info", "version", "the program's version", text="version"),
+        Metric("trigpoint_start_time_seconds", "started", "the start, Unix time"),
+        Metric("trigpoint_uptime_seconds", "uptime", "how long the node has been running"),
+        Metric("trigpoint_peers", "peers", "sessions on the bus that it is linked with"),
+        Metric(
+            "trigpoint_clock_set_by_seconds",
+            "clock_set_by",
+            "by how much this machine's clock was set and is not followed yet, else absent",
+        ),
+        Metric("trigpoint_sent_total", "sent {key}.total", "messages sent, by key"),
+        Metric("trigpoint_received_total", "received {key}.total", "sound ones, by key"),
+        Metric("trigpoint_rejected_total", "rejected.total", "messages that do not decode"),
+        Metric("trigpoint_unsent_total", "unsent.lost", "messages that could not be sent"),
+        Metric("trigpoint_queue_received_total", f"{_QUEUE}.total", "messages into a queue"),
+        Metric(
+            "trigpoint_queue_dropped_total", f"{_QUEUE}.lost", "messages that a full queue dropped"
+        ),
+        Metric("trigpoint_queue_depth", "{queue}.depth", "what waits in a queue"),
+    ),
+    "edge": (
+        Metric("trigpoint_pictures_total", "pictures.total", "pictures that came"),
+        Metric(
+            "trigpoint_picture_age_seconds",
+            "picture_age_s",
+            "since the newest sound, new picture came, or since the start; a frozen one is not new",
+        ),
+        Metric(
+            "trigpoint_pictures_passed_over_total",
+            "passed_over.total",
+            "pictures left out on purpose, to keep the site's rate",
+        ),
+        Metric(
+            "trigpoint_pictures_skipped_total",
+            "pictures.lost",
+            "pictures lost, as they came faster than they could be looked at",
+        ),
+        Metric(
+            "trigpoint_pictures_unusable_total",
+            "{reason:unreadable|frozen|out_of_order}.lost",
+            "pictures that the source spoilt",
+        ),
+        Metric(
+            "trigpoint_source_lost_total",
+            "source_lost.total",
+            "times that the source of pictures failed or could not be opened",
+        ),
+        Metric(
+            "trigpoint_source_state",
+            "source",
+            "1 for the state: opening, waiting, running, frozen, lost, ended",
+            text="state",
+        ),
+        Metric("trigpoint_stamps_info", "stamps", "1 for how pictures are stamped", text="stamped"),
+        Metric("trigpoint_faces_total", "faces.total", "faces of targets found"),
+        Metric(
+            "trigpoint_detections_given_up_total",
+            "given_up.lost",
+            "searches of a picture that were ended when its time was over",
+        ),
+        Metric(
+            "trigpoint_detection_seconds",
+            "detection_ms",
+            "what the search of the last picture took",
+        ),
+        Metric(
+            "trigpoint_sighting_delay_seconds",
+            "delay_ms",
+            "from the last picture's exposure until its sightings were sent",
+        ),
+        Metric(
+            "trigpoint_calibration_views",
+            "calibration_views",
+            "views kept for the command `calibrate`",
+        ),
+    ),
+    "robot": (
+        Metric("trigpoint_odometry_total", "odometry.total", "readings taken"),
+        Metric(
+            "trigpoint_odometry_ahead_of_clock_total",
+            "odometry_ahead_of_clock.lost",
+            "readings refused, since they are stamped in the future",
+        ),
+        Metric(
+            "trigpoint_odometry_lost_total",
+            "odometry_{reason:gaps|out_of_order|impossible|epochs|clock_off}.lost",
+            "gaps, readings refused, and counts begun anew",
+        ),
+        Metric(
+            "trigpoint_odometry_irregular_total",
+            "odometry_{reason:before_clock|unstamped|not_normalised|no_twist}.total",
+            "readings before the firmware's clock is known, and those that lacked something",
+        ),
+        Metric(
+            "trigpoint_odometry_ahead_seconds",
+            "odometry_ahead_ms",
+            "how far the clock of a robot on the bus is ahead",
+        ),
+        Metric("trigpoint_corrections_total", "corrections.total", "corrections judged"),
+        Metric(
+            "trigpoint_corrections_accepted_total",
+            "corrections_accepted.total",
+            "corrections that the robot took, or the bridge for a robot that takes none",
+        ),
+        Metric(
+            "trigpoint_corrections_refused_total",
+            "corrections_refused_{reason}.lost",
+            "corrections refused by the bridge, or `by_robot`",
+        ),
+        Metric(
+            "trigpoint_corrections_waiting_total",
+            "corrections_waiting.total",
+            "corrections that waited until enough of them agree on where the robot is",
+        ),
+        Metric(
+            "trigpoint_corrections_missing_total",
+            "corrections.lost",
+            "corrections that were sent and never came",
+        ),
+        Metric(
+            "trigpoint_corrections_held_total",
+            "corrections_held_by_the_clock.lost",
+            "corrections not handed on, since this machine's clock disagrees with fusion's",
+        ),
+        Metric(
+            "trigpoint_corrections_unanswered_total",
+            "corrections_unanswered.lost",
+            "corrections that the robot did not answer",
+        ),
+        Metric(
+            "trigpoint_correction_answer_seconds",
+            "correction_answer_ms",
+            "from the last correction's writing until the robot's answer",
+        ),
+        Metric(
+            "trigpoint_frames_established_total",
+            "frames_established.total",
+            "times that the robot was placed anew",
+        ),
+        Metric(
+            "trigpoint_localisation_state",
+            "localisation",
+            "1 for how the robot stands in the map",
+            text="state",
+        ),
+        Metric("trigpoint_port_open", "port_open", "1 where the port is open"),
+        Metric("trigpoint_port_opened_total", "port_opened", "times it was opened"),
+        Metric("trigpoint_robot_connected", "connected", "1 where the robot speaks"),
+        Metric(
+            "trigpoint_robot_connections_total",
+            "connections.total",
+            "times that the robot said who it is",
+        ),
+        Metric(
+            "trigpoint_firmware_restarts_total",
+            "firmware_restarts.lost",
+            "restarts of the robot's firmware",
+        ),
+        Metric(
+            "trigpoint_firmware_clock_seconds",
+            "firmware_clock_s",
+            "the firmware clock's reading, 0 if unknown",
+        ),
+        Metric(
+            "trigpoint_firmware_received_total",
+            "firmware_received",
+            "frames that the firmware says it received",
+        ),
+        Metric(
+            "trigpoint_firmware_rejected_total",
+            "firmware_rejected",
+            "frames that the firmware says it rejected",
+        ),
+        Metric(
+            "trigpoint_firmware_clock_round_trip_seconds",
+            "clock_round_trip_us",
+            "shortest round trip of a question for the firmware's clock",
+        ),
+        Metric(
+            "trigpoint_firmware_clock_drift_ratio",
+            "clock_drift_ppm",
+            "drift of the firmware's clock, seconds a second",
+        ),
+        Metric(
+            "trigpoint_firmware_clock_jumps_total", "clock_jumps", "jumps of the firmware's clock"
+        ),
+        Metric(
+            "trigpoint_clock_offset_seconds",
+            "clock_offset_ms",
+            "fusion's clock less this machine's",
+        ),
+        Metric(
+            "trigpoint_serial_errors_total",
+            "serial_{reason}_errors.lost",
+            "damaged frames on the line",
+        ),
+        Metric(
+            "trigpoint_serial_frames_missing_total",
+            "serial_frames_missing.lost",
+            "frames that the robot numbered and that never came",
+        ),
+    ),
+    "fusion": (
+        Metric("trigpoint_cameras_located", "cameras_located", "cameras in the network"),
+        Metric(
+            "trigpoint_cameras_undetermined",
+            "cameras_undetermined",
+            "cameras of the site file that are not located",
+        ),
+        Metric(
+            "trigpoint_cameras_worst_sigma_meters",
+            "worst_sigma_m",
+            "largest sigma of a located camera's position along an axis; NaN where none is located",
+        ),
+        Metric(
+            "trigpoint_observations_waiting",
+            "waiting",
+            "sightings and readings that wait for each other",
+        ),
+        Metric(
+            "trigpoint_left_out_total",
+            "left_out.{reason}.total",
+            "messages that are not used; those of a robot that stands still are no loss",
+        ),
+        Metric("trigpoint_faces_received_total", "faces.total", "faces in sightings"),
+        Metric(
+            "trigpoint_checkpoint_lost_total",
+            "checkpoint.lost",
+            "messages that could not be kept for the next start",
+        ),
+    ),
+    "recorder": (
+        Metric("trigpoint_recorded_total", "recorded {key}.total", "messages recorded, by key"),
+        Metric(
+            "trigpoint_recording_lost_total",
+            "file {key}.lost",
+            "messages that the disk was too slow for, or that it has no room for",
+        ),
+        Metric(
+            "trigpoint_disk_free_bytes", "disk_free_bytes", "left on the disk of the recordings"
+        ),
+    ),
+    "view": (
+        Metric("trigpoint_drawn_total", "drawn.total", "messages drawn"),
+        Metric("trigpoint_drawing_lost_total", "drawing.lost", "messages not drawn"),
+    ),
+}
+"""Whose diagnostics -> the rows of their values."""
+
+OTHERS = (
+    Metric("trigpoint_other_total", "{name}.total", "further counters, by name"),
+    Metric("trigpoint_other_lost_total", "{name}.lost", "further losses, by name"),
+    Metric("trigpoint_other", "{name}", "further gauges, by name"),
+)
+
+
+_IDENTITY = frozenset({"contract", "node", "process", "session"})
+
+
+def is_left_out(value: str) -> bool:
+    """Whether a value is no metric: who the node is, and rates, which Prometheus works out."""
+    return value in _IDENTITY or value.endswith(".rate")
+
+
+def metric_of(kind: str, value: str) -> tuple[Metric, dict[str, str]]:
+    """The metric of a value in the diagnostics of a node of this kind, and its own labels."""
+    for metric in (*METRICS.get(kind, ()), *METRICS[EVERY], *OTHERS):
+        labels = metric.match(value)
+        if labels is not None:
+            return metric, labels
+    raise AssertionError("the last of OTHERS takes every name")
