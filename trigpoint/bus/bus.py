@@ -139,6 +139,11 @@ class Bus(Protocol):
         ...
 
     @property
+    def certificate_days(self) -> float | None:
+        """Days until the session's certificate runs out, None if it shows none."""
+        ...
+
+    @property
     def unreached(self) -> tuple[str, ...]:
         """The endpoints in `bus.connect`, while the session is connected to nobody."""
         ...

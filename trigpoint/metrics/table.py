@@ -9,7 +9,7 @@ from functools import cache
 
 from trigpoint.contract.topics import TOPICS
 
-_SCALES = {"_ms": 1e-3, "_us": 1e-6, "_ppm": 1e-6}
+_SCALES = {"_days": 86400.0, "_ms": 1e-3, "_us": 1e-6, "_ppm": 1e-6}
 """Units in the names of values -> what makes Prometheus's unit of them."""
 
 
@@ -78,6 +78,11 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "trigpoint_clock_set_by_seconds",
             "clock_set_by",
             "by how much this machine's clock was set and is not followed yet, else absent",
+        ),
+        Metric(
+            "trigpoint_certificate_left_seconds",
+            "certificate_days",
+            "until the program's certificate runs out; absent on a site without certificates",
         ),
         Metric("trigpoint_sent_total", "sent {key}.total", "messages sent, by key"),
         Metric("trigpoint_received_total", "received {key}.total", "sound ones, by key"),

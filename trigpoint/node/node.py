@@ -264,6 +264,7 @@ class Node:
         values = (
             self._identity()
             | self._clock_values()
+            | self._certificate_values()
             | {"peers": str(len(self._bus.peers)), MET: self._peers.met}
             | report.values
         )
@@ -302,6 +303,10 @@ class Node:
     def _clock_values(self) -> dict[str, str]:
         set_by_ns = self.clock_set_by_ns
         return {CLOCK_SET_BY: f"{to_seconds(set_by_ns):+.3f}"} if set_by_ns else {}
+
+    def _certificate_values(self) -> dict[str, str]:
+        days = self._bus.certificate_days
+        return {} if days is None else {"certificate_days": f"{days:.1f}"}
 
     def _identity(self) -> dict[str, str]:
         return {

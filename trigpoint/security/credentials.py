@@ -9,6 +9,7 @@ import logging
 import os
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -234,6 +235,16 @@ def first_complaint(credentials: Iterable[Credentials]) -> str:
         return next((text for one in credentials if (text := one.complaint(now))), "")
     except ConfigError as reason:
         return str(reason)
+
+
+def least_days(credentials: Iterable[Credentials]) -> float | None:
+    """Days until the first of these certificates runs out; None without one, or if one cannot be
+    read, which `first_complaint` says."""
+    now = datetime.now(UTC)
+    with suppress(ConfigError):
+        ends = [load_certificate(one.certificate).not_valid_after_utc for one in credentials]
+        return min(((end - now) / timedelta(days=1) for end in ends), default=None)
+    return None
 
 
 def _check_match(file: Path, certificate: x509.Certificate, key: Path, identity: Identity) -> None:

@@ -17,6 +17,7 @@ MetricsAt = Annotated[
     typer.Option(
         "--metrics",
         metavar="HOST:PORT",
+        envvar="TRIGPOINT_METRICS",
         help="Where to serve Prometheus's /metrics, instead of [metrics] listen in the site file; "
         "port 0: one that is free. «off»: nowhere.",
     ),

@@ -131,6 +131,10 @@ class MemoryBus(Closing):
         return ""
 
     @property
+    def certificate_days(self) -> float | None:
+        return None
+
+    @property
     def unreached(self) -> tuple[str, ...]:
         return ()
 

@@ -61,11 +61,12 @@ class ZenohBus(Closing):
         connect: tuple[str, ...] = (),
         gate: Gate | None = None,
         warning: Callable[[], str] = str,
+        days_left: Callable[[], float | None] = lambda: None,
         datagrams: Datagrams | None = None,
     ) -> None:
         self._datagrams = datagrams
         self._session, self._locators, self._gate = session, locators, gate
-        self._warning = warning
+        self._warning, self._days_left = warning, days_left
         self._connect = connect
         # One outbox per delivery, so that a blocked delivery holds up no other.
         self._outboxes = {
@@ -96,6 +97,10 @@ class ZenohBus(Closing):
     @property
     def warning(self) -> str:
         return self._warning()
+
+    @property
+    def certificate_days(self) -> float | None:
+        return self._days_left()
 
     @property
     def unreached(self) -> tuple[str, ...]:

@@ -52,6 +52,7 @@ def open_bus(
             connect=settings.connect,
             gate=gate,
             warning=means.warning,
+            days_left=means.days_left,
             datagrams=_datagrams(site, settings, session),
         )
     except BaseException:
@@ -69,7 +70,9 @@ def open_router(site: Site, *others: Site) -> "ZenohBus":
     rate = site.router.picture_rate
     settings = router_settings(site.name, site.bus, means.door(), picture_rate=rate)
     session = open_session(settings)
-    return ZenohBus(session, locators=site.bus.listen, warning=means.warning)
+    return ZenohBus(
+        session, locators=site.bus.listen, warning=means.warning, days_left=means.days_left
+    )
 
 
 def _datagrams(site: Site, settings: Settings, session: zenoh.Session) -> "Datagrams | None":

@@ -33,6 +33,7 @@ class Means:
     door: Callable[[], Door | None] = lambda: None
     rules: Callable[[], object] | None = None
     warning: Callable[[], str] = str
+    days_left: Callable[[], float | None] = lambda: None
     keeps_gate: bool = True
 
 
@@ -73,7 +74,10 @@ def means_of(
     keeps_gate = listens and (me is not None or is_router)
     if not keeps_gate:
         return Means(
-            files, warning=lambda: credentials.first_complaint(shown), keeps_gate=not listens
+            files,
+            warning=lambda: credentials.first_complaint(shown),
+            days_left=lambda: credentials.least_days(shown),
+            keeps_gate=not listens,
         )
     shown.append(credentials.router_credentials(site))
     return Means(
@@ -81,6 +85,7 @@ def means_of(
         door=lambda: credentials.door(site, *others),
         rules=lambda: credentials.fingerprint(site, *others),
         warning=lambda: credentials.first_complaint(shown),
+        days_left=lambda: credentials.least_days(shown),
     )
 
 

@@ -16,6 +16,7 @@ from trigpoint.cli import run
 from trigpoint.contract.access import Kind
 from trigpoint.security.credentials import (
     first_complaint,
+    least_days,
     load_certificate,
     load_certificates,
     node_credentials,
@@ -108,6 +109,7 @@ def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path) -> None:
     folder = site.parent / "secure"
     before, trust = load_certificate(folder / "camera-c1.pem"), (folder / "trust.pem").read_bytes()
     credentials = node_credentials(load_site(site), Kind.CAMERA, "c1")
+    assert least_days([credentials]) == pytest.approx(10.0, abs=0.1)
     assert "runs out in 9 days; trigpoint secure renew camera c1" in first_complaint([credentials])
     assert secure(site, "renew", "camera", "c1") == 0
     after = load_certificate(folder / "camera-c1.pem")
@@ -116,6 +118,7 @@ def test_renewed_certificate_is_for_the_same_key_and_anchor(site: Path) -> None:
     assert after.not_valid_after_utc - datetime.now(UTC) > timedelta(days=364)
     assert (folder / "trust.pem").read_bytes() == trust
     assert first_complaint([credentials]) == ""
+    assert least_days([credentials]) == pytest.approx(365.0, abs=1.1)
 
 
 def test_router_that_moves_is_renewed_for_its_new_address(
