@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.pictures.boards import charuco, picture_of, placed, plain_picture, target_of
 
+from trigpoint.base.clock import Clock
 from trigpoint.bus.bus import Subscription
 from trigpoint.contract.cdr import decode
 from trigpoint.contract.topics import Topic
@@ -70,8 +71,9 @@ class Desk:
         self,
         *pictures: tuple[int, np.ndarray] | Frame | Exception,
         camera: str = "",
-        script: Iterator[tuple[int, np.ndarray] | Exception] | None = None,
+        script: Iterator[tuple[int, np.ndarray] | Frame | Exception] | None = None,
         target: Target | None = None,
+        clock: Clock | None = None,
     ) -> Node:
         """Start the agent on these pictures, or on those of a script; at a rate that leaves time
         for all of a picture on a busy machine, unless `camera` says one."""
@@ -80,7 +82,7 @@ class Desk:
         if not camera.startswith("rate"):
             text += "rate = 0.5\n"
         site = parse_site(text + '[robots.r1]\nport = "loop://"\n', directory=self.folder)
-        node = Node(self.bus, site="lab", kind="edge", name="c1")
+        node = Node(self.bus, site="lab", kind="edge", name="c1", clock=clock)
         agent = EdgeNode(self.bus, node, site, "c1", [target or target_of(BOARD)])
         self._stack.enter_context(node)
         agent.start()

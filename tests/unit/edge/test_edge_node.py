@@ -11,8 +11,10 @@ from support.builders import eventually
 from support.pictures.boards import checkerboard, picture_of, placed, target_of, worst_error
 from support.site.edge_desk import EMPTY, SEEN, VIEW, Desk, desk, taken
 
+from trigpoint.base.clock import ManualClock
 from trigpoint.contract.messages import Picture, Sightings
 from trigpoint.contract.topics import IMAGE, SIGHTINGS, command_key
+from trigpoint.edge.sources.frames import Frame
 
 __all__ = ["desk"]  # the fixture
 
@@ -95,6 +97,21 @@ def test_snapshot_is_the_latest_picture(desk: Desk) -> None:
     may_end.set()
     node.wait()
     assert difference(reply.payload, SEEN) < 5
+
+
+def test_age_of_the_newest_picture_grows_where_the_camera_is_frozen(desk: Desk) -> None:
+    clock = ManualClock()
+
+    def script() -> Iterator[tuple[int, np.ndarray] | Frame]:
+        clock.advance(2.0)
+        yield 1000, EMPTY
+        clock.advance(3.0)
+        yield Frame(EMPTY, 2000, is_frozen=True)
+        clock.advance(4.0)
+
+    node = desk.start(script=script(), clock=clock)
+    node.wait()
+    assert node.health.report().values["picture_age_s"] == "7"
 
 
 def test_target_is_said_when_it_is_first_seen_and_all_is_summed_up(

@@ -136,7 +136,10 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         map_id = run.ask("fusion/map")["map_id"]
         assert run.node.health.total("rejected") == 0
         assert eventually(lambda: run.node.health.report().values["cameras_located"] == "3")
-        told = run.node.health.report().values["cameras"]
+        values = run.node.health.report().values
+        assert values["cameras_undetermined"] == "0"
+        assert 0 < float(values["worst_sigma_m"]) < 0.1
+        told = values["cameras"]
         assert re.fullmatch(r"c1 ± [0-9.]+ cm, c2 ± [0-9.]+ cm, c3 ± [0-9.]+ cm", told)
         answered = run.ask("fusion/network")
     run.fusion.finish()
