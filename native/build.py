@@ -54,7 +54,7 @@ def built(
     """The library of these sources, built where it is not there yet.
 
     `target`: another machine as zig names it (`aarch64-linux-gnu.2.28`), this one where it is left
-    out; `strict`: warnings are errors; `sanitize`: for `make fuzz`, see `asan`. Raises BuildError.
+    out; `strict`: warnings are errors; `sanitize`: for `make fuzz`, see `sanitizers`. Raises BuildError.
     """
     compiler = _compiler(target)
     flags = [*FLAGS, *(SANITIZE if sanitize else ())]
@@ -88,17 +88,19 @@ def built(
     return library
 
 
-def asan() -> Path:
-    """What a program must load first (LD_PRELOAD) to use the sanitized library. Raises
-    BuildError where the compiler has none."""
-    command = [*_compiler(None), "-print-file-name=libasan.so"]
-    named = subprocess.run(
-        command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
-    )
-    found = Path(named.stdout.strip())
-    if not found.is_absolute():
-        raise BuildError("no address sanitizer: install g++ (apt-get install g++)")
-    return found.resolve()
+def sanitizers() -> list[Path]:
+    """What a program must load first (LD_PRELOAD) to use the sanitized library: the sanitizer, and
+    what throws, which it looks for as it is loaded. Raises BuildError where there is none."""
+    found = []
+    for name in ("libasan.so", "libstdc++.so.6"):
+        command = [*_compiler(None), f"-print-file-name={name}"]
+        named = subprocess.run(
+            command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
+        )
+        found.append(Path(named.stdout.strip()))
+        if not found[-1].is_absolute():
+            raise BuildError(f"no {name}: install g++ (apt-get install g++)")
+    return found
 
 
 def needs() -> list[str]:

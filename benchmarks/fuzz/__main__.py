@@ -35,7 +35,7 @@ def main() -> int:
     chosen = parser.parse_args()
     try:
         core = LIBRARY if chosen.plain else build.built(sanitize=True, library=build.SANITIZED)
-        preload = None if chosen.plain else build.asan()
+        preload = () if chosen.plain else build.sanitizers()
     except build.BuildError as error:
         print(f"fuzz: {error}", file=sys.stderr)
         return 2

@@ -31,7 +31,7 @@ class Work:
     seed: int
     numbers: range
     progress: Path
-    most_s: float = 10.0
+    most_s: float = 60.0
     calls: list[Call] | None = None
 
 

@@ -166,7 +166,8 @@ class Draw:
             return MOST_INDEX
         if axis == "c" and is_sound:  # columns of a Jacobian by all that it may have
             return 2 * (known["d"] + 6 + known["p"] + 2 * (known["t"] > 0) + 6 * known["f"])
-        return int(rng.integers(0, self._one_of((2, MOST_ROWS, 20 * MOST_ROWS))))
+        longest = MOST_ROWS if axis in "kbv" else 20 * MOST_ROWS
+        return int(rng.integers(0, self._one_of((2, MOST_ROWS, longest))))
 
     def _array(self, parameter: In, shape: tuple[int, ...]) -> np.ndarray:
         rng, scene = self.rng, self.scene

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 from .child import Work
 from .inputs import drawn
 
-BATCH = 5000
+BATCH = 2000
 # Of a child, with its start, on a busy machine; a single input's is processor time.
 MOST_WALL_S = 900.0
 MOST_BAD = 50
@@ -54,9 +55,9 @@ class Found:
     places: set[str] = field(default_factory=set)
 
 
-def ran(work: Work, preload: Path | None) -> Ending:
+def ran(work: Work, preload: Sequence[Path]) -> Ending:
     """Do the work in a child, until its end or its first bad input."""
-    environment = os.environ | OPTIONS | ({"LD_PRELOAD": str(preload)} if preload else {})
+    environment = os.environ | OPTIONS | {"LD_PRELOAD": " ".join(map(str, preload))}
     command = [sys.executable, "-m", "benchmarks.fuzz.child"]
     try:
         child = subprocess.run(
@@ -78,7 +79,7 @@ def ran(work: Work, preload: Path | None) -> Ending:
     return Ending(number, words or f"ended by signal {-status}")
 
 
-def fuzzed(work: Work, preload: Path | None, folder: Path, most_s: float) -> Found:
+def fuzzed(work: Work, preload: Sequence[Path], folder: Path, most_s: float) -> Found:
     """Do the work in as many children as there are cores; bad inputs go to `folder`."""
     found, lock, end = Found(), threading.Lock(), time.monotonic() + most_s
 

@@ -17,7 +17,7 @@ def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:
     kernels = all_kernels()
     count = 2 * VARIANTS * len(kernels)  # every kernel is met twice
     work = Work(str(LIBRARY), kernels, 1, range(count), tmp_path / "progress")
-    found = fuzzed(work, None, tmp_path, float("inf"))
+    found = fuzzed(work, (), tmp_path, float("inf"))
     assert (found.inputs, found.places) == (count, set())
 
 
@@ -25,9 +25,9 @@ def test_an_input_that_ends_the_program_is_written_down(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     work = Work("libc.so.6", (Kernel("abort", int),), 1, range(2), tmp_path / "progress")
-    found = fuzzed(work, None, tmp_path, float("inf"))
+    found = fuzzed(work, (), tmp_path, float("inf"))
     assert (found.inputs, found.bad) == (2, 2)
     [file] = tmp_path.glob("*.pickle")  # both are one fault
     assert str(file) in capsys.readouterr().out
     again = replace(pickle.loads(file.read_bytes()), progress=tmp_path / "again")
-    assert "signal 6" in ran(again, None).report
+    assert "signal 6" in ran(again, ()).report
