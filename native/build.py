@@ -54,7 +54,8 @@ def built(
     """The library of these sources, built where it is not there yet.
 
     `target`: another machine as zig names it (`aarch64-linux-gnu.2.28`), this one where it is left
-    out; `strict`: warnings are errors; `sanitize`: for `make fuzz`, see `sanitizers`. Raises BuildError.
+    out; `strict`: warnings are errors; `sanitize`: for a program that loads `sanitizers` first.
+    Raises BuildError.
     """
     compiler = _compiler(target)
     flags = [*FLAGS, *(SANITIZE if sanitize else ())]
@@ -69,7 +70,7 @@ def built(
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         used = list(pool.map(lambda source: _object(command, source, objects), sources))
     for old in set(objects.iterdir()) - set(used):
-        old.unlink()
+        old.unlink(missing_ok=True)
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         stamp = Path(folder) / "digest.cpp"

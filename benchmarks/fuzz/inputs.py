@@ -4,9 +4,10 @@ An input is one kernel's call, with the calls before it that its object needs. I
 seed and its number alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,13 +16,14 @@ from trigpoint.native.library import Handle, In, Kernel, Out
 from .kernels import OBJECTS, object_of
 from .scene import TEXELS, Scene
 
+T = TypeVar("T")
 POISON = (
     np.nan, np.inf, -np.inf, 1e300, -1e300, 1e18, -1e18, 3e9, -3e9, 1e-300, -1.0, 0.0, 0.5, 1e4,
 )  # fmt: skip
 POISON_INTS = (-1, 0, 1, 5, 1000, 2**31 - 1, -(2**31), 2**62, -(2**63), 2**63 - 1)
 FIT = 45
 # Parameters that must fit together before a kernel looks at more.
-SOUND: dict[str, Callable[[Scene], dict[int, object]]] = {
+SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_pattern_set": lambda scene: {1: scene.places, 2: 0 * scene.places, 3: 0.5, 4: 1.0},
     "tp_pattern_print": lambda scene: {1: scene.printed} | dict.fromkeys((2, 3, 4), float(TEXELS)),
     "tp_measured": lambda scene: {0: scene.shown, 3: scene.pixels, 5: np.array([0.4, 0.4, 0, 0])},
@@ -63,7 +65,7 @@ def drawn(kernels: tuple[Kernel, ...], seed: int, number: int) -> list[Call]:
     calls = [(kernel, list(map(_copy, values))) for kernel, values in _sound(kernels, seed, group)]
     if variant:
         rng = np.random.default_rng((seed, group, variant))
-        at = -1 if rng.random() < 0.8 else rng.integers(len(calls))
+        at = -1 if rng.random() < SOUND_SHARE else int(rng.integers(len(calls)))
         _spoil(rng, calls[at][1])
     return calls
 
@@ -104,6 +106,11 @@ def _spoil(rng: np.random.Generator, values: list[object]) -> None:
             values[at] = POISON[rng.integers(len(POISON))]
 
 
+def _is_free(value: object) -> bool:
+    """Whether none of a call's other arguments must be as long: a number's, a picture's."""
+    return not isinstance(value, np.ndarray) or value.dtype == np.uint8
+
+
 @dataclass(slots=True)
 class Draw:
     """Draws arguments about one scene; `lengths`: of the call's letters."""
@@ -118,14 +125,12 @@ class Draw:
         values = [self._argument(kernel, parameter) for parameter in kernel.parameters]
         if kernel.name in SOUND and self.rng.random() < SOUND_SHARE:
             for at, value in SOUND[kernel.name](self.scene).items():
-                drawn = values[at]
-                is_free = not isinstance(drawn, np.ndarray) or drawn.dtype == np.uint8
-                if is_free or np.shape(value) == drawn.shape:
+                if _is_free(values[at]) or np.shape(value) == getattr(values[at], "shape", ()):
                     values[at] = value
         return values
 
-    def _one_of(self, choices: Sequence[float]) -> float:
-        return choices[self.rng.integers(len(choices))]
+    def _one_of(self, choices: Sequence[T]) -> T:
+        return choices[int(self.rng.integers(len(choices)))]
 
     def _argument(self, kernel: Kernel, parameter: In | type) -> object:
         scene = self.scene
