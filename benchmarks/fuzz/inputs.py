@@ -4,6 +4,7 @@ An input is one kernel's call, with the calls before it that its object needs. I
 seed and its number alone.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -149,13 +150,15 @@ class Draw:
         if isinstance(axis, int):
             return axis
         if axis not in self.lengths:
-            is_room = axis in "nm" and parameter.is_written
+            is_room = (
+                parameter.is_written and parameter.shape[0] == axis and len(parameter.shape) == 2
+            )
             length = MOST_FOUND if is_room and self.rng.random() < 0.7 else self._free_length(axis)
             self.lengths[axis] = length
         return self.lengths[axis]
 
     def _free_length(self, axis: str) -> int:
-        rng, known = self.rng, self.lengths
+        rng, known = self.rng, defaultdict(lambda: 1, self.lengths)
         is_sound = rng.random() < 0.9
         if axis in "hw":
             return self.scene.size["hw".index(axis)]
@@ -167,11 +170,13 @@ class Draw:
             return int(self._one_of((0, known["n"])))
         if axis == "s" and is_sound:
             return int(self._one_of((0, 12)))
+        if axis == "q" and is_sound:  # unknowns, of which `s` are the derivatives
+            return known["s"] // 2
         if axis == "f" and is_sound:  # faces
             return MOST_INDEX
         if axis == "c" and is_sound:  # columns of a Jacobian by all that it may have
             return 2 * (known["d"] + 6 + known["p"] + 2 * (known["t"] > 0) + 6 * known["f"])
-        longest = MOST_ROWS if axis in "kbv" else 20 * MOST_ROWS
+        longest = 20 * MOST_ROWS if axis == "n" else MOST_ROWS
         return int(rng.integers(0, self._one_of((2, MOST_ROWS, longest))))
 
     def _array(self, parameter: In, shape: tuple[int, ...]) -> np.ndarray:
@@ -184,8 +189,8 @@ class Draw:
             return np.zeros(shape)
         if shape == (FIT,):
             return scene.fit
-        if shape[-2:] == (3, 3):
-            return np.eye(3) + self._one_of((0.0, 0.1)) * rng.normal(size=shape)
+        if len(shape) > 1 and shape[-1] == shape[-2]:
+            return np.eye(shape[-1]) + self._one_of((0.0, 0.1)) * rng.normal(size=shape)
         if parameter.shape[0] == "p":
             return np.resize([200.0, 200.0, 50.0, 40.0, 0.1, 0.01, 0.001, 0.0], shape)
         rows = (
@@ -200,4 +205,4 @@ class Draw:
         if len(shape) == 1 and rng.random() < 0.5:
             return np.arange(float(shape[0])) if rng.random() < 0.5 else np.ones(shape)
         values = self._one_of((0.0, 0.1, 1.0, 100.0)) * rng.normal(size=shape)
-        return values + np.array([0.0, 0.0, 3.0]) if shape[-1] == 3 else values
+        return values + np.array([0.0, 0.0, 3.0]) if shape[-1:] == (3,) else values
