@@ -69,7 +69,7 @@ def built(
     sources = sorted(_sources(".cpp"))
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         used = list(pool.map(lambda source: _object(command, source, objects), sources))
-    for old in set(objects.iterdir()) - set(used):
+    for old in set(objects.glob("*.o")) - set(used):
         old.unlink(missing_ok=True)
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -160,8 +160,9 @@ def _object(command: list[str], source: Path, folder: Path) -> Path:
     digest = _digest([], sorted(_with_headers(source, set())))
     made = folder / f"{source.stem}-{digest[-32:]}.o"
     if not made.exists():
-        _run([*command, str(source), "-o", str(made.with_suffix(".new"))])
-        made.with_suffix(".new").replace(made)
+        fresh = made.with_suffix(f".{os.getpid()}")  # somebody else may build it, too
+        _run([*command, str(source), "-o", str(fresh)])
+        fresh.replace(made)
     return made
 
 
