@@ -7,10 +7,11 @@ CORE := native/libtrigpoint_core.so
 CORE_SOURCES := $(wildcard native/*.py native/src/*.hpp native/src/*/*.[ch]pp)
 WITH_BENCH := $(VENV)/.installed-bench
 SEEDS ?= 100
+INPUTS ?= 1000000
 SITUATIONS ?=
 KINDS ?=
 
-.PHONY: demo core wheels test check lint types imports bench study compositions pictures clean
+.PHONY: demo core fuzz wheels test check lint types imports bench study compositions pictures clean
 
 demo: $(CORE)  ## the whole system on this machine, about a minute and a half
 	$(BIN)/trigpoint demo --out out/demo
@@ -57,6 +58,9 @@ core: $(CORE)  ## the compiled core, where its sources changed
 $(CORE): $(CORE_SOURCES) | $(INSTALLED)
 	$(BIN)/python native/build.py --strict
 	touch $@
+
+fuzz: $(CORE)  ## a million drawn inputs to the compiled core, under sanitizers (needs g++); what it finds goes to out/fuzz
+	$(BIN)/python -m benchmarks.fuzz --count $(INPUTS)
 
 # For machines without a compiler, on either kind: zig builds for both, against an old C library.
 wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist

@@ -1,12 +1,13 @@
-"""Builds the compiled core: `python native/build.py [--strict] [--target TARGET]`.
+"""Builds the compiled core: `python native/build.py [--strict] [--target TARGET] [--sanitize]`.
 
 With the system's C++ compiler where there is a usable one, else with `ziglang` from the Python
 registry, which also builds for other machines (decisions/0680). Nothing is built where the library
-is that of these sources.
+is that of these sources, and of its objects only those whose sources or headers are others.
 """
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,8 @@ from pathlib import Path
 ROOM = Path(__file__).resolve().parent
 SOURCES = ROOM / "src"
 LIBRARY = ROOM / "libtrigpoint_core.so"
+SANITIZED = ROOM.parent / "out" / "sanitized" / LIBRARY.name
+OBJECTS = ROOM.parent / "out" / "core"
 EIGEN = "cmeel-eigen==3.4.1"
 ZIG = "ziglang==0.17.1"
 # The same results on every machine: no fused multiplications, no instructions of this one alone.
@@ -28,6 +31,11 @@ FLAGS = (
     "-DNDEBUG", "-DEIGEN_MPL2_ONLY", "-DEIGEN_DONT_PARALLELIZE",
 )  # fmt: skip
 STRICT = ("-Wall", "-Wextra", "-Wshadow", "-Werror")
+# What reads or writes beside an array, or has no defined result, ends the program and says where.
+SANITIZE = (
+    "-O1", "-g", "-UNDEBUG", "-D_GLIBCXX_ASSERTIONS", "-fno-omit-frame-pointer",
+    "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
+)  # fmt: skip
 _TRIAL = "#include <vector>\nint main() { return std::vector<int>{}.size(); }\n"
 _MOST_SECONDS = 900
 
@@ -36,49 +44,64 @@ class BuildError(Exception):
     """The core cannot be built; the message says what to do."""
 
 
-def built(*, target: str | None = None, strict: bool = False, library: Path = LIBRARY) -> Path:
+def built(
+    *,
+    target: str | None = None,
+    strict: bool = False,
+    sanitize: bool = False,
+    library: Path = LIBRARY,
+) -> Path:
     """The library of these sources, built where it is not there yet.
 
     `target`: another machine as zig names it (`aarch64-linux-gnu.2.28`), this one where it is left
-    out; `strict`: warnings are errors. Raises BuildError.
+    out; `strict`: warnings are errors; `sanitize`: for a program that loads `sanitizers` first.
+    Raises BuildError.
     """
     compiler = _compiler(target)
-    flags = [*FLAGS, *(STRICT if strict else ()), f"-I{SOURCES}", f"-isystem{_eigen()}"]
-    digest = _digest([*compiler[-3:], *flags[: len(FLAGS)]])
+    flags = [*FLAGS, *(SANITIZE if sanitize else ())]
+    digest = _digest([*compiler[-3:], *flags], sorted(_sources(".cpp", ".hpp")))
     if library.exists() and digest.encode() in library.read_bytes():
         return library
+    flags += STRICT if strict else ()
+    command = [*compiler, *flags, f"-I{SOURCES}", f"-isystem{_eigen()}", "-c"]
+    objects = OBJECTS / _digest([*compiler[-3:], *flags, EIGEN], ())[-16:]
+    objects.mkdir(parents=True, exist_ok=True)
+    sources = sorted(_sources(".cpp"))
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        used = list(pool.map(lambda source: _object(command, source, objects), sources))
+    for old in set(objects.glob("*.o")) - set(used):
+        old.unlink(missing_ok=True)
+    library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        sources = sorted(SOURCES.rglob("*.cpp"))
-        objects = [Path(folder) / f"{number}.o" for number in range(len(sources))]
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            jobs = [
-                pool.submit(_run, [*compiler, *flags, "-c", str(source), "-o", str(to)])
-                for source, to in zip(sources, objects, strict=True)
-            ]
-        for job in jobs:
-            job.result()
         stamp = Path(folder) / "digest.cpp"
         stamp.write_text(
             'extern "C" __attribute__((visibility("default"))) '
             f'const char tp_digest[] = "{digest}";\n'
         )
         fresh = Path(folder) / library.name
-        _run(
-            [
-                *compiler,
-                "-shared",
-                "-fPIC",
-                "-Wl,-z,defs",
-                *map(str, objects),
-                str(stamp),
-                "-o",
-                str(fresh),
-            ]
-        )
+        # The sanitizers' functions are the program's, which has them loaded first.
+        whole = SANITIZE if sanitize else ("-Wl,-z,defs",)
+        parts = [*map(str, used), str(stamp), "-o", str(fresh)]
+        _run([*compiler, "-shared", "-fPIC", *whole, *parts])
         # A program that has the old one loaded keeps it.
         shutil.copy(fresh, library.with_suffix(".new"))
         library.with_suffix(".new").replace(library)
     return library
+
+
+def sanitizers() -> list[Path]:
+    """What a program must load first (LD_PRELOAD) to use the sanitized library: the sanitizer, and
+    what throws, which it looks for as it is loaded. Raises BuildError where there is none."""
+    found = []
+    for name in ("libasan.so", "libstdc++.so.6"):
+        command = [*_compiler(None), f"-print-file-name={name}"]
+        named = subprocess.run(
+            command, capture_output=True, text=True, timeout=_MOST_SECONDS, check=False
+        )
+        found.append(Path(named.stdout.strip()))
+        if not found[-1].is_absolute():
+            raise BuildError(f"no {name}: install g++ (apt-get install g++)")
+    return found
 
 
 def needs() -> list[str]:
@@ -120,13 +143,36 @@ def _eigen() -> Path:
     raise BuildError(f"Eigen's headers are missing: `pip install {EIGEN}`")
 
 
-def _digest(command: Sequence[str]) -> str:
-    """Of the sources and of how they are compiled."""
-    sources = sorted(path for path in SOURCES.rglob("*") if path.suffix in (".cpp", ".hpp"))
+def _sources(*suffixes: str) -> list[Path]:
+    return [path for path in SOURCES.rglob("*") if path.suffix in suffixes]
+
+
+def _digest(command: Sequence[str], sources: Sequence[Path]) -> str:
+    """Of sources and of how they are compiled."""
     digest = sha256(" ".join(command).encode())
     for path in sources:
         digest.update(path.relative_to(SOURCES).as_posix().encode() + path.read_bytes())
     return f"trigpoint-core/{digest.hexdigest()}"
+
+
+def _object(command: list[str], source: Path, folder: Path) -> Path:
+    """The object of a source in `folder`, compiled where that has none of it and its headers."""
+    digest = _digest([], sorted(_with_headers(source, set())))
+    made = folder / f"{source.stem}-{digest[-32:]}.o"
+    if not made.exists():
+        fresh = made.with_suffix(f".{os.getpid()}")  # somebody else may build it, too
+        _run([*command, str(source), "-o", str(fresh)])
+        fresh.replace(made)
+    return made
+
+
+def _with_headers(source: Path, known: set[Path]) -> set[Path]:
+    """A source and the core's headers that it includes, and those that they include."""
+    if source not in known:
+        known.add(source)
+        for name in re.findall(r'^#include "(.+)"', source.read_text(), re.MULTILINE):
+            _with_headers(SOURCES / name, known)
+    return known
 
 
 def _run(command: list[str]) -> None:
@@ -142,10 +188,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Builds the compiled core.")
     parser.add_argument("--strict", action="store_true", help="warnings are errors")
     parser.add_argument("--target", help="another machine, as zig names it")
-    parser.add_argument("--out", type=Path, default=LIBRARY, help="the library to write")
+    parser.add_argument("--sanitize", action="store_true", help="for `make fuzz`")
+    parser.add_argument("--out", type=Path, help="the library to write")
     chosen = parser.parse_args()
+    library = chosen.out or (SANITIZED if chosen.sanitize else LIBRARY)
     try:
-        built(target=chosen.target, strict=chosen.strict, library=chosen.out)
+        built(target=chosen.target, strict=chosen.strict, sanitize=chosen.sanitize, library=library)
     except BuildError as error:
         sys.exit(f"build: {error}")
 

@@ -44,8 +44,8 @@ class Kernel:
     number, or `Handle` for an object of the core."""
 
     def __init__(self, name: str, *parameters: In | type) -> None:
-        self._name = name
-        self._parameters = parameters
+        self.name = name
+        self.parameters = parameters
 
     def __call__(self, *values: object) -> int:
         """What the function counts, 0 or more.
@@ -53,21 +53,21 @@ class Kernel:
         Raises TypeError or ValueError where an argument is not as declared, MemoryError,
         RuntimeError with the core's own words.
         """
-        if len(values) != len(self._parameters):
-            raise TypeError(f"{self._name} takes {len(self._parameters)} arguments")
+        if len(values) != len(self.parameters):
+            raise TypeError(f"{self.name} takes {len(self.parameters)} arguments")
         lengths: dict[str, int] = {}
         arguments = b"".join(
             [
                 self._packed(value, parameter, lengths)
-                for value, parameter in zip(values, self._parameters, strict=True)
+                for value, parameter in zip(values, self.parameters, strict=True)
             ]
         )
         error = ctypes.create_string_buffer(_ERROR_BYTES)
-        count = _function(self._name)(arguments, error)
+        count = _function(self.name)(arguments, error)
         if count >= 0:
             return count
         text = error.value.decode(errors="replace")
-        raise MemoryError(text) if count == _NO_MEMORY else RuntimeError(f"{self._name}: {text}")
+        raise MemoryError(text) if count == _NO_MEMORY else RuntimeError(f"{self.name}: {text}")
 
     def _packed(self, value: object, parameter: In | type, lengths: dict[str, int]) -> bytes:
         if isinstance(parameter, In):
@@ -78,24 +78,24 @@ class Kernel:
             return _INT.pack(value)
         if parameter is Handle and isinstance(value, Handle):
             return _HANDLE.pack(value.address)
-        raise TypeError(f"{self._name} takes {parameter.__name__}, not {type(value).__name__}")
+        raise TypeError(f"{self.name} takes {parameter.__name__}, not {type(value).__name__}")
 
     def _packed_array(self, value: object, parameter: In, lengths: dict[str, int]) -> bytes:
         if not isinstance(value, np.ndarray) or value.dtype != parameter.dtype:
             kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
-            raise TypeError(f"{self._name} takes {parameter.dtype.__name__} arrays, not {kind}")
+            raise TypeError(f"{self.name} takes {parameter.dtype.__name__} arrays, not {kind}")
         shape = value.shape
         is_fit = len(shape) == len(parameter.shape) and all(
             length == (lengths.setdefault(axis, length) if isinstance(axis, str) else axis)
             for axis, length in zip(parameter.shape, shape, strict=True)
         )
         if not is_fit:
-            raise ValueError(f"{self._name} takes shape {parameter.shape}, not {shape}")
+            raise ValueError(f"{self.name} takes shape {parameter.shape}, not {shape}")
         flags = value.flags
         if not flags.c_contiguous or not flags.aligned:
-            raise ValueError(f"{self._name} takes arrays that lie in one piece")
+            raise ValueError(f"{self.name} takes arrays that lie in one piece")
         if parameter.is_written and not flags.writeable:
-            raise ValueError(f"{self._name} writes to an array that is read-only")
+            raise ValueError(f"{self.name} writes to an array that is read-only")
         address = value.__array_interface__["data"][0]
         return _ARRAY.pack(address, *shape, *(0, 0, 0)[len(shape) :])
 

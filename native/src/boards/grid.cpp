@@ -213,7 +213,8 @@ private:
     };
 
     static std::int64_t key(int x, int y) {
-        return (static_cast<std::int64_t>(x) << 32) ^ static_cast<std::uint32_t>(y);
+        return (static_cast<std::int64_t>(x) * (std::int64_t{1} << 32)) ^
+               static_cast<std::uint32_t>(y);
     }
 
     // Whether a step leads about where the grid's other steps beside and before it say.

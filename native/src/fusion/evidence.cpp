@@ -72,7 +72,8 @@ TRIGPOINT_KERNEL(tp_innovation) {
     if (known.info() != Eigen::Success) return 0;
     const Eigen::LLT<Matrix6d> own(known.solve(Matrix6d::Identity()));
     if (own.info() != Eigen::Success) return 0;
-    const Wide whitened = own.matrixL().solve(known.solve(across));
+    Wide whitened = across;  // Eigen solves for no column by an address that is none
+    if (unknowns > 0) whitened = own.matrixL().solve(known.solve(across));
     const In<Eigen::Dynamic, Eigen::Dynamic> covariance(arguments[4].array.as<double>(), unknowns,
                                                         unknowns);
     const Matrix6d seen = whitened * covariance * whitened.transpose();

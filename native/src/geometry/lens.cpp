@@ -6,10 +6,7 @@
 
 namespace trigpoint {
 
-Lens::Lens(const double* parameters, Eigen::Index count)
-    : coefficients_(count - 4),
-      focal_(parameters[0], parameters[1]),
-      centre_(parameters[2], parameters[3]) {
+Lens::Lens(const double* parameters, Eigen::Index count) : coefficients_(count - 4) {
     switch (coefficients_) {
         case 5:
             model_ = Model::PLUMB_BOB;
@@ -23,6 +20,8 @@ Lens::Lens(const double* parameters, Eigen::Index count)
         default:
             throw std::invalid_argument("no lens model has so many parameters");
     }
+    focal_ = {parameters[0], parameters[1]};
+    centre_ = {parameters[2], parameters[3]};
     std::copy(parameters + 4, parameters + count, k_);
 }
 

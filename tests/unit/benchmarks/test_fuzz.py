@@ -1,0 +1,33 @@
+"""The core's fuzzer: no kernel falls, and one that does is written down to be made again."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks.fuzz.child import Work
+from benchmarks.fuzz.inputs import VARIANTS
+from benchmarks.fuzz.kernels import all_kernels
+from benchmarks.fuzz.runner import fuzzed, ran
+from trigpoint.native.library import LIBRARY, Kernel
+
+
+def test_no_drawn_input_harms_the_core(tmp_path: Path) -> None:
+    kernels = all_kernels()
+    count = 2 * VARIANTS * len(kernels)  # every kernel is met twice
+    work = Work(str(LIBRARY), kernels, 1, range(count), tmp_path / "progress")
+    found = fuzzed(work, (), tmp_path, float("inf"))
+    assert (found.inputs, found.places) == (count, set())
+
+
+def test_an_input_that_ends_the_program_is_written_down(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    work = Work("libc.so.6", (Kernel("abort", int),), 1, range(2), tmp_path / "progress")
+    found = fuzzed(work, (), tmp_path, float("inf"))
+    assert (found.inputs, found.bad) == (2, 2)
+    [file] = tmp_path.glob("*.pickle")  # both are one fault
+    assert str(file) in capsys.readouterr().out
+    again = replace(pickle.loads(file.read_bytes()), progress=tmp_path / "again")
+    assert "signal 6" in ran(again, ()).report
