@@ -13,7 +13,7 @@ from support.fusion.drives import Session
 from support.fusion.networks import assert_same_places
 from support.fusion.solvers import SlowSolver, StuckSolver
 
-from trigpoint.base.clock import SystemClock
+from trigpoint.base.clock import Clock, SystemClock
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Publisher
 from trigpoint.contract import cdr
@@ -44,7 +44,7 @@ class Feed(Protocol):
 
 @contextmanager
 def running(
-    inputs: Inputs, out: Path, make: Callable[[], Solver]
+    inputs: Inputs, out: Path, make: Callable[[], Solver], clock: Clock | None = None
 ) -> Iterator[tuple[FusionNode, Node, Feed]]:
     """A fusion node with a solver, and what publishes messages to it."""
     broker = MemoryBroker()
@@ -53,7 +53,7 @@ def running(
         broker.session() as other,
         Node(bus, site="lab", kind="fusion", name="fusion") as node,
     ):
-        fusion = FusionNode(bus, node, inputs, out, SystemClock(), solver=make)
+        fusion = FusionNode(bus, node, inputs, out, clock or SystemClock(), solver=make)
         fusion.start()
 
         def feed(messages: Messages, *, is_awaited: bool = True) -> None:
@@ -101,9 +101,18 @@ def test_process_solves_and_a_stop_has_its_last_solution(
     assert_same_places(load_network(tmp_path), charuco_results.network)
 
 
+class LongQuarter(SystemClock):
+    """Its durations are a tenth of what they are: a stop's quarter of a second lasts, however busy
+    the machine is."""
+
+    def elapsed_ns(self) -> int:
+        return super().elapsed_ns() // 10
+
+
 def test_what_came_before_a_stop_is_taken_in(charuco: Session, tmp_path: Path) -> None:
     odometry = tuple((n, m) for n, m in charuco.messages if isinstance(m, Odometry))[:200]
-    with running(charuco.inputs, tmp_path, lambda: SlowSolver(charuco.inputs)) as (_, node, feed):
+    inputs = charuco.inputs
+    with running(inputs, tmp_path, lambda: SlowSolver(inputs), LongQuarter()) as (_, node, feed):
         feed(odometry[:100])
         feed(odometry[100:], is_awaited=False)
         node.stop()
