@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from struct import Struct
+from typing import ClassVar
 from weakref import finalize
 
 import numpy as np
@@ -41,7 +42,7 @@ class Out(In):
 
 class Kernel:
     """One function of the core. Its parameters in order: `In`, `Out`, or `int`, `float` for a
-    number, or `Handle` for an object of the core."""
+    number, or a kind of `Handle` for an object of the core."""
 
     def __init__(self, name: str, *parameters: In | type) -> None:
         self.name = name
@@ -76,7 +77,7 @@ class Kernel:
             return _FLOAT.pack(value)
         if parameter is int and isinstance(value, int | np.integer):
             return _INT.pack(value)
-        if parameter is Handle and isinstance(value, Handle):
+        if issubclass(parameter, Handle) and isinstance(value, parameter):
             return _HANDLE.pack(value.address)
         raise TypeError(f"{self.name} takes {parameter.__name__}, not {type(value).__name__}")
 
@@ -101,15 +102,18 @@ class Kernel:
 
 
 class Handle:
-    """An object of the core, freed with this one; for one thread at a time. `name`: of the two
-    functions `…_new` and `…_free`."""
+    """An object of the core, freed with this one; for one thread at a time. Each kind is a class of
+    its own, by which kernels take it; `name`: of its two functions `…_new` and `…_free`."""
 
-    def __init__(self, name: str) -> None:
+    name: ClassVar[str]
+
+    def __init__(self) -> None:
         made = ctypes.c_void_p()
-        if _function(f"{name}_new")(ctypes.byref(made), ctypes.create_string_buffer(_ERROR_BYTES)):
-            raise MemoryError(f"{name}: no memory is left")
+        new = _function(f"{self.name}_new")
+        if new(ctypes.byref(made), ctypes.create_string_buffer(_ERROR_BYTES)):
+            raise MemoryError(f"{self.name}: no memory is left")
         self.address = made.value
-        finalize(self, _function(f"{name}_free"), made, None)
+        finalize(self, _function(f"{self.name}_free"), made, None)
 
 
 _MAKE = "run `make core` in a checkout, or install Trigpoint again"

@@ -37,12 +37,12 @@ class Work:
 
 def make(calls: Sequence[Call]) -> None:
     """Make an input's calls; that the core refuses one is as good as an answer."""
-    objects: dict[str, Handle] = {}
+    objects: dict[type[Handle], Handle] = {}
     for kernel, values in calls:
         for value in values:
-            if isinstance(value, Made) and value.name not in objects:
-                objects[value.name] = Handle(value.name)
-        given = [objects[value.name] if isinstance(value, Made) else value for value in values]
+            if isinstance(value, Made) and value.kind not in objects:
+                objects[value.kind] = value.kind()
+        given = [objects[value.kind] if isinstance(value, Made) else value for value in values]
         with suppress(RuntimeError, MemoryError):
             kernel(*given)
 

@@ -52,9 +52,9 @@ MOST_INDEX = 3
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """Stands for an object of the core of that name, made anew for each input."""
+    """Stands for an object of the core of that kind, made anew for each input."""
 
-    name: str
+    kind: type[Handle]
 
 
 Call = tuple[Kernel, list[object]]
@@ -81,8 +81,8 @@ def _sound(kernels: tuple[Kernel, ...], seed: int, group: int) -> list[Call]:
     rng = np.random.default_rng((seed, group))
     kernel = kernels[group % len(kernels)]
     chain = [kernel]
-    if Handle in kernel.parameters:
-        names = OBJECTS[object_of(kernel)]
+    if name := object_of(kernel):
+        names = OBJECTS[name]
         mates = [mate for name in names for mate in kernels if mate.name == name]
         if rng.random() < SOUND_SHARE:
             chain = mates[: mates.index(kernel) + 1]
@@ -123,7 +123,7 @@ class Draw:
     def arguments(self, kernel: Kernel) -> list[object]:
         """Such as the kernel's declaration lets pass."""
         self.lengths = {}
-        values = [self._argument(kernel, parameter) for parameter in kernel.parameters]
+        values = [self._argument(parameter) for parameter in kernel.parameters]
         if kernel.name in SOUND and self.rng.random() < SOUND_SHARE:
             for at, value in SOUND[kernel.name](self.scene).items():
                 if _is_free(values[at]) or np.shape(value) == getattr(values[at], "shape", ()):
@@ -133,14 +133,14 @@ class Draw:
     def _one_of(self, choices: Sequence[T]) -> T:
         return choices[int(self.rng.integers(len(choices)))]
 
-    def _argument(self, kernel: Kernel, parameter: In | type) -> object:
+    def _argument(self, parameter: In | type) -> object:
         scene = self.scene
         if isinstance(parameter, In):
             shape = tuple(self._length(axis, parameter) for axis in parameter.shape)
             drawn = self._array(parameter, shape)
             return np.array(np.broadcast_to(drawn, shape), parameter.dtype, order="C")
-        if parameter is Handle:
-            return Made(object_of(kernel))
+        if issubclass(parameter, Handle):
+            return Made(parameter)
         if parameter is int:
             return int(self._one_of((0, 1, 1, 2, scene.columns, scene.rows, max(scene.size))))
         height, width = scene.size

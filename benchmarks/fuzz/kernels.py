@@ -4,7 +4,7 @@ import importlib
 from pathlib import Path
 
 import trigpoint
-from trigpoint.native.library import Kernel
+from trigpoint.native.library import Handle, Kernel
 
 _PARTS = ("edge", "fusion")
 # The core's objects, and the kernels that take one, in the order in which they make sense.
@@ -29,5 +29,6 @@ def all_kernels() -> tuple[Kernel, ...]:
 
 
 def object_of(kernel: Kernel) -> str:
-    """The name of the object that a kernel with a `Handle` takes."""
-    return next(name for name, kernels in OBJECTS.items() if kernel.name in kernels)
+    """The name of the object that a kernel takes, "" where it takes none."""
+    kinds = (each for each in kernel.parameters if isinstance(each, type))
+    return next((kind.name for kind in kinds if issubclass(kind, Handle)), "")

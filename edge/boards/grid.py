@@ -12,11 +12,18 @@ from trigpoint.native.library import Handle, In, Kernel, Out
 MOST_CORNERS = 800
 _LEAST_CORNERS = 4
 
+
+class _Curvature(Handle):
+    """A picture's curvature and what was found in it, kept for the next picture."""
+
+    name = "tp_curvature"
+
+
 GRID = In(np.float64, ("n", 5))  # as `Grid.rows`
-_SADDLES = Kernel("tp_saddles", Handle, In(np.uint8, ("h", "w")))
-_GRIDS = Kernel("tp_grids", Handle, Out(np.float64, ("n", 5)), Out(np.float64, ("m",)))
+_SADDLES = Kernel("tp_saddles", _Curvature, In(np.uint8, ("h", "w")))
+_GRIDS = Kernel("tp_grids", _Curvature, Out(np.float64, ("n", 5)), Out(np.float64, ("m",)))
 _CLEANED = Kernel("tp_cleaned", GRID, Out(np.float64, ("n", 5)))
-_GROWN = Kernel("tp_grown", Handle, GRID, int, Out(np.float64, ("m", 5)))
+_GROWN = Kernel("tp_grown", _Curvature, GRID, int, Out(np.float64, ("m", 5)))
 # More than a grid can grow to: two lines of places on each side, a few times over.
 _MOST_GROWN = 8 * MOST_CORNERS
 
@@ -68,7 +75,7 @@ class GridSearch:
     """Finds grids in one picture after the other, and keeps the last one; for one thread."""
 
     def __init__(self) -> None:
-        self._curvature = Handle("tp_curvature")
+        self._curvature = _Curvature()
         self._rows = np.empty((_MOST_GROWN, 5))
         self._sizes = np.empty(MOST_CORNERS // _LEAST_CORNERS)
 

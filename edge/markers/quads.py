@@ -13,8 +13,15 @@ from trigpoint.native.library import Handle, In, Kernel, Out
 MOST_PIECES = 800
 _PASSES = 2
 
+
+class _Search(Handle):
+    """Memory for a search, kept for the next picture."""
+
+    name = "tp_quad_search"
+
+
 _QUADS = Kernel(
-    "tp_quads", Handle, In(np.uint8, ("h", "w")), int, int, int, Out(np.float64, ("n", 8))
+    "tp_quads", _Search, In(np.uint8, ("h", "w")), int, int, int, Out(np.float64, ("n", 8))
 )
 
 
@@ -25,7 +32,7 @@ class QuadFinder:
     """
 
     def __init__(self, *, parts_touching: bool = False) -> None:
-        self._search = Handle("tp_quad_search")
+        self._search = _Search()
         self._quads = np.empty((_PASSES * MOST_PIECES, 8))
         self._parts_touching = parts_touching
 

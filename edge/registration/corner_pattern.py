@@ -11,9 +11,16 @@ from trigpoint.site.target import Face, Pattern
 
 from .printed_pattern import printed_patterns
 
+
+class Print(Handle):
+    """What a face has around its corners, in the core."""
+
+    name = "tp_pattern"
+
+
 _POINTS = In(np.float64, ("n", 2))
-_SET = Kernel("tp_pattern_set", Handle, _POINTS, _POINTS, float, float)
-_PRINT = Kernel("tp_pattern_print", Handle, In(np.uint8, ("h", "w")), float, float, float)
+_SET = Kernel("tp_pattern_set", Print, _POINTS, _POINTS, float, float)
+_PRINT = Kernel("tp_pattern_print", Print, In(np.uint8, ("h", "w")), float, float, float)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +34,7 @@ class CornerPattern:
     points: Array
     reach: float
     outward: Array
-    core: Handle
+    core: Print
 
     @classmethod
     @cache
@@ -45,9 +52,9 @@ class CornerPattern:
         return cls(face, points, reach, outward, _core(face, points, outward, reach))
 
 
-def _core(face: Face, points: Array, outward: Array, reach: float) -> Handle:
+def _core(face: Face, points: Array, outward: Array, reach: float) -> Print:
     """The same for the core, with what is printed at every level."""
-    pattern = Handle("tp_pattern")
+    pattern = Print()
     _SET(pattern, np.ascontiguousarray(points), outward, reach, face.square)
     for printed in printed_patterns(face):
         _PRINT(pattern, printed.texels, printed.scale, *printed.offset.tolist())

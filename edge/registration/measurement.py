@@ -8,11 +8,11 @@ import numpy as np
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.image.median import median
 from trigpoint.geometry.rotation import Array
-from trigpoint.native.library import Handle, In, Kernel, Out
+from trigpoint.native.library import In, Kernel, Out
 
 from .appearance import Appearance
 from .blur import SHARP, Blur
-from .corner_pattern import CornerPattern
+from .corner_pattern import CornerPattern, Print
 from .planar_fit import FIT, PlanarFit
 from .template_search import found_by_template
 
@@ -24,7 +24,7 @@ SURE_PX = 2.0
 _MEASURED = Kernel(
     "tp_measured",
     In(np.uint8, ("h", "w")),
-    Handle,
+    Print,
     In(np.float64, (FIT,)),
     In(np.float64, ("n", 2)),
     int,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trigpoint.native.library import In, Kernel, Out
+from trigpoint.native.library import Handle, In, Kernel, Out
 
 SAMPLED = Kernel(
     "tp_sampled", In(np.uint8, ("h", "w")), In(np.float64, ("n", 2)), Out(np.float64, ("n",))
@@ -45,3 +45,18 @@ def test_a_missing_argument_is_refused() -> None:
 def test_a_library_of_other_sources_says_what_to_do() -> None:
     with pytest.raises(ImportError, match="make core"):
         Kernel("tp_no_such_function")()
+
+
+def test_an_object_of_another_kind_is_refused() -> None:
+    class Other(Handle):
+        name = "tp_pattern"
+
+    class Search(Handle):
+        name = "tp_quad_search"
+
+    found = np.empty((4, 8))
+    quads = Kernel(
+        "tp_quads", Search, In(np.uint8, ("h", "w")), int, int, int, Out(np.float64, ("n", 8))
+    )
+    with pytest.raises(TypeError, match="tp_quads takes Search, not Other"):
+        quads(Other(), np.zeros((8, 8), np.uint8), 4, 800, 2, found)
