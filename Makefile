@@ -35,8 +35,8 @@ imports: $(INSTALLED)
 
 bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
 	$(BIN)/python -m benchmarks
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.stops
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.fire
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.stops
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.fire
 
 study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
@@ -51,7 +51,7 @@ compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it
 
 pictures: $(CORE)  ## the README's pictures, from the demo in out/demo, by Debian's chromium
 	test -e out/demo/report.html || $(MAKE) demo
-	$(BIN)/python -m benchmarks.pictures out/demo
+	$(BIN)/python -m benchmarks.pictures.readme out/demo
 
 core: $(CORE)  ## the compiled core, where its sources changed
 

@@ -15,7 +15,7 @@ from trigpoint.contract.topics import Topic
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.recorder.writing.sink import McapSink
 
-from .messages import odometry, picture
+from .network.messages import odometry, picture
 from .table import Row, share_of
 from .timing import timed
 

@@ -6,17 +6,17 @@ from importlib import import_module
 from importlib.util import find_spec
 
 BENCHMARKS: dict[str, str] = {
-    "detection": "detection:run",
-    "world": "world_detection:run",
-    "messages": "messages:run",
-    "bus": "bus:run",
+    "detection": "pictures.detection:run",
+    "world": "pictures.world_detection:run",
+    "messages": "network.messages:run",
+    "bus": "network.bus:run",
     "recorder": "recorder:run",
-    "calibration": "calibration:run",
-    "capacity": "capacity:run",
-    "agent": "agent:run",
-    "estimator": "estimator_speed:run",
-    "live": "live:run",
-    "gtsam": "gtsam_comparison:run",
+    "calibration": "fusion.calibration:run",
+    "capacity": "pictures.capacity:run",
+    "agent": "pictures.agent:run",
+    "estimator": "fusion.estimator_speed:run",
+    "live": "fusion.live:run",
+    "gtsam": "fusion.gtsam_comparison:run",
     "said_rightly": "said_rightly:run",
 }
 

@@ -11,9 +11,8 @@ CONTRACT = 1
 
 TYPE_CHECKING = False  # as typing's, which takes as long to import as all of this
 if TYPE_CHECKING:
-    from .api import plugins
-    from .api.calibration import Calibration, calibrate
-    from .api.networks import (
+    from trigpoint.api.calibration import Calibration, calibrate
+    from trigpoint.api.networks import (
         Alternative,
         Camera,
         EarlierPose,
@@ -23,16 +22,18 @@ if TYPE_CHECKING:
         read_network,
         read_trajectory,
     )
-    from .api.pictures import Lens, detect, detect_all, intrinsics, read_target
-    from .api.sessions import Session, open_session, write_session
-    from .base.errors import InputError, MissingExtraError, OperationError, TrigpointError
-    from .contract.messages import FaceSighting, Sightings
-    from .fusion.estimators.residuals import CameraResiduals
-    from .geometry.camera import CameraModel
-    from .geometry.pose import Pose
-    from .site.target import Target
-    from .tools.networks.distances import Distances
-    from .tools.networks.truth import CameraError, NetworkError
+    from trigpoint.api.pictures import Lens, detect, detect_all, intrinsics, read_target
+    from trigpoint.api.sessions import Session, open_session, write_session
+    from trigpoint.base.errors import InputError, MissingExtraError, OperationError, TrigpointError
+    from trigpoint.contract.messages import FaceSighting, Sightings
+    from trigpoint.fusion.estimators.residuals import CameraResiduals
+    from trigpoint.geometry.camera import CameraModel
+    from trigpoint.geometry.pose import Pose
+    from trigpoint.site.target import Target
+    from trigpoint.tools.networks.distances import Distances
+    from trigpoint.tools.networks.truth import CameraError, NetworkError
+
+    from .api import plugins
 
 __all__ = [
     "CONTRACT",

@@ -2,8 +2,7 @@
 
 import pytest
 
-from benchmarks.impairment import Namespace, NoNamespacesError
-from benchmarks.network import (
+from benchmarks.network.bad_links import (
     BAD,
     DATAGRAMS,
     FAIR,
@@ -15,6 +14,7 @@ from benchmarks.network import (
     killing,
     run,
 )
+from benchmarks.network.impairment import Namespace, NoNamespacesError
 
 
 @pytest.fixture(autouse=True)

@@ -130,7 +130,7 @@ def test_router_that_says_nothing_does_not_hold_a_stop_up(
 def test_stops_at_drawn_moments_leave_a_network_or_say_why_not(
     field: Field, bus: Bus, stack: ExitStack
 ) -> None:
-    """A few of the two hundred that `python -m benchmarks.stops` draws."""
+    """A few of the two hundred that `python -m benchmarks.endurance.stops` draws."""
     draw = random.Random(4)
     going: Drive | None = None
     for words in (

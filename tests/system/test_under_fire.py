@@ -1,5 +1,5 @@
 """A site under fire: all that a week in the field may bring at drawn moments, and the network at
-the end is the undisturbed one's. A minute here; `python -m benchmarks.fire` takes ten."""
+the end is the undisturbed one's. A minute here; `python -m benchmarks.endurance.fire` takes ten."""
 
 from collections.abc import Callable
 from pathlib import Path

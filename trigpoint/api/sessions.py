@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from trigpoint.api import load
 from trigpoint.base.errors import InputError, MessageError
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import (
@@ -29,7 +30,6 @@ from trigpoint.recorder.session.recording import open_recording
 from trigpoint.recorder.writing.attachments import site_files
 from trigpoint.site.config import load_site
 
-from . import load
 from .networks import PathLike, Trajectory
 
 _LOG = logging.getLogger(__name__)

@@ -44,7 +44,7 @@ def correction_signer(site: Site, clock: Clock) -> Signer:
     if site.bus.tls is None:
         return _Plain()
     from trigpoint.security import (
-        credentials,  # needs the extra `secure`, which only secured sites install
+        credentials,
     )
 
     path = credentials.directory(site) / "fusion-fusion.key"

@@ -59,7 +59,7 @@ def means_of(
     if site.bus.tls is None:
         return Means()
     from trigpoint.security import (
-        credentials,  # needs the extra `secure`, which only secured sites install
+        credentials,
     )
 
     leaves = any(map(is_secured, site.bus.connect))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import messages
 from benchmarks.machine import machine
+from benchmarks.network import messages
 from benchmarks.report import write_report
 from benchmarks.table import BENCHMARKS, NEEDED, Row, formatted, open_benchmark
 

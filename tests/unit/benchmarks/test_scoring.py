@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.pictures.boards import checkerboard
 
-from benchmarks.scoring import Found, Score, score_of
-from benchmarks.views import TrueFace, View
+from benchmarks.pictures.scoring import Found, Score, score_of
+from benchmarks.pictures.views import TrueFace, View
 from trigpoint.geometry.rotation import Array
 
 BOARD = checkerboard()

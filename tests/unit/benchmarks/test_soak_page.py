@@ -2,8 +2,8 @@
 
 import pytest
 
-from benchmarks.soak import Break, Record, Sample
-from benchmarks.soak_page import memory_ratio_parts, page
+from benchmarks.endurance.page import memory_ratio_parts, page
+from benchmarks.endurance.soak import Break, Record, Sample
 
 
 def test_memory_is_held_against_what_it_was_once_settled() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from support.pictures.boards import aprilgrid, charuco, checkerboard, target_of
 
-from benchmarks.empty_pictures import empty_picture
-from benchmarks.nasty_pictures import nasty_pictures
+from benchmarks.pictures.empty import empty_picture
+from benchmarks.pictures.nasty import nasty_pictures
 from trigpoint.base.clock import ManualClock
 from trigpoint.base.errors import InputError
 from trigpoint.edge.boards import detector_checkerboard, grid

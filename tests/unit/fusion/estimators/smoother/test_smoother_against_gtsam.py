@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("gtsam", reason="gtsam is not installed; pip install -e '.[bench]'")
 
-from benchmarks.gtsam_comparison import difference, problem_of, smoothed, solved_by
+from benchmarks.fusion.gtsam_comparison import difference, problem_of, smoothed, solved_by
 from trigpoint.fusion.model.problem import Problem, State
 
 

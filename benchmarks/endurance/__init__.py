@@ -1,0 +1,1 @@
+"""Whole sites for minutes and hours, with faults and stops."""

@@ -1,0 +1,349 @@
+"""The whole site for hours, with faults:
+
+    python -m benchmarks.endurance.soak [--hours H] [--every S] [--out DIR]
+
+A secured site in three namespaces (server, cameras, robot) runs its real programs: router, fusion,
+recorder, two cameras' agents, a bridge and a simulated robot. Every so many seconds something is
+broken, each kind in turn. Written are `soak.json` and one page, `soak.html`: memory, file handles
+and threads of every program, latencies and losses over time, and how soon each was back.
+
+What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
+In the first third every kind comes in turn; after that what ends programs is left out, so that each
+lives long enough for its memory to say something.
+"""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks.network.impairment import Link, Namespace
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.site.config import BusConfig, TlsConfig
+from trigpoint.tools.secure.authority import Authority, addresses_of
+from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.simulation.world import World, load_world
+
+from .clock import SettableClock
+from .faults import FAIR, RECORDING, Fault, Faults
+from .page import page
+
+_PORT = 7447
+_DAYS = 90
+_SAMPLE_S = 2.0
+_UP_S = 40.0
+_LEAST_DISK_MB, _DISK_MB_A_MINUTE = 256, 12
+_BACK_MOST_S = 60.0
+_CAMERAS = ("c1", "c2")
+_ENDING_SHARE = 1 / 3
+_PAGE_BYTES = 4096
+
+
+@dataclass(slots=True)
+class Sample:
+    """One program at a moment: seconds since the start, resident bytes, open files, threads."""
+
+    t_s: float
+    program: str
+    process: int
+    resident: int
+    files: int
+    threads: int
+
+
+@dataclass(slots=True)
+class Break:
+    """Something that was broken; `back_s`: from when it was mended until the key came again."""
+
+    t_s: float
+    kind: str
+    key: str
+    back_s: float = float("nan")
+
+
+@dataclass(slots=True)
+class Record:
+    """All that the run wrote down."""
+
+    seconds: float
+    samples: list[Sample] = field(default_factory=list)
+    breaks: list[Break] = field(default_factory=list)
+    heard: list[dict] = field(default_factory=list)
+
+
+class Program:
+    """One program in its namespace; started again when it was killed."""
+
+    def __init__(
+        self, name: str, space: Namespace, words: list[str], log: Path, environment: dict[str, str]
+    ) -> None:
+        self.name, self._space, self._words, self._log = name, space, words, log
+        self._environment = {**os.environ, **environment}
+        self.process = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        with self._log.open("ab") as log:
+            words = self._space.command(sys.executable, "-m", *self._words)
+            return subprocess.Popen(
+                words, stderr=log, stdout=log, stdin=subprocess.DEVNULL, env=self._environment
+            )
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def start_again(self) -> None:
+        self.process = self._start()
+
+    def stop(self) -> None:
+        self.process.terminate()
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+    def sample(self, t_s: float) -> Sample | None:
+        """Its helpers' memory counts as its own."""
+        processes = [self.process.pid, *_children(self.process.pid)]
+        try:
+            resident = sum(_resident(process) for process in processes)
+            own = Path(f"/proc/{self.process.pid}")
+            files = sum(1 for _ in (own / "fd").iterdir())
+            threads = sum(1 for _ in (own / "task").iterdir())
+        except OSError:  # it is just being killed
+            return None
+        return Sample(t_s, self.name, self.process.pid, resident, files, threads)
+
+
+def _children(process: int) -> list[int]:
+    try:
+        text = Path(f"/proc/{process}/task/{process}/children").read_text()
+    except OSError:
+        return []
+    return [int(word) for word in text.split()]
+
+
+def _resident(process: int) -> int:
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * _PAGE_BYTES
+
+
+class Soak:
+    """A site that runs, what is done to it, and what is seen."""
+
+    def __init__(self, folder: Path, stack: ExitStack, seconds: float) -> None:
+        self.folder, self._stack = folder, stack
+        self.record = Record(seconds)
+        self._began_s = time.monotonic()
+        self._last: dict[str, float] = {}
+        self._counts: dict[str, int] = {}
+        spaces = {name: self._space() for name in ("server", "cameras", "robot")}
+        self.links = {
+            name: stack.enter_context(
+                Link(
+                    (spaces["server"], spaces[name]),
+                    (f"10.78.{number}.1", f"10.78.{number}.2"),
+                    FAIR,
+                    seed=number,
+                )
+            )
+            for number, name in enumerate(("cameras", "robot"))
+        }
+        self._write_sites(load_world("lab", seed=1))
+        self._disk = self._small_disk()
+        self._clock = SettableClock(folder)
+        self.programs = self._programs(spaces)
+        self._faults = Faults(
+            dict(self.programs), self.links, spaces["cameras"], self._clock, self._disk
+        ).each()
+        self._watch = self._start_watch(spaces["server"])
+
+    def _space(self) -> Namespace:
+        space = Namespace()
+        self._stack.callback(space.close)
+        return space
+
+    @property
+    def _disk_mb(self) -> int:
+        """Enough for the recording: about 100 kB a second, and as much for what is broken."""
+        return max(_LEAST_DISK_MB, round(_DISK_MB_A_MINUTE * self.record.seconds / 60))
+
+    def _small_disk(self) -> Path:
+        """A file system of its own for what the site writes, so that it can be full."""
+        disk = self.folder / "session"
+        disk.mkdir()
+        words = ["mount", "-t", "tmpfs", "-o", f"size={self._disk_mb}m", "soak", str(disk)]
+        subprocess.run(words, check=True, timeout=10)
+        self._stack.callback(subprocess.run, ["umount", str(disk)], check=True, timeout=10)
+        return disk
+
+    def _write_sites(self, world: World) -> None:
+        for name in list(world.cameras):
+            if name not in _CAMERAS:
+                del world.cameras[name]
+        authority = Authority("lab", self.folder / "authority", self.folder / "secure")
+        authority.create()
+        addresses = addresses_of(Kind.ROUTER, ["10.78.0.1", "10.78.1.1"])
+        authority.issue(Identity("lab", Kind.ROUTER, "hall"), _DAYS, addresses)
+        nodes = [(Kind.CAMERA, name) for name in _CAMERAS]
+        nodes += [(Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.RECORDER, "main")]
+        for kind, name in (*nodes, (Kind.OPERATOR, "anna")):
+            authority.issue(Identity("lab", kind, name), _DAYS, ())
+        self.epoch_ns = time.time_ns() + 20_000_000_000
+        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in world.cameras}
+        tls = TlsConfig()
+        buses = {
+            "router": BusConfig(listen=(f"tls/0.0.0.0:{_PORT}",), tls=tls),
+            "server": BusConfig(connect=(f"tls/127.0.0.1:{_PORT}",), tls=tls),
+            "cameras": BusConfig(connect=(f"tls/10.78.0.1:{_PORT}",), tls=tls),
+            "robot": BusConfig(connect=(f"tls/10.78.1.1:{_PORT}",), tls=tls),
+        }
+        for name, bus in buses.items():
+            path = write_site(
+                world, self.folder, sources=sources, ports={"r1": "./r1.port"}, bus=bus
+            )
+            path.rename(self.folder / f"{name}.toml")
+
+    def _programs(self, spaces: dict[str, Namespace]) -> dict[str, Program]:
+        def site(name: str) -> list[str]:
+            return ["--site", str(self.folder / f"{name}.toml")]
+
+        out = ["--out", str(self.folder / "session")]
+        cameras = [word for name in _CAMERAS for word in ("--camera", name)]
+        firmware = ["--world", "lab", "--seed", "1", "--target", "charuco", "--robot", "r1"]
+        firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
+        firmware += ["--log", str(self.folder / "r1.jsonl")]
+        words = {
+            "router": ("server", ["trigpoint", "router", *site("router"), "--name", "hall"]),
+            "fusion": ("server", ["trigpoint", "fusion", *site("server"), *out]),
+            "recorder": ("server", ["trigpoint", "record", *site("server"), *out]),
+            "firmware": ("robot", ["trigpoint.tools.simulation.serial.firmware", *firmware]),
+            "edge": ("cameras", ["trigpoint", "edge", *site("cameras"), *cameras]),
+            "robot": ("robot", ["trigpoint", "robot", *site("robot"), "--robot", "r1"]),
+        }
+        found = {}
+        for name, (space, line) in words.items():
+            log, clock = self.folder / f"{name}.log", self._clock.environment
+            environment = clock if name == "edge" else {}
+            found[name] = Program(name, spaces[space], line, log, environment)
+            self._stack.callback(lambda name=name: self.programs[name].stop())
+        return found
+
+    def _start_watch(self, space: Namespace) -> "subprocess.Popen[str]":
+        words = space.command(
+            sys.executable, "-m", "benchmarks.endurance.watch", str(self.folder / "server.toml")
+        )
+        watch = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        thread = threading.Thread(target=self._hear, args=(watch,))
+        thread.start()
+
+        def stop() -> None:
+            assert watch.stdin is not None
+            watch.stdin.close()
+            thread.join()
+            watch.wait()
+
+        self._stack.callback(stop)
+        return watch
+
+    def _hear(self, watch: "subprocess.Popen[str]") -> None:
+        assert watch.stdout is not None
+        for text in watch.stdout:
+            row = json.loads(text)
+            row["t"] -= self._began_s
+            self._last |= {name: one["last"] for name, one in row["heard"].items()}
+            self.record.heard.append(row)
+
+    @property
+    def now_s(self) -> float:
+        return time.monotonic() - self._began_s
+
+    def run(self, every_s: float) -> None:
+        """Break something every so often until the time is over."""
+        sampling = threading.Event()
+        sampler = threading.Thread(target=self._sample, args=(sampling,))
+        sampler.start()
+        try:
+            self._wait_until_up()
+            for fault in self._in_turn():
+                time.sleep(every_s)
+                if self.now_s > self.record.seconds:
+                    break
+                self._break(fault)
+            time.sleep(max(0.0, self.record.seconds - self.now_s))
+        finally:
+            sampling.set()
+            sampler.join()
+
+    def _in_turn(self) -> Iterator[Fault]:
+        """Every kind in turn; from a third of the time on without those that end programs."""
+        for fault in itertools.cycle(self._faults):
+            is_early = self.now_s < self.record.seconds * _ENDING_SHARE
+            if is_early or not fault.ends_program:
+                yield fault
+
+    def _sample(self, stopping: threading.Event) -> None:
+        while not stopping.wait(_SAMPLE_S):
+            found = [program.sample(self.now_s) for program in self.programs.values()]
+            self.record.samples += [sample for sample in found if sample is not None]
+
+    def _wait_until_up(self) -> None:
+        until = time.monotonic() + _UP_S
+        while not all(self._last.get(key) for key in ("sightings", "odom", "robot_pose")):
+            if time.monotonic() > until:
+                raise RuntimeError(f"the site is not up in {_UP_S:.0f} s; see {self.folder}")
+            time.sleep(0.2)
+
+    def _break(self, fault: Fault) -> None:
+        broken = Break(self.now_s, fault.kind, fault.key)
+        self.record.breaks.append(broken)
+        fault.act()
+        mended_s, recorded = time.monotonic(), self._recorded()
+        while time.monotonic() - mended_s < _BACK_MOST_S:
+            time.sleep(0.1)
+            if fault.key == RECORDING and self._recorded() > recorded:
+                self._last[RECORDING] = time.monotonic()
+            if self._last.get(fault.key, 0.0) > mended_s:
+                broken.back_s = self._last[fault.key] - mended_s
+                break
+        back = f"{broken.t_s:6.0f} s  {broken.kind}: {broken.key} back {broken.back_s:.1f} s after"
+        print(back, flush=True)
+
+    def _recorded(self) -> int:
+        """Bytes of all recordings so far."""
+        return sum(path.stat().st_size for path in self._disk.glob("**/*.mcap*"))
+
+
+def main(
+    hours: Annotated[float, typer.Option(help="How long.", min=0.02)] = 8.0,
+    every: Annotated[float, typer.Option(help="Seconds between faults.", min=5.0)] = 60.0,
+    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("out/soak"),
+) -> None:
+    """Run the site, break it, and write what was seen."""
+    out.mkdir(parents=True)
+    seconds = 3600 * hours
+    with ExitStack() as stack:
+        soak = Soak(out.absolute(), stack, seconds)
+        stack.callback(_write, soak.record, out)  # what was seen of a run that fails, too
+        soak.run(every)
+    maps = soak.record.heard[-1]["maps"] if soak.record.heard else []
+    typer.echo(f"maps of fusion from begin to end: {', '.join(maps)}")
+    typer.echo(f"written to {out / 'soak.html'}")
+
+
+def _write(record: Record, out: Path) -> None:
+    (out / "soak.json").write_text(json.dumps(asdict(record)))
+    (out / "soak.html").write_text(page(record), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

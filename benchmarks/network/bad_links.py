@@ -1,0 +1,325 @@
+"""A secured site over bad networks: cameras and robots in segments of their own, a router between.
+
+    camera ──(link)── router ──(link)── robot, viewer
+                         └───(link)── fusion
+
+`run(scenario)` makes the namespaces, runs the real router and nodes with certificates, does to the
+links what the scenario says, and returns what came of it.
+"""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from trigpoint.contract.access import Identity, Kind
+from trigpoint.tools.secure.authority import Authority, addresses_of
+
+from .impairment import Impairment, Link, Namespace
+
+_PORT = 7447
+_SETTLE_S = 1.0
+"""After all are connected: until each has learnt of the others' subscriptions."""
+_SEGMENTS = ("camera", "robot", "fusion")
+_PEOPLE = ((Kind.CAMERA, "c1"), (Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.VIEWER, "bob"))
+_SITE = """\
+site = "lab"
+target = "target.toml"
+[cameras.c1]
+source = "sim://c1"
+[robots.r1]
+port = "loop://"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What came of one key's messages. Latencies: from put to the subscriber's queue, seconds."""
+
+    sent: int
+    numbers: list[int]
+    latencies_s: list[float]
+    counted: int
+
+    @property
+    def lost(self) -> int:
+        """How many never came."""
+        return self.sent - len(set(self.numbers))
+
+    @property
+    def twice(self) -> int:
+        return len(self.numbers) - len(set(self.numbers))
+
+    @property
+    def uncounted(self) -> int:
+        """Lost without the subscriber having been told."""
+        return max(0, self.lost - self.counted)
+
+    @property
+    def last(self) -> int:
+        """The latest message that came, -1 where none did."""
+        return max(self.numbers, default=-1)
+
+    def quantile_s(self, share: float) -> float:
+        return float(np.quantile(self.latencies_s, share)) if self.latencies_s else float("nan")
+
+    def longest_gap_s(self) -> float:
+        """The longest time in which nothing came."""
+        return float(np.max(np.diff(self._arrivals_s))) if len(self._arrivals_s) > 1 else 0.0
+
+    def back_s(self, mended_s: float) -> float:
+        """From when something was mended (monotonic clock) to the next message; inf: never."""
+        later = [came_s for came_s in self._arrivals_s if came_s > mended_s]
+        return min(later, default=float("inf")) - mended_s
+
+    _arrivals_s: list[float] = field(default_factory=list)
+
+
+class Site:
+    """A running site; `action`s get it while it runs."""
+
+    def __init__(self, folder: Path, scenario: "Scenario", stack: ExitStack) -> None:
+        self._folder, self._stack = folder, stack
+        self._protocols = scenario.protocols
+        self.spaces = {name: _entered(Namespace(), stack) for name in ("router", *_SEGMENTS)}
+        self.links = {
+            name: stack.enter_context(
+                Link(
+                    (self.spaces["router"], self.spaces[name]),
+                    (f"10.77.{number}.1", f"10.77.{number}.2"),
+                    scenario.impairment,
+                    seed=number,
+                )
+            )
+            for number, name in enumerate(_SEGMENTS)
+        }
+        self._write(scenario.picture_rate)
+        self._router: subprocess.Popen[str] | None = None
+
+    def _write(self, rate: float) -> None:
+        given = self._folder / "secure"
+        authority = Authority("lab", self._folder / "authority", given)
+        authority.create()
+        addresses = [f"10.77.{number}.1" for number in range(len(_SEGMENTS))]
+        identity = Identity("lab", Kind.ROUTER, "hall")
+        authority.issue(identity, 30, addresses_of(Kind.ROUTER, addresses))
+        for kind, name in _PEOPLE:
+            authority.issue(Identity("lab", kind, name), 30, ())
+        text = f"{_SITE}[bus]\nlisten = {self._endpoints('0.0.0.0')}\n[bus.tls]\n"
+        (self._folder / "router.toml").write_text(f"{text}[router]\npicture_rate = {rate}\n")
+        for address, name in zip(addresses, _SEGMENTS, strict=True):
+            text = f"{_SITE}[bus]\nconnect = {self._endpoints(address)}\n[bus.tls]\n"
+            (self._folder / f"{name}.toml").write_text(text)
+
+    def _endpoints(self, host: str) -> str:
+        """One for each protocol, as site.toml has them."""
+        return json.dumps([f"{protocol}/{host}:{_PORT}" for protocol in self._protocols])
+
+    def start_router(self) -> None:
+        words = [sys.executable, "-m", "trigpoint", "router"]
+        words += ["--site", str(self._folder / "router.toml"), "--name", "hall"]
+        self._router = subprocess.Popen(
+            self.spaces["router"].command(*words), text=True, stderr=subprocess.DEVNULL
+        )
+
+    def kill_router(self) -> None:
+        """End it as a power cut does."""
+        if self._router is not None:
+            self._router.kill()
+            self._router.wait()
+            self._router = None
+
+    def node(self, role: str, seconds: float, linger_s: float) -> "subprocess.Popen[str]":
+        segment = "robot" if role == "viewer" else role  # where pictures meet corrections
+        words = [sys.executable, "-m", "benchmarks.network.node", role]
+        words += [str(self._folder / f"{segment}.toml"), str(seconds), str(linger_s)]
+        node = subprocess.Popen(
+            self.spaces[segment].command(*words),
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self._stack.callback(node.wait)
+        self._stack.callback(node.kill)
+        return node
+
+
+def _entered(space: Namespace, stack: ExitStack) -> Namespace:
+    stack.callback(space.close)
+    return space
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What is done: `action` runs beside the nodes, with the site."""
+
+    impairment: Impairment
+    seconds: float = 10.0
+    roles: tuple[str, ...] = ("camera", "robot", "fusion")
+    action: Callable[[Site], object] = bool
+    picture_rate: float = 100.0
+    late_router: bool = False
+    linger_s: float = 60.0
+    protocols: tuple[str, ...] = ("tls",)
+
+
+def run(scenario: Scenario) -> dict[str, Key]:
+    """What came of each key; raises NoNamespacesError where none can be made."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        site = Site(folder, scenario, stack)
+        stack.callback(site.kill_router)
+        if not scenario.late_router:
+            site.start_router()
+        nodes = [site.node(role, scenario.seconds, scenario.linger_s) for role in scenario.roles]
+        acting = threading.Thread(target=scenario.action, args=(site,))
+        if scenario.late_router:
+            acting.start()
+        for node in nodes:
+            _begin(node)
+        time.sleep(_SETTLE_S)
+        for node in nodes:
+            _say(node, "go")
+        if not scenario.late_router:
+            acting.start()
+        sent: dict[str, int] = {}
+        for node in nodes:
+            sent |= json.loads(_line_of(node))
+        acting.join()
+        for node in nodes:
+            _say(node, json.dumps(sent))
+        answers = [json.loads(_line_of(node)) for node in nodes]
+    return _keys(sent, answers)
+
+
+def _begin(node: "subprocess.Popen[str]") -> None:
+    """Wait for a node that has opened its bus."""
+    if _line_of(node) != "ready\n":
+        raise RuntimeError("a node of the benchmark did not open its bus")
+
+
+def _line_of(node: "subprocess.Popen[str]") -> str:
+    """The next line that a node says; a node that hangs hangs the run, which has a time limit."""
+    assert node.stdout is not None
+    text = node.stdout.readline()
+    if not text:
+        raise RuntimeError(f"a node of the benchmark ended with status {node.wait()}")
+    return text
+
+
+def _say(node: "subprocess.Popen[str]", text: str) -> None:
+    assert node.stdin is not None
+    node.stdin.write(f"{text}\n")
+    node.stdin.flush()
+
+
+def _keys(sent: dict[str, int], answers: list[dict[str, dict]]) -> dict[str, Key]:
+    found = {}
+    for answer in answers:
+        for name, rows in answer["came"].items():
+            found[name] = Key(
+                sent=sent.get(name, 0),
+                numbers=[number for number, _, _ in rows],
+                latencies_s=[(came - put) / 1e9 for _, put, came in rows],
+                counted=answer["missed"][name],
+                _arrivals_s=[came / 1e9 for _, _, came in rows],
+            )
+    return found
+
+
+def killing(after_s: float, dead_s: float) -> Callable[[Site], None]:
+    """An action: the router's power is cut, and comes back."""
+
+    def act(site: Site) -> None:
+        time.sleep(after_s)
+        site.kill_router()
+        time.sleep(dead_s)
+        site.start_router()
+
+    return act
+
+
+def flapping(times: int, period_s: float = 3.0) -> Callable[[Site], None]:
+    """An action: every cable is pulled and put back so many times."""
+
+    def act(site: Site) -> None:
+        for _ in range(2 * times):
+            time.sleep(period_s)
+            for link in site.links.values():
+                link.is_up = not link.is_up
+
+    return act
+
+
+def coming_late(after_s: float) -> Callable[[Site], None]:
+    """An action: the router is switched on after the others."""
+
+    def act(site: Site) -> None:
+        time.sleep(after_s)
+        site.start_router()
+
+    return act
+
+
+def line(name: str, key: Key) -> str:
+    """One key for people."""
+    return (
+        f"{name:11} sent {key.sent:5} lost {key.lost:4} (counted {key.counted}) twice {key.twice} "
+        f"latency p50 {1e3 * key.quantile_s(0.5):7.1f} p95 {1e3 * key.quantile_s(0.95):7.1f} "
+        f"p99 {1e3 * key.quantile_s(0.99):7.1f} ms, longest gap {key.longest_gap_s():.1f} s"
+    )
+
+
+def restarting(
+    every_s: float, dead_s: float, times: int, returns_s: list[float]
+) -> Callable[[Site], None]:
+    """An action: the router's power is cut again and again; `returns_s` gets when it was back."""
+
+    def act(site: Site) -> None:
+        for _ in range(times):
+            killing(every_s - dead_s, dead_s)(site)
+            returns_s.append(time.monotonic())
+
+    return act
+
+
+BAD = Impairment(delay_s=0.05, loss=0.05, bits_per_s=20e6)
+"""Of each of the two links between any two nodes."""
+FAIR = Impairment(delay_s=0.005, bits_per_s=100e6)
+DATAGRAMS = ("tls", "quic")
+WITH_VIEWER = ("camera", "robot", "fusion", "viewer")
+
+SCENARIOS: dict[str, Scenario] = {
+    "undisturbed": Scenario(FAIR, seconds=20),
+    "100 ms": Scenario(Impairment(0.05, bits_per_s=20e6), seconds=20),
+    "100 ms, pictures": Scenario(Impairment(0.05, bits_per_s=20e6), seconds=20, roles=WITH_VIEWER),
+    "100 ms, pictures, router passes 2 a second": Scenario(
+        Impairment(0.05, bits_per_s=20e6), seconds=20, roles=WITH_VIEWER, picture_rate=2.0
+    ),
+    "100 ms, 5 % lost": Scenario(BAD, seconds=30),
+    "100 ms, 5 % lost, datagrams": Scenario(BAD, seconds=30, protocols=DATAGRAMS),
+    "100 ms, 5 % lost, router killed for 6 s": Scenario(BAD, seconds=30, action=killing(5, 6)),
+    "router killed for 30 s": Scenario(FAIR, seconds=55, action=killing(5, 30)),
+    "links flap every 3 s": Scenario(FAIR, seconds=30, action=flapping(4)),
+    "router comes 5 s late": Scenario(FAIR, seconds=15, action=coming_late(5), late_router=True),
+}
+
+
+def main() -> None:
+    """`python -m benchmarks.network.bad_links [NAME…]`: every scenario, a line for each key."""
+    for name in sys.argv[1:] or SCENARIOS:
+        print(name, flush=True)
+        for key, what in sorted(run(SCENARIOS[name]).items()):
+            print(f"  {line(key, what)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""One node of a network benchmark in a process of its own: sends numbered messages, counts others'.
+
+`python -m benchmarks.network.node ROLE SITE SECONDS LINGER`. On standard output it says «ready»;
+with the next line on standard input it begins; after SECONDS it says what it sent, and with a line
+of what all have sent it goes on until that has come or LINGER seconds are over. Its last line is
+what came of each key: number, when sent and when come in nanoseconds of the monotonic clock, which
+all namespaces share.
+"""
+
+import json
+import struct
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import UUID
+
+from trigpoint.base.ending import ENDING
+from trigpoint.bus.bus import Bus, Publisher, Sample, Subscription
+from trigpoint.contract import topics
+from trigpoint.contract.access import Kind
+from trigpoint.contract.correction import CorrectionMark, MissedCorrections
+from trigpoint.contract.topics import Topic
+from trigpoint.site.config import load_site
+from trigpoint.zenoh import open_bus
+
+Row = tuple[int, int, int]
+
+_STAMP = struct.Struct("<Qq")
+PICTURE_BYTES = 60_000
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """Messages of one key: how many a second, of how many bytes."""
+
+    topic: Topic
+    name: str
+    rate: float
+    size: int
+
+
+NODES: dict[str, tuple[tuple[Kind, str], tuple[Sent, ...], tuple[Topic, ...]]] = {
+    "camera": (
+        (Kind.CAMERA, "c1"),
+        (Sent(topics.SIGHTINGS, "c1", 10.0, 1200), Sent(topics.IMAGE, "c1", 30.0, PICTURE_BYTES)),
+        (),
+    ),
+    "robot": (
+        (Kind.ROBOT, "r1"),
+        (Sent(topics.ODOMETRY, "r1", 50.0, 700),),
+        (topics.CORRECTION,),
+    ),
+    "fusion": (
+        (Kind.FUSION, "fusion"),
+        (Sent(topics.CORRECTION, "r1", 10.0, 500),),
+        (topics.ODOMETRY, topics.SIGHTINGS),
+    ),
+    "viewer": ((Kind.VIEWER, "bob"), (), (topics.IMAGE,)),
+}
+"""Who shows what certificate, sends what, and listens to what."""
+
+
+def main() -> None:
+    role, path, seconds, linger_s = sys.argv[1], Path(sys.argv[2]), *map(float, sys.argv[3:])
+    me, sent, heard = NODES[role]
+    site = load_site(path)
+    stopping = threading.Event()
+    with open_bus(site, me) as bus:
+        # A robot may hear its own corrections alone.
+        name = me[1] if role == "robot" else "*"
+        subscriptions = {t.name: bus.subscribe(t, t.key(site.name, name)) for t in heard}
+        came: dict[str, list[Row]] = {name: [] for name in subscriptions}
+        print("ready", flush=True)
+        sys.stdin.readline()  # until everyone is
+        senders = [Sender(bus, site.name, one, seconds) for one in sent]
+        listeners = [
+            threading.Thread(target=_listen, args=(subscription, came[name], stopping))
+            for name, subscription in subscriptions.items()
+        ]
+        for thread in (*senders, *listeners):
+            thread.start()
+        for sender in senders:
+            sender.join()
+        if not senders:
+            time.sleep(seconds)
+        print(json.dumps({sender.name: sender.count for sender in senders}), flush=True)
+        expected = json.loads(sys.stdin.readline())
+        deadline = time.monotonic() + linger_s
+        while time.monotonic() < deadline and not _is_all_there(subscriptions, expected):
+            time.sleep(0.1)
+        stopping.set()
+        for listener in listeners:
+            listener.join()
+        missed = {name: subscription.dropped for name, subscription in subscriptions.items()}
+        if topics.CORRECTION.name in missed:
+            missed[topics.CORRECTION.name] = _missed_corrections(came[topics.CORRECTION.name])
+    print(json.dumps({"came": came, "missed": missed}))
+    ENDING.leave(0)  # a session that did not close in time would break off the end of Python
+
+
+def _is_all_there(subscriptions: Mapping[str, Subscription], expected: dict[str, int]) -> bool:
+    """Whether all came or was told to be missing, but for what nobody recovers."""
+    return all(
+        subscription.received + subscription.dropped >= expected[name]
+        for name, subscription in subscriptions.items()
+        if name not in (topics.IMAGE.name, topics.CORRECTION.name)
+    )
+
+
+class Sender(threading.Thread):
+    """Sends one key's messages at their rate; `count`: how many."""
+
+    def __init__(self, bus: Bus, site: str, sent: Sent, seconds: float) -> None:
+        super().__init__(name=sent.topic.name)
+        self._publisher = bus.publisher(sent.topic, sent.topic.key(site, sent.name))
+        self._sent, self._seconds = sent, seconds
+        self.count = 0
+
+    def run(self) -> None:
+        filling = bytes(self._sent.size - _STAMP.size)
+        due = time.monotonic()
+        until = due + self._seconds
+        while time.monotonic() < until:
+            time.sleep(max(0.0, due - time.monotonic()))
+            if _is_wanted(self._publisher, self._sent):
+                stamp = _STAMP.pack(self.count, time.monotonic_ns())
+                self._publisher.put(stamp + filling)
+                self.count += 1
+            due += 1 / self._sent.rate
+
+
+def _is_wanted(publisher: Publisher, sent: Sent) -> bool:
+    """Pictures leave a camera only while somebody listens."""
+    return sent.topic is not topics.IMAGE or publisher.has_listener
+
+
+def _listen(subscription: Subscription, came: list[Row], stopping: threading.Event) -> None:
+    while not stopping.is_set():
+        sample = subscription.take(0.2)
+        if sample is not None:
+            came.append(_row(sample))
+    while (sample := subscription.take(0.0)) is not None:
+        came.append(_row(sample))
+
+
+def _row(sample: Sample) -> Row:
+    number, sent_ns = _STAMP.unpack_from(sample.payload)
+    return number, sent_ns, time.monotonic_ns()
+
+
+def _missed_corrections(rows: list[Row]) -> int:
+    """How many a bridge counts as missed: nobody else asks for them."""
+    missed, map_id = MissedCorrections(), UUID(int=0)
+    return sum(missed.before(CorrectionMark(map_id, number), "") for number, _, _ in rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Finders of boards on pictures: drawn, photographed, empty, nasty; and what they cost."""

@@ -1,0 +1,232 @@
+"""Our detectors against OpenCV's on the same rendered pictures, one thread each.
+
+Milliseconds a picture, faces found, corners against the projected truth.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from benchmarks.table import Row, share_of
+from benchmarks.timing import WorkClock, worked
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.edge.detector import detector_for
+from trigpoint.edge.tracker import TargetTracker
+from trigpoint.site.target import Target
+
+from .nasty import nasty_pictures
+from .opencv_finders import (
+    Finder,
+    charuco_each,
+    charuco_shared,
+    checkerboards,
+    checkerboards_by_sectors,
+    checkerboards_in_even_light,
+)
+from .scoring import Found, Score, score_of
+from .views import Gallery, TrueFace, View, gallery
+
+OURS = "ours"
+# Pictures with faces and without, by size; the larger cost OpenCV half a second each.
+_SIZES: dict[str, tuple[int, int] | None] = {"640 x 480": None, "1280 x 720": (1280, 720)}
+_WITH_FACES, _EMPTY = {"640 x 480": 12, "1280 x 720": 4}, 4
+_SEQUENCES, _LENGTH = {"640 x 480": 5, "1280 x 720": 2}, 6
+# A followed face has been seen twice.
+_SETTLED = 2
+_ROUNDS = 2
+# Of pictures over which a search could take forever.
+_PERIOD_S = 0.1
+
+
+@dataclass(slots=True)
+class Run:
+    """What one finder did over some views: seconds for each picture, and what it found."""
+
+    seconds: list[float] = field(default_factory=list)
+    answers: list[list[Found]] = field(default_factory=list)
+
+    @property
+    def milliseconds(self) -> float:
+        """A picture, on average."""
+        return 1e3 * float(np.mean(self.seconds))
+
+
+def run(effort: float = 1.0) -> list[Row]:
+    """Both kinds of target, at both sizes, at rest and driving."""
+    choices = ("charuco", "checkerboard")
+    with one_thread():
+        rows = [row for target in choices for size in _SIZES for row in _rows(target, size, effort)]
+        return rows + [_worst_row(target) for target in choices]
+
+
+def our_finder(target: Target) -> Finder:
+    """Our detector in the shape of OpenCV's finders."""
+    detector = detector_for([target])
+
+    def find(picture: np.ndarray) -> list[Found]:
+        return [_found(sighting) for sighting in detector.detect(picture)]
+
+    return find
+
+
+def opencv_finders(target: Target, choice: str) -> dict[str, Finder]:
+    """OpenCV's ways to find the faces of a target, by what the table calls them."""
+    faces = target.faces
+    if choice == "charuco":
+        return {
+            "CharucoDetector, one a face": charuco_each(faces),
+            "CharucoDetector, markers once": charuco_shared(faces),
+        }
+    return {
+        "findChessboardCorners": checkerboards(faces),
+        "findChessboardCorners, flags=0": checkerboards_in_even_light(faces),
+        "findChessboardCornersSB, exhaustive": checkerboards_by_sectors(faces),
+    }
+
+
+def runs(finders: Mapping[str, Finder], views: list[View]) -> dict[str, Run]:
+    """Each finder over the views; a picture's time is the best of some turns."""
+    done = {name: Run() for name in finders}
+    for view in views:
+        turns = [
+            {name: worked(lambda f=find, v=view: f(v.picture)) for name, find in finders.items()}
+            for _ in range(_ROUNDS)
+        ]
+        for name in finders:
+            done[name].seconds.append(min(turn[name][0] for turn in turns))
+            done[name].answers.append(turns[0][name][1])
+    return done
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV keeps to the calling thread."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _rows(choice: str, size: str, effort: float) -> list[Row]:
+    """Times beside each of OpenCV's ways; what was found and how well, near and far."""
+    driving = gallery(choice, size=_SIZES[size])
+    resting = gallery(choice, size=_SIZES[size], is_sharp=True)
+    others = opencv_finders(driving.target, choice)
+    finders = {OURS: our_finder(driving.target)} | others
+    count = share_of(_WITH_FACES[size], effort, least=2)
+    what = f"{choice} {size}"
+    empty = driving.without_faces(share_of(_EMPTY, effort))
+    rows = _time_rows(f"{what}, empty picture", runs(finders, empty), others)
+    for name, pictures in (("at rest", resting), ("driving", driving)):
+        views = sorted(pictures.with_faces(count), key=_spacing)
+        done = runs(finders, views)
+        rows += _time_rows(f"{what} {name}, first search", done, others)
+        half = len(views) // 2
+        for part, which in (("far", slice(None, half)), ("near", slice(half, None))):
+            scores = {n: score_of(views[which], run.answers[which]) for n, run in done.items()}
+            first, *rest = others
+            for other in (first, *(n for n in rest if scores[n].errors != scores[first].errors)):
+                rows += _score_rows(f"{what} {name}, {part}", scores[OURS], scores[other], other)
+        rows.append(_sigma_row(f"{what} {name}", score_of(views, done[OURS].answers)))
+    return rows + _tracked_rows(what, driving, others, size, effort)
+
+
+def _tracked_rows(
+    what: str, pictures: Gallery, others: Mapping[str, Finder], size: str, effort: float
+) -> list[Row]:
+    """Pictures in which a face was found in the last one, and OpenCV on the same ones."""
+    ours, views = Run(), []
+    for sequence in pictures.sequences(share_of(_SEQUENCES[size], effort), _LENGTH):
+        turns = [_followed(pictures.target, sequence) for _ in range(_ROUNDS)]
+        for pictured in zip(*turns, strict=True):
+            view, _, answer = pictured[0]
+            views.append(view)
+            ours.seconds.append(min(took for _, took, _ in pictured))
+            ours.answers.append(answer)
+    if not views:
+        return []
+    done = {OURS: ours, **runs(others, views)}
+    rows = _time_rows(f"{what} driving, found in the last picture", done, others)
+    scores = {name: score_of(views, run.answers) for name, run in done.items()}
+    first = next(iter(others))
+    rows += _score_rows(f"{what} driving, followed", scores[OURS], scores[first], first)
+    return [*rows, _sigma_row(f"{what} driving, followed", scores[OURS])]
+
+
+def _followed(
+    target: Target, sequence: list[tuple[int, View]]
+) -> list[tuple[View, float, list[Found]]]:
+    """The views of a sequence in which faces were followed, each with its seconds and what a new
+    tracker found; the same ones every time."""
+    tracker, was_found, followed = TargetTracker([target]), 0, []
+    for stamp_ns, view in sequence:
+        took, found = worked(lambda v=view, s=stamp_ns: tracker.detect(v.picture, s))
+        if was_found >= _SETTLED:
+            followed.append((view, took, [_found(sighting) for sighting in found]))
+        was_found = was_found + 1 if found else 0
+    return followed
+
+
+def _worst_row(choice: str) -> Row:
+    """The longest that a tracker takes over a nasty picture, first seen and again, within a frame's
+    period at 10 Hz; its clock counts its own work."""
+    target, worst = gallery(choice).target, 0.0
+    for _, picture in nasty_pictures(target.faces[:1]):
+        tracker = TargetTracker([target], budget_s=_PERIOD_S, clock=WorkClock())
+        for stamp_ns in (100_000_000, 200_000_000):
+            took, _ = worked(lambda t=tracker, p=picture, s=stamp_ns: t.detect(p, s))
+            worst = max(worst, took)
+    return _row(
+        f"{choice} 640 x 480, the nastiest picture",
+        "ms",
+        1e3 * worst,
+        1e3 * _PERIOD_S,
+        "the period",
+    )
+
+
+def _time_rows(what: str, done: Mapping[str, Run], others: Mapping[str, Finder]) -> list[Row]:
+    took = {name: run.milliseconds for name, run in done.items()}
+    return [_row(what, "ms", took[OURS], took[name], name) for name in others]
+
+
+def _spacing(view: View) -> float:
+    """The shortest distance of neighbouring corners of the largest face, pixels."""
+
+    def of(true: TrueFace) -> float:
+        grid = true.pixels.reshape(true.face.rows - 1, true.face.columns - 1, 2)
+        sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
+        return float(min(sides))
+
+    return max((of(true) for true in view.faces if true.is_whole), default=0.0)
+
+
+def _score_rows(what: str, ours: Score, other: Score, name: str) -> list[Row]:
+    both = ours.errors.keys() & other.errors.keys()
+    shares = (100 * ours.share, 100 * other.share)
+    rows = [_row(f"{what}, faces found", "%", *shares, name, more_is_better=True)]
+    if ours.wrong or other.wrong:
+        rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, other.wrong, name))
+    error = (ours.rms(both), other.rms(both))
+    return [*rows, _row(f"{what}, corner error, found by both", "px", *error, name)]
+
+
+def _found(sighting: FaceSighting) -> Found:
+    return Found(sighting.face, sighting.corners, sighting.pixels, sighting.sigma)
+
+
+def _sigma_row(what: str, ours: Score) -> Row:
+    """Neither more nor less is better than the same."""
+    what = f"{what}, corner error in its sigmas"
+    return _row(what, "1", ours.normalised_rms, 1.0, "a true sigma")
+
+
+def _row(
+    what: str, unit: str, ours: float, other: float, name: str, *, more_is_better: bool = False
+) -> Row:
+    return Row("detection", what, unit, ours, other, name, more_is_better)

@@ -1,0 +1,53 @@
+"""Our detectors against OpenCV's on pictures of boards as the world shows them (`world_views`), one
+thread each: faces found, corners found of those found, corners against the truth."""
+
+from benchmarks.table import Row, share_of
+
+from .detection import OURS, one_thread, opencv_finders, our_finder, runs
+from .scoring import Found, score_of
+from .views import View
+from .world_views import FACES, KINDS, target_of, world_views
+
+_VIEWS = 24
+
+
+def run(effort: float = 1.0) -> list[Row]:
+    """Both patterns, every kind of picture."""
+    count = share_of(_VIEWS, effort, least=2)
+    with one_thread():
+        return [row for choice in FACES for kind in KINDS for row in _rows(choice, kind, count)]
+
+
+def _rows(choice: str, kind: str, count: int) -> list[Row]:
+    """Recall and accuracy beside each of OpenCV's ways; a sigma beside a true one."""
+    views, target = world_views(choice, kind, count), target_of(choice)
+    others = opencv_finders(target, choice)
+    done = runs({OURS: our_finder(target)} | others, views)
+    scores = {name: score_of(views, run.answers) for name, run in done.items()}
+    ours, what, rows = scores[OURS], f"{choice}, {kind}", []
+    share = 100 * _corner_share(views, done[OURS].answers)
+    rows.append(_row(f"{what}, corners found", "%", share, 100.0, "all", more_is_better=True))
+    for name in others:
+        other = scores[name]
+        both = ours.errors.keys() & other.errors.keys()
+        found = (100 * ours.share, 100 * other.share)
+        rows.append(_row(f"{what}, faces found", "%", *found, name, more_is_better=True))
+        error = (ours.rms(both), other.rms(both))
+        rows.append(_row(f"{what}, corner error, found by both", "px", *error, name))
+        took = (done[OURS].milliseconds, done[name].milliseconds)
+        rows.append(_row(f"{what}, first search", "ms", *took, name))
+    rows.append(_row(f"{what}, found where none is", "faces", ours.wrong, 0.0, "none"))
+    sigma = ours.normalised_rms
+    return [*rows, _row(f"{what}, corner error in its sigmas", "1", sigma, 1.0, "a true sigma")]
+
+
+def _corner_share(views: list[View], answers: list[list[Found]]) -> float:
+    """Of all corners of the faces, how many are found."""
+    all_of_them = sum(true.face.corner_count for view in views for true in view.faces)
+    return sum(len(found.corners) for answer in answers for found in answer) / all_of_them
+
+
+def _row(
+    what: str, unit: str, ours: float, other: float, name: str, *, more_is_better: bool = False
+) -> Row:
+    return Row("world", what, unit, ours, other, name, more_is_better)

@@ -1,0 +1,1 @@
+"""The robot bridge: latency, the gate, protocols under nonsense."""

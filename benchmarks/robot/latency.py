@@ -1,0 +1,226 @@
+"""From exposure to correction through the whole site, beside the sum of its parts measured alone.
+
+    python -m benchmarks.robot.latency [--seconds 90]
+
+The lab's programs run as they do in a site: three simulated cameras' agent, fusion, the bridge and
+the robot; a correction has come when the robot has taken it over. All the time beside it each part
+runs alone, so that it waits for cores as the whole does: an agent of another site (exposure,
+picture, detection, bus), the filter over the same drive (taking in and computing), and a bridge
+(bus, judging, line).
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+from trigpoint.base.clock import to_ns
+from trigpoint.bus.bus import Subscription
+from trigpoint.contract import topics
+from trigpoint.contract.cdr import decode
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.fusion.inputs import load_inputs
+from trigpoint.fusion.live.solver_process import SolverProcess
+from trigpoint.fusion.pipeline import Pipeline
+from trigpoint.site.config import load_site
+from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.simulation.world import World, load_world
+from trigpoint.zenoh import open_bus
+
+from .bridge import measured
+
+CAMERAS = ("c1", "c2", "c3")
+_HEARD = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.CORRECTION)
+_START_S = 15.0
+# From exposure to the sightings on the bus, about.
+_DETECTED_NS = to_ns(0.07)
+
+
+@dataclass(slots=True)
+class Heard:
+    """Messages in the order in which they came, with the node that sent each; how late each
+    correction came after the exposure, and each sighting of a picture with a face, milliseconds."""
+
+    messages: list[tuple[int, str, Message]] = field(default_factory=list)
+    sightings_ms: list[float] = field(default_factory=list)
+    corrections_ms: list[float] = field(default_factory=list)
+
+    def take(self, subscriptions: Mapping[topics.Topic, Subscription]) -> None:
+        for topic, subscription in subscriptions.items():
+            while (sample := subscription.take(0.0)) is not None:
+                message = decode(topic.type_name, sample.payload)
+                node = topics.node_of(sample.key)
+                if isinstance(message, PoseEstimate):
+                    self.corrections_ms.append((sample.received_ns - message.stamp_ns) / 1e6)
+                    continue
+                self.messages.append((sample.received_ns, node, message))
+                if isinstance(message, Sightings) and message.faces:
+                    self.sightings_ms.append((sample.received_ns - message.stamp_ns) / 1e6)
+
+
+class Lab:
+    """A site in a folder whose programs are started by name."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.folder, self.name = folder, name
+        world = load_world("lab", seed=1)
+        world.site_name = name  # sites of other names never meet
+        for name in [name for name in world.cameras if name not in CAMERAS]:
+            del world.cameras[name]
+        self.epoch_ns = time.time_ns() + to_ns(_START_S)
+        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in CAMERAS}
+        self.site = write_site(world, folder, sources=sources, ports={"r1": "./r1.port"})
+        self.journal = folder / "r1.jsonl"
+
+    def words(self, program: str) -> list[str]:
+        site = ["--site", str(self.site)]
+        cameras = [word for name in CAMERAS for word in ("--camera", name)]
+        firmware = ["--world", "lab", "--seed", "1", "--robot", "r1", "--log", str(self.journal)]
+        firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
+        return {
+            "firmware": ["trigpoint.tools.simulation.serial.firmware", *firmware],
+            "edge": ["trigpoint", "edge", *site, *cameras],
+            "fusion": ["trigpoint", "fusion", *site, "--out", str(self.folder / "out")],
+            "robot": ["trigpoint", "robot", *site, "--robot", "r1"],
+        }[program]
+
+    def run(self, programs: tuple[str, ...], seconds: float) -> Heard:
+        """Run these until so long after the robot drove off; what was heard."""
+        heard = Heard()
+        with ExitStack() as stack:
+            bus = stack.enter_context(open_bus(load_site(self.site)))
+            subscriptions = {t: bus.subscribe(t, t.expression(self.name)) for t in _HEARD}
+            for program in programs:
+                words = [sys.executable, "-m", *self.words(program)]
+                with (self.folder / f"{program}.log").open("ab") as log:
+                    process = subprocess.Popen(words, stdout=log, stderr=log)
+                stack.callback(process.wait, 20)
+                stack.callback(process.terminate)
+            end_ns = self.epoch_ns + to_ns(seconds)
+            while time.time_ns() < end_ns:
+                time.sleep(0.2)
+                heard.take(subscriptions)
+        heard.messages.sort(key=lambda row: row[0])
+        return heard
+
+    @property
+    def corrections_ms(self) -> list[float]:
+        """How late the robot took over each correction, by its own journal."""
+        notes = [json.loads(line) for line in self.journal.read_text().splitlines()]
+        taken = [note for note in notes if note["kind"] == "correction"]
+        return [(note["at_ns"] - note["stamp_ns"]) / 1e6 for note in taken]
+
+
+def whole_ms(folder: Path, seconds: float) -> tuple[list[float], Heard]:
+    """The whole site: how late the robot took over each correction, and what was heard."""
+    lab = Lab(folder, "lab")
+    heard = lab.run(("firmware", "fusion", "edge", "robot"), seconds)
+    return lab.corrections_ms, heard
+
+
+def agent_ms(folder: Path, seconds: float) -> list[float]:
+    """How late an agent's sightings are on the bus, where there is nothing else."""
+    return Lab(folder, "alone").run(("edge",), seconds).sightings_ms
+
+
+def filtered_ms(folder: Path, seconds: float) -> list[float]:
+    """How long the filter takes for what leads to a correction, at the drive's pace."""
+    lab = Lab(folder, "filter")
+    inputs = load_inputs(load_site(lab.site), network=None)
+    solver = SolverProcess(inputs.data_set())
+    try:
+        pipeline = Pipeline(inputs, is_live=False, solver=solver)
+        pipeline.resumed(is_new=True)
+        messages = drive(load_world("lab", seed=1), to_ns(seconds))
+        return _filtered(pipeline, messages, lab.epoch_ns)
+    finally:
+        solver.close()
+
+
+def _filtered(
+    pipeline: Pipeline, messages: list[tuple[int, str, Message]], epoch_ns: int
+) -> list[float]:
+    took_ms, spent_s = list[float](), 0.0
+    for at_ns, node, message in messages:
+        time.sleep(max(0, epoch_ns + at_ns - time.time_ns()) / 1e9)
+        begin_s = time.perf_counter()
+        pipeline.push(node, message)
+        outputs = pipeline.advance(at_ns)
+        spent_s += time.perf_counter() - begin_s
+        if any(output.topic is topics.CORRECTION for output in outputs):
+            took_ms.append(1e3 * spent_s)
+        if outputs or isinstance(message, Odometry):
+            spent_s = 0.0
+    return took_ms
+
+
+def drive(world: World, until_ns: int) -> list[tuple[int, str, Message]]:
+    """(nanoseconds of the drive, node, message): what cameras and robot tell, as sightings are
+    drawn."""
+    rows: list[tuple[int, str, Message]] = []
+    for name in CAMERAS:
+        eye = world.cameras[name]
+        frame, size = f"{name}/optical", (eye.model.width, eye.model.height)
+        rows.append((0, name, CameraInfo(0, frame, eye.model)))
+        for t_s in eye.time_of(np.arange(int(world.duration_s * eye.rate) - 1)):
+            faces, stamp_ns = world.sightings(name, float(t_s)), to_ns(float(t_s))
+            told = Sightings(stamp_ns, frame, *size, faces)
+            rows.append((stamp_ns + _DETECTED_NS, name, told))
+    log = world.odometry("r1")
+    for number, t_s in enumerate(log.stamps_s):
+        stamp_ns = to_ns(float(t_s))
+        odometry = Odometry(stamp_ns, "r1/odom", "r1/base", log.poses[number])
+        rows.append((stamp_ns, "r1", odometry))
+    return sorted((row for row in rows if row[0] < until_ns), key=lambda row: row[0])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=90.0)
+    seconds, before = parser.parse_args().seconds, machine()
+    with (
+        tempfile.TemporaryDirectory() as name,
+        ProcessPoolExecutor(3, mp_context=get_context("spawn")) as pool,
+    ):
+        folder = Path(name)
+        running = pool.submit(whole_ms, folder / "whole", seconds)
+        agent = pool.submit(agent_ms, folder / "agent", seconds)
+        filtered = pool.submit(filtered_ms, folder / "filter", seconds)
+        time.sleep(_START_S)
+        run, told = measured(50.0, seconds)
+        parts = {
+            "agent": agent.result(),
+            "filter": filtered.result(),
+            "bridge": list(run.correction_ms(told)),
+        }
+        whole, heard = running.result()
+    _tell(parts, whole, heard)
+    print(f"{before.summary}; {machine().load:.1f} at the end")
+
+
+def _tell(parts: dict[str, list[float]], whole: list[float], heard: Heard) -> None:
+    marks = {name: np.percentile(values, [50, 95]) for name, values in parts.items()}
+    for name, (half, most) in marks.items():
+        print(f"{name} alone: p50 {half:.1f}, p95 {most:.1f} ms ({len(parts[name])})")
+    for what, values in (("sightings", heard.sightings_ms), ("corrections", heard.corrections_ms)):
+        half, most = np.percentile(values, [50, 95])
+        print(f"in the whole, exposure to {what} on the bus: p50 {half:.1f}, p95 {most:.1f} ms")
+    half, most = np.percentile(whole, [50, 95])
+    ratio = most / sum(mark[1] for mark in marks.values())
+    print(f"exposure to correction at the robot: p50 {half:.1f}, p95 {most:.1f} ms ({len(whole)})")
+    print(f"p95 over the sum of the parts' p95: {ratio:.2f}")
+
+
+if __name__ == "__main__":
+    main()
