@@ -2,8 +2,8 @@
 
 `python -m benchmarks.fusion.live [--cameras N] [--seconds N] [--resumed N]` drives round the
 corridor for so long. From the second lap on all cameras are located, so that every sighting is
-worked out. The first `--resumed` seconds are taken as a checkpoint is, after which fusion goes on live: the end of
-a long session without the time that the whole of it takes.
+worked out. The first `--resumed` seconds are taken as a checkpoint is, after which fusion goes on
+live: the end of a long session without the time that the whole of it takes.
 """
 
 import os
