@@ -60,6 +60,9 @@ _FLOOR = (*_JITTER, "length")
 # The search ends where the likelihood changes by less than this share.
 _FLAT = 1e-6
 _MOST_STEPS = 20
+# Of one line search. A forward difference is off by half a step's curvature, so that at the minimum
+# no length of a step is good enough, however many are tried.
+_MOST_TRIES = 8
 
 
 def learn(
@@ -163,7 +166,7 @@ def _likeliest(
     start = np.array([part.start for part in parts])
     if not free:
         return base, cost(start)
-    options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS}
+    options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS, "maxls": _MOST_TRIES}
     bounds = [part.bounds for part in parts]
     found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options=options)
     return noise_of(found.x), float(found.fun)

@@ -3,7 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
-#include <numeric>
+#include <stdexcept>
 #include <vector>
 
 #include "border.hpp"
@@ -54,7 +54,8 @@ Hypothesis with_right(const Hypothesis& before, const Vector6d& shift, const Mat
 TRIGPOINT_KERNEL(tp_innovation) {
     const Eigen::Index corners = arguments[0].array.shape[0],
                        unknowns = arguments[4].array.shape[0];
-    if (arguments[2].array.shape[1] != 2 * unknowns) return 0;
+    if (arguments[2].array.shape[1] != 2 * unknowns)
+        throw std::invalid_argument("derivatives by other unknowns than the covariance is of");
     Matrix6d information = In<6, 1>(arguments[5].array.as<double>()).cwiseInverse().asDiagonal();
     Vector6d pull = Vector6d::Zero();
     Wide across = Wide::Zero(6, unknowns);

@@ -206,6 +206,7 @@ def test_signal_that_came_before_stops_the_node(bus: MemoryBus) -> None:
     ENDING.ask()
     with stopped_by_signals(make_node(bus)) as node:
         node.wait()
+        assert node.stopping.is_set()
 
 
 def test_stop_is_logged(bus: MemoryBus, caplog: pytest.LogCaptureFixture) -> None:
