@@ -100,7 +100,8 @@ class MovedCameras:
         for status in diagnostics.statuses:
             if not status.name.startswith("fusion/"):
                 continue
-            count = int(status.values.get(_MOVED, "0"))
+            said = status.values.get(_MOVED, "")
+            count = int(said) if said.isdecimal() else 0  # none yet, or no fusion of ours
             are_more |= count > self._counts.get(status.name, count)
             self._counts[status.name] = count
         return are_more
