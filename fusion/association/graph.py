@@ -19,8 +19,8 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import turned_axes
 
-from .equations import Factor
 from .events import Events
+from .factor import Factor
 from .linear import HELD
 from .mode import Mode
 from .modes import VisitModes

@@ -27,9 +27,32 @@ inline Eigen::Matrix3d exp(const Eigen::Vector3d& v) {
     return Eigen::Matrix3d::Identity() + sine * cross + versine * (cross * cross);
 }
 
+// The rotation vector of a rotation, of length at most π.
+inline Eigen::Vector3d log(const Eigen::Matrix3d& rotation) {
+    Eigen::Quaterniond turn(rotation);
+    if (turn.w() < 0) turn.coeffs() = -turn.coeffs();
+    const double length = turn.vec().norm();
+    return length < 1e-9
+               ? Eigen::Vector3d(2 * turn.vec())
+               : Eigen::Vector3d(turn.vec() * (2 * std::atan2(length, turn.w()) / length));
+}
+
 struct Pose {
     Eigen::Matrix3d rotation;
     Eigen::Vector3d translation;
+
+    Pose inverse() const { return {rotation.transpose(), -(rotation.transpose() * translation)}; }
+
+    // a_from_b of this, with b_from_c: a_from_c.
+    Pose times(const Pose& other) const {
+        return {rotation * other.rotation, rotation * other.translation + translation};
+    }
+    // The disturbance that takes the other to this.
+    Vector6d difference(const Pose& other) const {
+        Vector6d found;
+        found << translation - other.translation, log(rotation * other.rotation.transpose());
+        return found;
+    }
 
     // The disturbance (metres, radians) in the parent's axes: t' = t + δt, R' = Exp(δθ) R.
     Pose disturbed(const Vector6d& by) const {

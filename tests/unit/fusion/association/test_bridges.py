@@ -1,13 +1,10 @@
 """What hangs on one gap of odometry alone."""
 
-import numpy as np
-import pytest
 from support.oracle.sessions import Shape, data_of, graph_of
 
 from trigpoint.fusion.association.bridges import tied_twice
 from trigpoint.fusion.association.engine import explain
-from trigpoint.fusion.association.graph import Tie, Variant
-from trigpoint.fusion.association.minimum import placed
+from trigpoint.fusion.association.graph import Tie
 
 
 def test_loop_that_closes_ties_everything_on_it_and_nothing_after() -> None:
@@ -23,25 +20,6 @@ def test_without_a_loop_only_where_the_map_begins_is_sure() -> None:
     assert {
         spot for spot in tied_twice(graph, {}, {0: 0, 1: 0}, frozenset()) if "c" in spot[0]
     } == {("c1", 0)}
-
-
-def test_variants_together_are_placed_as_each_alone() -> None:
-    graph = graph_of(Shape(2, (0, 1, 0), is_alike=True))
-    count = len(graph.visits[2].modes)
-    assert count > 1
-    variants = [
-        Variant({0: Tie(0, 0), 2: Tie(mode, 0)}, frozenset(), breaks)
-        for mode in range(count)
-        for breaks in (frozenset(), frozenset({("r1", 1)}))
-    ]
-    together = placed(graph, variants)
-    for variant, found in zip(variants, together, strict=True):
-        (alone,) = placed(graph, [variant])
-        assert (found is None) == (alone is None)
-        if found is not None and alone is not None:
-            assert found.score == pytest.approx(alone.score, abs=1e-2)
-            rows = found.layout.places["c1", 0]
-            assert np.allclose(found.covariance(rows), alone.covariance(rows), rtol=1e-3)
 
 
 def test_explanation_of_nothing_wrong_has_no_events() -> None:

@@ -1,0 +1,366 @@
+// The minimum of a pose graph, and the marginal covariances there.
+#include <Eigen/SparseCholesky>
+#include <algorithm>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "border.hpp"
+#include "geometry/pose.hpp"
+
+using namespace trigpoint;
+
+namespace {
+
+constexpr int MOST_STEPS = 8;
+// The iteration ends at a step that is smaller than this in every unknown (m, rad), or that
+// promises a smaller gain in the score.
+constexpr double SMALL_STEP = 1e-5, SMALL_GAIN = 1e-3;
+
+using Index = Eigen::Index;
+using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Sparse = Eigen::SparseMatrix<double>;
+
+// The information matrix of a graph, factorised: unknowns are scaled first, so that those that are
+// known exactly and those that are hardly known have equations of comparable magnitude.
+struct Factor {
+    Eigen::SimplicialLDLT<Sparse> parts;
+    Eigen::VectorXd scale;
+
+    bool is_positive() const {
+        return parts.info() == Eigen::Success && (parts.vectorD().array() > 0).all();
+    }
+    double log_determinant() const {
+        return parts.vectorD().array().log().sum() - 2 * scale.array().log().sum();
+    }
+};
+
+// One term of the cost: residualᵀ information residual, its derivatives by the unknowns in `rows`
+// (-1: held).
+struct Term {
+    std::vector<Index> rows;
+    Rows jacobian;
+    Eigen::VectorXd residual;
+    Rows information;
+};
+
+// Normal equations of terms that always come in one order: where each entry goes is found once.
+class Normal {
+public:
+    double cost = 0;
+    Eigen::VectorXd gradient;
+    Sparse matrix;  // the lower triangle
+
+    explicit Normal(Index size) : gradient(size), matrix(size, size) {}
+
+    void begin() {
+        cost = 0;
+        gradient.setZero();
+        if (is_planned_) std::fill_n(matrix.valuePtr(), matrix.nonZeros(), 0.0);
+        next_ = 0;
+    }
+    void add(const Term& term) {
+        const Rows weighted = term.jacobian.transpose() * term.information;
+        const Rows square = weighted * term.jacobian;
+        const Eigen::VectorXd pull = weighted * term.residual;
+        cost += term.residual.dot(term.information * term.residual);
+        for (std::size_t i = 0; i < term.rows.size(); ++i) {
+            if (term.rows[i] < 0) continue;
+            gradient[term.rows[i]] += pull[static_cast<Index>(i)];
+            for (std::size_t j = 0; j < term.rows.size(); ++j)
+                if (term.rows[j] >= 0 && term.rows[j] <= term.rows[i])
+                    put(term.rows[i], term.rows[j],
+                        square(static_cast<Index>(i), static_cast<Index>(j)));
+        }
+    }
+    void end() {
+        if (is_planned_) return;
+        matrix.setFromTriplets(entries_.begin(), entries_.end());
+        for (const Entry& entry : entries_) {
+            const auto* first = matrix.innerIndexPtr() + matrix.outerIndexPtr()[entry.col()];
+            const auto* last = matrix.innerIndexPtr() + matrix.outerIndexPtr()[entry.col() + 1];
+            slots_.push_back(std::lower_bound(first, last, entry.row()) - matrix.innerIndexPtr());
+        }
+        is_planned_ = true;
+    }
+
+private:
+    using Entry = Eigen::Triplet<double, int>;
+    std::vector<Entry> entries_;
+    std::vector<Index> slots_;
+    std::size_t next_ = 0;
+    bool is_planned_ = false;
+
+    void put(Index row, Index column, double value) {
+        if (is_planned_)
+            matrix.valuePtr()[slots_[next_++]] += value;
+        else
+            entries_.emplace_back(static_cast<int>(row), static_cast<int>(column), value);
+    }
+};
+
+using Places = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, 12, Eigen::RowMajor>>;
+
+Pose pose_of(const double* numbers) { return pose_at(numbers, numbers + 9, 0); }
+
+// The derivatives of a_from_b by the disturbances of a and of b.
+void relative_jacobians(const Pose& a, const Pose& b, Matrix6d& by_a, Matrix6d& by_b) {
+    const Eigen::Matrix3d to_a = a.rotation.transpose();
+    by_b.setZero();
+    by_b.topLeftCorner<3, 3>() = by_b.bottomRightCorner<3, 3>() = to_a;
+    by_a = -by_b;
+    by_a.topRightCorner<3, 3>() = to_a * hat(b.translation - a.translation);
+}
+
+// What `tp_graph_minimum` is given, in its order.
+enum Given {
+    FACTOR,
+    POSES,
+    POSE_ROWS,
+    VALUES,
+    BOUNDS,
+    VALUE_ROWS,
+    PRIOR_OF,
+    PRIOR_AT,
+    PRIOR_INFORMATION,
+    VALUE_MEAN,
+    VALUE_INFORMATION,
+    STEP_ENDS,
+    STEP_MOTION,
+    STEP_INFORMATION,
+    STEP_BY_SCALE,
+    STEP_ABOUT,
+    TIE_ENDS,
+    TIE_MOTION,
+    TIE_INFORMATION,
+    TIE_VALUES,
+    SCORE
+};
+
+class Graph {
+public:
+    explicit Graph(const Argument* given) : given_(given), poses_(given[POSES].array.rows<12>()) {
+        size_ = 0;
+        for (int which : {POSE_ROWS, VALUE_ROWS}) {
+            const Array& rows = array(which);
+            const Index count = rows.shape[0] * std::max<Index>(rows.shape[1], 1);
+            for (Index i = 0; i < count; ++i) {
+                if (integers(which)[i] < (which == POSE_ROWS ? -1 : 0))
+                    throw std::invalid_argument("a row that is none");
+                size_ = std::max<Index>(size_, integers(which)[i] + 1);
+            }
+        }
+        checked(PRIOR_OF, 1, {poses()});
+        checked(STEP_ENDS, 4, {poses(), poses(), std::max<Index>(values() - 1, 0), 2});
+        checked(TIE_ENDS, 4, {poses(), poses(), values(), own() + 1});
+        if (size_ > 6 * poses() + values()) throw std::invalid_argument("rows with gaps");
+        if (array(TIE_INFORMATION).shape[1] != 6 + own())
+            throw std::invalid_argument("information of others");
+        for (Index k = 0; k < array(TIE_ENDS).shape[0]; ++k) {
+            const std::int64_t* ends = integers(TIE_ENDS) + 4 * k;
+            if (ends[3] < 0 || (ends[3] > 0 && (ends[2] < 0 || ends[2] + ends[3] > values())))
+                throw std::invalid_argument("a tie to values that are none");
+        }
+    }
+
+    Index size() const { return size_; }
+
+    void linearise(Normal& normal) const {
+        normal.begin();
+        for (Index i = 0; i < array(PRIOR_OF).shape[0]; ++i) normal.add(prior(i));
+        for (Index i = 0; i < array(STEP_ENDS).shape[0]; ++i) normal.add(step(i));
+        for (Index i = 0; i < array(TIE_ENDS).shape[0]; ++i) normal.add(tie(i));
+        for (Index i = 0; i < values(); ++i) normal.add(value_prior(i));
+        normal.end();
+    }
+
+    void move(const Eigen::VectorXd& by) {
+        for (Index i = 0; i < poses(); ++i) {
+            Vector6d shift;
+            for (int k = 0; k < 6; ++k) {
+                const Index row = integers(POSE_ROWS)[6 * i + k];
+                shift[k] = row < 0 ? 0 : by[row];
+            }
+            const Pose moved = pose(i).disturbed(shift);
+            Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(&poses_(i, 0)) =
+                moved.rotation;
+            poses_.row(i).tail<3>() = moved.translation;
+        }
+        for (Index i = 0; i < values(); ++i) {
+            const double limit = numbers(BOUNDS)[i];
+            double& value = numbers(VALUES)[i];
+            value = std::max(-limit, std::min(limit, value + by[integers(VALUE_ROWS)[i]]));
+        }
+    }
+
+private:
+    const Argument* given_;
+    Places poses_;
+    Index size_;
+
+    const Array& array(int which) const { return given_[which].array; }
+    double* numbers(int which) const { return array(which).as<double>(); }
+    const std::int64_t* integers(int which) const { return array(which).as<std::int64_t>(); }
+    Index poses() const { return poses_.rows(); }
+    Index values() const { return array(VALUES).shape[0]; }
+    Index own() const { return array(TIE_VALUES).shape[1]; }
+    Pose pose(Index i) const { return pose_of(&poses_(i, 0)); }
+
+    // Every row of an array of integers within these bounds, from -1.
+    void checked(int which, int width, std::vector<Index> limits) const {
+        for (Index i = 0; i < array(which).shape[0]; ++i)
+            for (int k = 0; k < width; ++k) {
+                const std::int64_t number = integers(which)[width * i + k];
+                const Index least = width == 1 || k < 2 ? 0 : -1;
+                if (number < least || number >= limits[static_cast<std::size_t>(k)])
+                    throw std::invalid_argument("a term of a pose or value that is none");
+            }
+    }
+    void free(std::vector<Index>& rows, Index pose) const {
+        for (int k = 0; k < 6; ++k) rows.push_back(integers(POSE_ROWS)[6 * pose + k]);
+    }
+
+    Term prior(Index i) const {
+        Term term;
+        const Index which = integers(PRIOR_OF)[i];
+        free(term.rows, which);
+        term.jacobian = Matrix6d::Identity();
+        term.residual = pose(which).difference(pose_of(numbers(PRIOR_AT) + 12 * i));
+        term.information = Eigen::Map<const Rows>(numbers(PRIOR_INFORMATION) + 36 * i, 6, 6);
+        return term;
+    }
+
+    Term value_prior(Index i) const {
+        Term term;
+        term.rows = {integers(VALUE_ROWS)[i]};
+        term.jacobian = Rows::Identity(1, 1);
+        term.residual = Eigen::VectorXd::Constant(1, numbers(VALUES)[i] - numbers(VALUE_MEAN)[i]);
+        term.information = Rows::Constant(1, 1, numbers(VALUE_INFORMATION)[i]);
+        return term;
+    }
+
+    // The term of the motion from one pose to another, `expected` at their values.
+    Term between(Index first, Index second, const Pose& expected, Index more) const {
+        Term term;
+        free(term.rows, first);
+        free(term.rows, second);
+        const Pose a = pose(first), b = pose(second);
+        Matrix6d by_a, by_b;
+        relative_jacobians(a, b, by_a, by_b);
+        term.jacobian = Rows::Zero(6 + more, 12 + more);
+        term.jacobian.topLeftCorner<6, 6>() = by_a;
+        term.jacobian.block<6, 6>(0, 6) = by_b;
+        term.residual = Eigen::VectorXd::Zero(6 + more);
+        term.residual.head<6>() = a.inverse().times(b).difference(expected);
+        return term;
+    }
+
+    Term step(Index i) const {
+        const std::int64_t* ends = integers(STEP_ENDS) + 4 * i;
+        const Index scale = ends[2];
+        Pose expected = pose_of(numbers(STEP_MOTION) + 12 * i);
+        Eigen::Matrix<double, 6, 2> by_scale;
+        by_scale.setZero();
+        if (scale >= 0) {
+            by_scale = Eigen::Map<const Eigen::Matrix<double, 6, 2, Eigen::RowMajor>>(
+                numbers(STEP_BY_SCALE) + 12 * i);
+            const Eigen::Vector2d about(numbers(STEP_ABOUT)[2 * i], numbers(STEP_ABOUT)[2 * i + 1]);
+            const Eigen::Vector2d now(numbers(VALUES)[scale], numbers(VALUES)[scale + 1]);
+            expected = expected.disturbed(by_scale * (now - about));
+        }
+        Term term = between(ends[0], ends[1], expected, 0);
+        term.information = Eigen::Map<const Rows>(numbers(STEP_INFORMATION) + 36 * i, 6, 6);
+        const bool is_anywhere = ends[3] > 0;
+        if (is_anywhere) term.residual.setZero();
+        if (scale >= 0) {
+            term.rows.push_back(integers(VALUE_ROWS)[scale]);
+            term.rows.push_back(integers(VALUE_ROWS)[scale + 1]);
+            term.jacobian.conservativeResize(6, 14);
+            term.jacobian.rightCols<2>() = -by_scale;
+            if (is_anywhere) term.jacobian.rightCols<2>().setZero();
+        }
+        return term;
+    }
+
+    Term tie(Index i) const {
+        const std::int64_t* ends = integers(TIE_ENDS) + 4 * i;
+        const Index count = ends[3], whole = array(TIE_INFORMATION).shape[1];
+        Term term = between(ends[0], ends[1], pose_of(numbers(TIE_MOTION) + 12 * i), count);
+        term.information =
+            Eigen::Map<const Rows>(numbers(TIE_INFORMATION) + whole * whole * i, whole, whole)
+                .topLeftCorner(6 + count, 6 + count);
+        for (Index k = 0; k < count; ++k) {
+            term.rows.push_back(integers(VALUE_ROWS)[ends[2] + k]);
+            term.jacobian(6 + k, 12 + k) = 1;
+            term.residual[6 + k] =
+                numbers(VALUES)[ends[2] + k] - numbers(TIE_VALUES)[own() * i + k];
+        }
+        return term;
+    }
+};
+
+// Whether every unknown has an equation; the factor is then of these equations.
+bool factorised(const Normal& normal, Factor& factor) {
+    const Eigen::VectorXd diagonal = normal.matrix.diagonal();
+    if (!(diagonal.array() > 0).all() || !diagonal.allFinite()) return false;
+    factor.scale = diagonal.array().rsqrt();
+    Sparse scaled = factor.scale.asDiagonal() * normal.matrix * factor.scale.asDiagonal();
+    factor.parts.compute(scaled);
+    return factor.parts.info() == Eigen::Success;
+}
+
+}  // namespace
+
+TRIGPOINT_OBJECT(tp_factor, Factor)
+
+// (factor, poses (N, 12), their rows (N, 6), values (v,), their bounds (v,), their rows (v,),
+// [absolute] pose (p,), expected (p, 12), information (p, 6, 6), values' mean (v,) and
+// information (v,), [steps] ends (m, 4), motion (m, 12), information (m, 6, 6), by scales (m, 6,
+// 2), about (m, 2), [ties] ends (k, 4), motion (k, 12), information (k, q, q), values (k, o), cost
+// and ln|information| (2,)): 1 where the minimum is determined; see `minimum.placed`.
+TRIGPOINT_KERNEL(tp_graph_minimum) {
+    auto& factor = *static_cast<Factor*>(arguments[FACTOR].object);
+    Graph graph(arguments);
+    Normal normal(graph.size());
+    double* score = arguments[SCORE].array.as<double>();
+    bool is_settled = false;
+    score[0] = score[1] = 0;
+    for (int round = 0; round < MOST_STEPS && !is_settled; ++round) {
+        graph.linearise(normal);
+        if (!factorised(normal, factor)) return 0;
+        const Eigen::VectorXd step = -factor.scale.cwiseProduct(
+            factor.parts.solve(factor.scale.cwiseProduct(normal.gradient)));
+        if (!step.allFinite()) return 0;
+        const double gain = -step.dot(normal.gradient);
+        graph.move(step);
+        is_settled =
+            step.size() == 0 || step.cwiseAbs().maxCoeff() < SMALL_STEP || gain < SMALL_GAIN;
+        score[0] = normal.cost - gain;
+    }
+    if (!is_settled) {
+        graph.linearise(normal);
+        if (!factorised(normal, factor)) return 0;
+        score[0] = normal.cost;
+    }
+    score[1] = factor.log_determinant();
+    return factor.is_positive() && std::isfinite(score[0]) && std::isfinite(score[1]);
+}
+
+// (factor, rows (k,), covariance (k, k)): 0; see `minimum.Factor.covariance`.
+TRIGPOINT_KERNEL(tp_factor_covariance) {
+    const auto& factor = *static_cast<Factor*>(arguments[0].object);
+    const Index count = arguments[1].array.shape[0], size = factor.scale.size();
+    const std::int64_t* rows = arguments[1].array.as<std::int64_t>();
+    Eigen::MatrixXd unit = Eigen::MatrixXd::Zero(size, count);
+    for (Index i = 0; i < count; ++i) {
+        if (rows[i] < 0 || rows[i] >= size) throw std::invalid_argument("a row that is none");
+        unit(rows[i], i) = factor.scale[rows[i]];
+    }
+    if (size == 0 || !factor.is_positive()) throw std::invalid_argument("nothing is factorised");
+    const Eigen::MatrixXd solved = factor.scale.asDiagonal() * factor.parts.solve(unit);
+    Eigen::Map<Rows> covariance(arguments[2].array.as<double>(), count, count);
+    for (Index i = 0; i < count; ++i)
+        for (Index j = 0; j < count; ++j)
+            covariance(i, j) = 0.5 * (solved(rows[i], j) + solved(rows[j], i));
+    return 0;
+}

@@ -1,0 +1,165 @@
+"""The minimum of a pose graph, held to scipy's over the same terms with derivatives by
+differences."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from trigpoint.fusion.association.factor import Factor
+from trigpoint.fusion.association.minimum import MINIMUM
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+NODES, PLACES, SCALES, OWN = 4, 2, 2, 3
+PLANAR = [0, 1, 5]
+UNKNOWNS = 3 * NODES + 6 * PLACES + SCALES + OWN
+BY_SCALE = 0.1
+LIFTED = 1  # the step of which only the room says anything
+ROOM = np.diag([0.01, 0.01, 0.0, 0.0, 0.0, 0.1])
+
+
+@dataclass
+class Drawn:
+    """Terms of a planar robot's four nodes, two cameras, one lens and the scale errors."""
+
+    start: Pose
+    expected: Pose
+    steps: Pose
+    by_scale: Array
+    about: Array
+    ties: Pose
+    own: Array
+    tie_information: Array
+    ends: np.ndarray
+
+    @classmethod
+    def of(cls, seed: int) -> "Drawn":
+        random = np.random.default_rng(seed)
+        nodes = Pose.planar(np.arange(NODES) * 0.7, random.normal(0, 0.2, NODES), [0, 0.3, 0.9, 2])
+        places = Pose.from_vector(random.normal(0, 1, (PLACES, 6)))
+        both = stacked(nodes, places)
+        ends = np.array([[0, 4], [1, 5], [2, 4], [3, 5]])
+        seen = both[ends[:, 0]].inverse() @ both[ends[:, 1]]
+        square = random.normal(0, 1, (len(ends), 6 + OWN, 6 + OWN))
+        steps = nodes[: NODES - 1].inverse() @ nodes[1:]
+        planar = np.zeros((NODES - 1, 6))
+        planar[:, PLANAR] = random.normal(0, 0.005, (NODES - 1, 3))
+        by_scale = np.zeros((NODES - 1, 6, 2))
+        by_scale[:, 0, 0], by_scale[:, 5, 1] = 0.7, 0.5
+        return cls(
+            both,
+            nodes[0],
+            steps.disturbed(planar),
+            by_scale,
+            random.normal(0, 0.01, (NODES - 1, 2)),
+            seen.disturbed(random.normal(0, 0.003, (len(ends), 6))),
+            random.normal(0, 0.01, (len(ends), OWN)),
+            50 * square @ np.swapaxes(square, 1, 2) + 100 * np.eye(6 + OWN),
+            ends,
+        )
+
+    def moved(self, by: Array) -> tuple[Pose, Array]:
+        """Poses and values, these unknowns from where they start."""
+        whole = np.zeros((NODES + PLACES, 6))
+        whole[:NODES, PLANAR] = by[: 3 * NODES].reshape(-1, 3)
+        whole[NODES:] = by[3 * NODES : 3 * NODES + 6 * PLACES].reshape(-1, 6)
+        return self.start.disturbed(whole), by[3 * NODES + 6 * PLACES :]
+
+    def residuals(self, by: Array) -> Array:
+        """Every term, whitened."""
+        poses, values = self.moved(by)
+        first = poses[0].difference(self.expected)[PLANAR] * 1e3
+        change = (self.by_scale @ (values[:SCALES] - self.about)[..., None])[..., 0]
+        steps = poses[: NODES - 1].inverse() @ poses[1:NODES]
+        step = steps.difference(self.steps.disturbed(change))[:, PLANAR] * 40
+        step = np.delete(step, LIFTED, axis=0)
+        ties = (poses[self.ends[:, 0]].inverse() @ poses[self.ends[:, 1]]).difference(self.ties)
+        told = np.concatenate([ties, values[SCALES:] - self.own], axis=1)
+        roots = np.swapaxes(np.linalg.cholesky(self.tie_information), 1, 2)
+        tie = (roots @ told[..., None]).ravel()
+        return np.concatenate([first, step.ravel(), tie, values / BY_SCALE])
+
+    def found(self) -> tuple[int, Pose, Array, Array, Factor]:
+        """By the core."""
+        rows = np.full((NODES + PLACES, 6), -1)
+        rows[:NODES, PLANAR] = np.arange(3 * NODES).reshape(-1, 3)
+        rows[NODES:] = 3 * NODES + np.arange(6 * PLACES).reshape(-1, 6)
+        poses, values, score = numbers(self.start), np.zeros(SCALES + OWN), np.empty(2)
+        information = np.zeros((NODES - 1, 6, 6))
+        information[:, PLANAR, PLANAR] = 1600.0
+        information[LIFTED] = ROOM
+        steps = np.array([[n, n + 1, 0, n == LIFTED] for n in range(NODES - 1)])
+        first = np.zeros((1, 6, 6))
+        first[:, PLANAR, PLANAR] = 1e6
+        factor = Factor()
+        is_found = MINIMUM(
+            *(factor, poses, rows),
+            *(values, np.full(len(values), 0.9)),
+            UNKNOWNS - len(values) + np.arange(len(values)),
+            *(np.zeros(1, dtype=int), numbers(self.expected), first),
+            *(np.zeros(len(values)), np.full(len(values), BY_SCALE**-2)),
+            *(steps, numbers(self.steps), information, self.by_scale, self.about),
+            np.column_stack([self.ends, np.full((len(self.ends), 2), [SCALES, OWN])]),
+            *(numbers(self.ties), self.tie_information, self.own, score),
+        )
+        return is_found, Pose(poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]), values, score, factor
+
+
+def stacked(first: Pose, second: Pose) -> Pose:
+    return Pose(
+        np.concatenate([first.rotation, second.rotation]),
+        np.concatenate([first.translation, second.translation]),
+    )
+
+
+def numbers(poses: Pose) -> Array:
+    return np.hstack([poses.rotation.reshape(-1, 9), poses.translation.reshape(-1, 3)])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_minimum_is_that_of_all_terms(seed: int) -> None:
+    drawn = Drawn.of(seed)
+    is_found, poses, values, score, factor = drawn.found()
+    assert is_found
+    best = least_squares(drawn.residuals, np.zeros(UNKNOWNS), xtol=1e-12, ftol=1e-12)
+    expected, expected_values = drawn.moved(best.x)
+    assert np.allclose(poses.difference(expected), 0.0, atol=2e-4)
+    assert np.allclose(values, expected_values, atol=2e-3)
+    assert score[0] == pytest.approx(2 * best.cost, abs=5e-3)
+    across = by_differences(drawn, best.x)  # over the lift only the room is known
+    information = best.jac.T @ best.jac + across.T @ ROOM @ across
+    assert score[1] == pytest.approx(np.linalg.slogdet(information)[1], abs=0.05)
+    rows = np.array([3, 4, 5, 14, UNKNOWNS - 1])
+    covariance = np.linalg.inv(information)[np.ix_(rows, rows)]
+    assert np.allclose(factor.covariance(rows), covariance, rtol=0.02, atol=1e-6)
+
+
+def by_differences(drawn: Drawn, at: Array) -> Array:
+    """The derivative (6, unknowns) of the motion over the lifted step."""
+
+    def motion(by: Array) -> Pose:
+        poses, _ = drawn.moved(by)
+        return poses[LIFTED].inverse() @ poses[LIFTED + 1]
+
+    here, step = motion(at), 1e-6
+    each = [motion(at + step * unit).difference(here) / step for unit in np.eye(UNKNOWNS)]
+    return np.array(each).T
+
+
+def test_pose_of_which_nothing_is_said_is_not_determined() -> None:
+    drawn = Drawn.of(0)
+    keep = drawn.ends[:, 1] == 4  # nothing is left of the second camera
+    drawn.ties, drawn.own = drawn.ties[keep], drawn.own[keep]
+    drawn.tie_information, drawn.ends = drawn.tie_information[keep], drawn.ends[keep]
+    assert not drawn.found()[0]
+
+
+def test_terms_of_what_is_not_there_are_refused() -> None:
+    drawn = Drawn.of(0)
+    drawn.ends = drawn.ends + 3
+    with pytest.raises(RuntimeError, match="a pose or value that is none"):
+        drawn.found()
+    with pytest.raises(RuntimeError, match="nothing is factorised"):
+        Factor().covariance(np.zeros(0, dtype=int))
