@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from trigpoint.fusion.model.observations import Observation, View, face_points, swept
-from trigpoint.fusion.model.projection import projected
-from trigpoint.fusion.reading.planar_pose import planar_poses
+from trigpoint.fusion.reading.planar_pose import PoseFit, planar_poses
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -18,10 +17,21 @@ from trigpoint.site.target import Target
 
 from .events import Events
 
-_MOST_REFITS = 3
 _LEAST_GOOD = 4
 _LEAST_CORNERS = 12
 _REAL = np.float64
+_BOARD_FITS = Kernel(
+    "tp_board_fits",
+    In(_REAL, ("p",)),
+    In(_REAL, ("n", 3)),
+    In(_REAL, ("n", 2)),
+    *(float, float),
+    In(_REAL, ("b", 3, 3)),
+    In(_REAL, ("b", 3)),
+    Out(_REAL, ("b",)),
+    Out(_REAL, ("b", "n")),
+    Out(np.bool_, ("b", "n")),
+)
 _WITHOUT_WILD = Kernel(
     "tp_without_wild",
     In(_REAL, ("v", "n", 12)),
@@ -98,13 +108,13 @@ def _best_fit(
     flat = face_points(face, view.corners, is_turned=reading.is_turned)
     points = swept(flat, view, face)
     starts = planar_poses(lens, flat, view.pixels, view.sigma)
-    tried = [_fit(start.pose, points, view, lens, events) for start in starts[:1]]
+    tried = _fits(starts[:1], points, view, lens, events)
     if tried and np.all(tried[0][1] < events.wild_score):
         return tried[0]
     in_plane = _on_one_plane(flat, view.pixels, lens, math.sqrt(events.wild_score) * view.sigma)
     if not np.all(in_plane):
         starts += planar_poses(lens, flat[in_plane], view.pixels[in_plane], view.sigma)
-    tried += [_fit(start.pose, points, view, lens, events) for start in starts[len(tried) :]]
+    tried += _fits(starts[len(tried) :], points, view, lens, events)
     return min(tried, key=_score, default=None)
 
 
@@ -123,21 +133,23 @@ def _on_one_plane(flat: Array, pixels: Array, lens: CameraModel, limit: float) -
     return np.ones(len(flat), dtype=bool) if mask is None else mask.ravel().astype(bool)
 
 
-def _fit(
-    pose: Pose, points: Array, view: View, lens: CameraModel, events: Events
-) -> tuple[float, Array, np.ndarray]:
-    """Fit the pose, and return the score of the fit with the pose integrated out, each corner's χ²
-    about it (n,), and which corners are wild (n,)."""
-    wild = np.zeros(len(points), dtype=bool)
-    jacobian, left = _linearised(pose, points, view, lens)
-    for _ in range(_MOST_REFITS):
-        (step,), (wild,) = all_without_wild(jacobian[None], left[None], events.wild_score)
-        pose = pose.disturbed(step)
-        jacobian, left = _linearised(pose, points, view, lens)
-    flat = jacobian[~wild].reshape(-1, 6)
-    chi2 = np.sum(left**2, axis=1)
-    score = float(np.sum(chi2[~wild])) + int(wild.sum()) * events.wild_score
-    return score + float(np.linalg.slogdet(flat.T @ flat)[1]), chi2, wild
+def _fits(
+    starts: list[PoseFit], points: Array, view: View, lens: CameraModel, events: Events
+) -> list[tuple[float, Array, np.ndarray]]:
+    """Fit the pose from each start; for each the score of the fit with the pose integrated out,
+    every corner's χ² about it (n,), and which corners are wild (n,)."""
+    shape = len(starts), len(points)
+    scores, chi2, wild = np.empty(len(starts)), np.empty(shape), np.empty(shape, dtype=bool)
+    poses = Pose.stack([start.pose for start in starts])
+    _BOARD_FITS(
+        lens.parameters,
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(view.pixels),
+        *(view.sigma, events.wild_score),
+        *(poses.rotation, poses.translation),
+        *(scores, chi2, wild),
+    )
+    return list(zip(scores.tolist(), chi2, wild, strict=True))
 
 
 def wild_corners(sightings: Sequence[tuple[Array, Array]], limit: float) -> list[np.ndarray]:
@@ -158,8 +170,3 @@ def all_without_wild(by_pose: Array, residual: Array, limit: float) -> tuple[Arr
     by_pose = np.ascontiguousarray(by_pose).reshape(count, corners, 12)
     _WITHOUT_WILD(by_pose, np.ascontiguousarray(residual), limit, step, wild)
     return step, wild
-
-
-def _linearised(pose: Pose, points: Array, view: View, lens: CameraModel) -> tuple[Array, Array]:
-    found = projected(lens, pose, points)
-    return found.by_body / view.sigma, (found.pixels - view.pixels) / view.sigma

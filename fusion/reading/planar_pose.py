@@ -6,16 +6,23 @@ plane-based pose estimation», 2014); two faces together are solid and have one.
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
-_MINIMUM_CORNERS = 4
 _REAL = np.float64
+_PLANE = Kernel(
+    "tp_plane_poses",
+    In(_REAL, ("p",)),
+    In(_REAL, ("n", 3)),
+    In(_REAL, ("n", 2)),
+    float,
+    Out(_REAL, (2, 3, 3)),
+    Out(_REAL, (2, 3)),
+    Out(_REAL, (2,)),
+)
 _REFINED = Kernel(
     "tp_refined_poses",
     In(_REAL, ("p",)),
@@ -37,38 +44,21 @@ class PoseFit:
 
 
 def planar_poses(lens: CameraModel, points: Array, pixels: Array, sigma: float) -> list[PoseFit]:
-    """Both poses of one plane; points (n, 3) with z = 0, pixels (n, 2) raw.
+    """Both poses of one plane, best first; points (n, 3) with z = 0, pixels (n, 2) raw.
 
     z points away from whoever sees the plane's front: what fits from behind alone, as a mirrored
     order of the corners does, is left out. An empty list where fewer than four corners are seen or
     they lie on a line.
     """
-    if len(points) < _MINIMUM_CORNERS or np.linalg.matrix_rank(points - points[0], tol=1e-6) < 2:
-        return []
-    directions = lens.directions(pixels)
-    if not np.all(np.isfinite(directions)):
-        return []
-    centre = points.mean(axis=0)
-    try:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
-            np.ascontiguousarray(points - centre),
-            np.ascontiguousarray(directions)[:, None],
-            np.eye(3),
-            np.zeros(5),
-            flags=cv2.SOLVEPNP_IPPE,
-        )
-    except cv2.error:
-        return []
-    rotations = so3.exp(np.reshape(turns, (-1, 3)))
-    starts = Pose(rotations, np.reshape(shifts, (-1, 3)) - rotations @ centre)
-    both = np.broadcast_to(points, (len(starts), *points.shape))
-    fits = refined_poses(lens, starts, both, pixels, sigma)
-    shown = [fit for fit in fits if fit is not None and _shows_front(fit.pose, centre)]
-    return sorted(shown, key=lambda fit: fit.rms)
-
-
-def _shows_front(camera_from_plane: Pose, centre: Array) -> bool:
-    return bool(camera_from_plane.rotation[:, 2] @ (camera_from_plane @ centre) > 0)
+    rotation, translation, rms = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(2)
+    count = _PLANE(
+        lens.parameters,
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(pixels),
+        sigma,
+        *(rotation, translation, rms),
+    )
+    return [PoseFit(Pose(rotation[i], translation[i]), float(rms[i])) for i in range(count)]
 
 
 def refined_poses(
@@ -79,8 +69,6 @@ def refined_poses(
 
     `pixels`: (n, 2); `sigma`: of a coordinate, a number or (n,).
     """
-    if not len(points):
-        return []  # OpenCV returns no pose for nearly collinear corners
     weights = np.ascontiguousarray(np.broadcast_to(1 / np.asarray(sigma), points.shape[1:2]))
     rotation, translation = np.array(starts.rotation), np.array(starts.translation)
     rms = np.empty(len(points))

@@ -1,4 +1,6 @@
 // Poses of least reprojection error, and corners that no pose explains.
+#include "fusion/pose_fitting.hpp"
+
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
@@ -7,7 +9,6 @@
 #include <vector>
 
 #include "border.hpp"
-#include "fusion/projection.hpp"
 
 using namespace trigpoint;
 
@@ -26,38 +27,6 @@ Vector6d step_of(const Matrix6d& normal, const Vector6d& gradient) {
     const Vector6d inverse = (values.abs() > least).select(values.inverse(), 0.0);
     return -(parts.eigenvectors() *
              (inverse.asDiagonal() * (parts.eigenvectors().transpose() * gradient)));
-}
-
-using Points3 = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>>;
-using Pixels = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>>;
-using Weights = Eigen::Map<const Eigen::VectorXd>;
-
-// Gauss-Newton from a pose; the RMS of the residuals, NaN where it diverges.
-double refine(const Lens& lens, Pose& pose, const Points3& points, const Pixels& pixels,
-              const Weights& weights) {
-    const double none = std::numeric_limits<double>::quiet_NaN();
-    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
-    double rms = none;
-    for (int round = 0; round < MOST_STEPS; ++round) {
-        Matrix6d normal = Matrix6d::Zero();
-        Vector6d gradient = Vector6d::Zero();
-        double squares = 0;
-        for (Eigen::Index k = 0; k < points.rows(); ++k) {
-            const Projected found = projected(lens, pose, points.row(k).transpose(), camera);
-            const Eigen::Vector2d residual = weights(k) * (found.pixel - pixels.row(k).transpose());
-            if (!found.is_ahead || !residual.allFinite()) return none;
-            const ByPose by = weights(k) * found.by_body;
-            normal.noalias() += by.transpose() * by;
-            gradient.noalias() += by.transpose() * residual;
-            squares += residual.squaredNorm();
-        }
-        if (!normal.allFinite()) return none;
-        rms = std::sqrt(squares / static_cast<double>(2 * points.rows()));
-        const Vector6d step = step_of(normal, gradient);
-        pose = pose.disturbed(step);
-        if (step.cwiseAbs().maxCoeff() < SMALLEST_STEP) break;
-    }
-    return pose.translation.norm() < FARTHEST_M ? rms : none;
 }
 
 // One sighting's derivatives by its pose and its residuals, in sigmas.
@@ -114,7 +83,91 @@ Eigen::VectorXd settled_weights(const Sighting& seen, double limit) {
     return weight;
 }
 
+// The step without the wild corners, those of weight 0.
+Vector6d tame_step(const Sighting& seen, double limit, Eigen::VectorXd& weight) {
+    Eigen::VectorXd left(seen.corners());
+    weight = Eigen::VectorXd::Ones(seen.corners());
+    const Vector6d step = weighted_step(seen, weight, left);
+    if (!(left.array() > limit).any()) return step;
+    weight = settled_weights(seen, limit);
+    return weighted_step(seen, weight, left);
+}
+
+// A board's corners about a pose, in sigmas.
+class Linearised {
+public:
+    Linearised(const Lens& lens, const Points3& points, const Pixels& pixels, double weight)
+        : lens_(lens),
+          points_(points),
+          pixels_(pixels),
+          weight_(weight),
+          by_pose_(2 * points.rows(), 6),
+          residual_(2 * points.rows()) {}
+
+    void about(const Pose& pose) {
+        const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+        for (Eigen::Index k = 0; k < points_.rows(); ++k) {
+            const Projected found = projected(lens_, pose, points_.row(k).transpose(), camera);
+            by_pose_.middleRows<2>(2 * k) = weight_ * found.by_body;
+            residual_.segment<2>(2 * k) = weight_ * (found.pixel - pixels_.row(k).transpose());
+        }
+    }
+    Sighting sighting() const {
+        return {{by_pose_.data(), by_pose_.rows(), 6}, {residual_.data(), residual_.size()}};
+    }
+    Eigen::VectorXd chi2() const {
+        return Eigen::Map<const Eigen::Matrix<double, 2, Eigen::Dynamic>>(residual_.data(), 2,
+                                                                          points_.rows())
+            .colwise()
+            .squaredNorm();
+    }
+    // Of the pose, by the corners that are not wild.
+    Matrix6d information(const Eigen::VectorXd& weight) const {
+        Matrix6d sum = Matrix6d::Zero();
+        for (Eigen::Index k = 0; k < points_.rows(); ++k)
+            if (weight(k) != 0)
+                sum.noalias() +=
+                    by_pose_.middleRows<2>(2 * k).transpose() * by_pose_.middleRows<2>(2 * k);
+        return sum;
+    }
+
+private:
+    const Lens& lens_;
+    const Points3& points_;
+    const Pixels& pixels_;
+    double weight_;
+    Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor> by_pose_;
+    Eigen::VectorXd residual_;
+};
+
 }  // namespace
+
+double trigpoint::refine(const Lens& lens, Pose& pose, const Points3& points, const Pixels& pixels,
+                         const Weights& weights) {
+    const double none = std::numeric_limits<double>::quiet_NaN();
+    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+    double rms = none;
+    for (int round = 0; round < MOST_STEPS; ++round) {
+        Matrix6d normal = Matrix6d::Zero();
+        Vector6d gradient = Vector6d::Zero();
+        double squares = 0;
+        for (Eigen::Index k = 0; k < points.rows(); ++k) {
+            const Projected found = projected(lens, pose, points.row(k).transpose(), camera);
+            const Eigen::Vector2d residual = weights(k) * (found.pixel - pixels.row(k).transpose());
+            if (!found.is_ahead || !residual.allFinite()) return none;
+            const ByPose by = weights(k) * found.by_body;
+            normal.noalias() += by.transpose() * by;
+            gradient.noalias() += by.transpose() * residual;
+            squares += residual.squaredNorm();
+        }
+        if (!normal.allFinite()) return none;
+        rms = std::sqrt(squares / static_cast<double>(2 * points.rows()));
+        const Vector6d step = step_of(normal, gradient);
+        pose = pose.disturbed(step);
+        if (step.cwiseAbs().maxCoeff() < SMALLEST_STEP) break;
+    }
+    return pose.translation.norm() < FARTHEST_M ? rms : none;
+}
 
 // (lens (p,), rotations (b, 3, 3), translations (b, 3), points (b, n, 3), pixels (n, 2), weights
 // (n,), rms (b,)): poses become those of least reprojection error; rms is NaN where none is near.
@@ -129,8 +182,7 @@ TRIGPOINT_KERNEL(tp_refined_poses) {
         Pose pose = pose_at(rotations, shifts, b);
         const Points3 mine(points.as<double>() + 3 * corners * b, corners, 3);
         arguments[6].array.as<double>()[b] = refine(lens, pose, mine, pixels, weights);
-        Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotations + 9 * b) = pose.rotation;
-        Eigen::Map<Eigen::Vector3d>(shifts + 3 * b) = pose.translation;
+        put_pose(pose, rotations, shifts, b);
     }
     return 0;
 }
@@ -143,16 +195,41 @@ TRIGPOINT_KERNEL(tp_without_wild) {
     for (Eigen::Index v = 0; v < by_pose.shape[0]; ++v) {
         const Sighting seen{{by_pose.as<double>() + 12 * corners * v, 2 * corners, 6},
                             {residuals.as<double>() + 2 * corners * v, 2 * corners}};
-        Eigen::VectorXd weight = Eigen::VectorXd::Ones(corners), left(corners);
-        Vector6d step = weighted_step(seen, weight, left);
-        const double limit = arguments[2].number;
-        if ((left.array() > limit).any()) {
-            weight = settled_weights(seen, limit);
-            step = weighted_step(seen, weight, left);
-        }
+        Eigen::VectorXd weight;
+        const Vector6d step = tame_step(seen, arguments[2].number, weight);
         Eigen::Map<Vector6d>(arguments[3].array.as<double>() + 6 * v) = step;
         for (Eigen::Index k = 0; k < corners; ++k)
             arguments[4].array.as<bool>()[v * corners + k] = weight(k) == 0;
+    }
+    return 0;
+}
+
+// (lens (p,), points (n, 3), pixels (n, 2), sigma, limit, rotations (b, 3, 3), translations (b, 3),
+// scores (b,), χ² (b, n), is wild (b, n)): how a board fits from several poses; see `sightings`.
+TRIGPOINT_KERNEL(tp_board_fits) {
+    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
+    const Eigen::Index count = arguments[1].array.shape[0];
+    const Points3 points(arguments[1].array.as<double>(), count, 3);
+    const Pixels pixels(arguments[2].array.as<double>(), count, 2);
+    const double limit = arguments[4].number;
+    Linearised at(lens, points, pixels, 1 / arguments[3].number);
+    for (Eigen::Index b = 0; b < arguments[5].array.shape[0]; ++b) {
+        Pose pose = pose_at(arguments[5].array.as<double>(), arguments[6].array.as<double>(), b);
+        Eigen::VectorXd weight;
+        at.about(pose);
+        for (int round = 0; round < MOST_REFITS; ++round) {
+            pose = pose.disturbed(tame_step(at.sighting(), limit, weight));
+            at.about(pose);
+        }
+        const Matrix6d information = at.information(weight);
+        const Eigen::VectorXd chi2 = at.chi2();
+        double score = information.partialPivLu().matrixLU().diagonal().array().abs().log().sum();
+        for (Eigen::Index k = 0; k < count; ++k) {
+            score += weight(k) == 0 ? limit : chi2(k);
+            arguments[8].array.as<double>()[b * count + k] = chi2(k);
+            arguments[9].array.as<bool>()[b * count + k] = weight(k) == 0;
+        }
+        arguments[7].array.as<double>()[b] = score;
     }
     return 0;
 }

@@ -20,6 +20,9 @@ public:
     Eigen::Vector2d project(const Eigen::Vector3d& point,
                             Eigen::Matrix<double, 2, 3>& by_point) const;
 
+    // The direction (x/z, y/z) that projects to a pixel; NaN where there is none.
+    Eigen::Vector2d direction(const Eigen::Vector2d& pixel) const;
+
     // The derivative of the pixel of a point by the parameters, (2, parameters).
     void by_parameters(const Eigen::Vector3d& point, Eigen::Ref<Eigen::MatrixXd> by) const;
 

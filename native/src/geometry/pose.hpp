@@ -67,4 +67,12 @@ inline Pose pose_at(const double* rotations, const double* translations, Eigen::
             Eigen::Map<const Eigen::Vector3d>(translations + 3 * index)};
 }
 
+// Writes one of many poses there.
+inline void put_pose(const Pose& pose, double* rotations, double* translations,
+                     Eigen::Index index) {
+    using Rows = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    Eigen::Map<Rows>(rotations + 9 * index) = pose.rotation;
+    Eigen::Map<Eigen::Vector3d>(translations + 3 * index) = pose.translation;
+}
+
 }  // namespace trigpoint
