@@ -16,7 +16,6 @@ from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation, base_from_faces
-from trigpoint.fusion.model.projection import by_disturbance
 from trigpoint.fusion.model.thinning import thinned
 from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
 from trigpoint.fusion.reading.visibility import body_of, by_reading
@@ -24,6 +23,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever, turned_axes
+from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
 from .sightings import alone
@@ -35,6 +35,18 @@ _LEAST_VARIANCE = 1e-12
 # Starts come from at most this many sightings, spread over a visit: one of them is taken to be
 # right.
 MOST_SEEDS = 8
+_REAL = np.float64
+_COVARIANCES = Kernel(
+    "tp_pose_covariances",
+    In(_REAL, ("p",)),
+    In(_REAL, ("b", 3, 3)),
+    In(_REAL, ("b", 3)),
+    In(_REAL, ("b", "n", 3)),
+    float,
+    In(_REAL, ("s",)),
+    float,
+    Out(_REAL, ("b", 6, 6)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,16 +187,14 @@ def _covariances(
     lens = data.lenses[single.camera]
     chosen = [view.readings.index(candidate.readings[0]) for candidate in found]
     pose = Pose.stack([candidate.camera_from_base for candidate in found])
-    arm = by_reading(view, body_of(target))[chosen] @ np.swapaxes(pose.rotation, 1, 2)
-    _, by_point, by_lens = lens.project_jacobians(arm + pose.translation[:, None])
-    flat = (by_disturbance(by_point, arm) / view.sigma).reshape(len(found), -1, 6)
-    transposed = np.swapaxes(flat, 1, 2)
-    own = np.linalg.pinv(transposed @ flat, rcond=1e-14, hermitian=True)
-    covariance = own * scale**2
-    if config.estimates_intrinsics:
-        spread = (by_lens * lens_sigmas(config, lens)).reshape(*flat.shape[:2], -1) / view.sigma
-        by = own @ (transposed @ spread)
-        covariance = covariance + by @ np.swapaxes(by, 1, 2)
+    spread = lens_sigmas(config, lens) if config.estimates_intrinsics else np.zeros(0)
+    covariance = np.empty((len(found), 6, 6))
+    _COVARIANCES(
+        lens.parameters,
+        *(pose.rotation, pose.translation),
+        by_reading(view, body_of(target))[chosen],
+        *(view.sigma, spread, scale, covariance),
+    )
     shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
     arms_m = np.linalg.norm(base_from_faces(target).translation, axis=-1)
     for row, candidate in enumerate(found):

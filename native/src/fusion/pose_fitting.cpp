@@ -6,6 +6,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <limits>
+#include <stdexcept>
 #include <vector>
 
 #include "border.hpp"
@@ -17,16 +18,15 @@ namespace {
 constexpr int MOST_STEPS = 10;
 constexpr double SMALLEST_STEP = 1e-7, FARTHEST_M = 1e3;
 // Of the largest eigenvalue: directions that nothing determines are not changed.
-constexpr double OPEN = 1e-12;
+constexpr double OPEN = 1e-12, OPEN_COVARIANCE = 1e-14;
 
-// The least-squares step of normal equations.
-Vector6d step_of(const Matrix6d& normal, const Vector6d& gradient) {
+// The inverse of a symmetric matrix in the directions that it determines.
+Matrix6d inverse_of(const Matrix6d& normal, double open) {
     const Eigen::SelfAdjointEigenSolver<Matrix6d> parts(normal);
     const auto values = parts.eigenvalues().array();
-    const double least = OPEN * values.abs().maxCoeff();
+    const double least = open * values.abs().maxCoeff();
     const Vector6d inverse = (values.abs() > least).select(values.inverse(), 0.0);
-    return -(parts.eigenvectors() *
-             (inverse.asDiagonal() * (parts.eigenvectors().transpose() * gradient)));
+    return parts.eigenvectors() * inverse.asDiagonal() * parts.eigenvectors().transpose();
 }
 
 // One sighting's derivatives by its pose and its residuals, in sigmas.
@@ -162,7 +162,7 @@ double trigpoint::refine(const Lens& lens, Pose& pose, const Points3& points, co
         }
         if (!normal.allFinite()) return none;
         rms = std::sqrt(squares / static_cast<double>(2 * points.rows()));
-        const Vector6d step = step_of(normal, gradient);
+        const Vector6d step = -(inverse_of(normal, OPEN) * gradient);
         pose = pose.disturbed(step);
         if (step.cwiseAbs().maxCoeff() < SMALLEST_STEP) break;
     }
@@ -230,6 +230,44 @@ TRIGPOINT_KERNEL(tp_board_fits) {
             arguments[9].array.as<bool>()[b * count + k] = weight(k) == 0;
         }
         arguments[7].array.as<double>()[b] = score;
+    }
+    return 0;
+}
+
+// (lens (p,), rotations (b, 3, 3), translations (b, 3), points (b, n, 3), sigma, sigmas of the lens
+// (p,) or none, times the corners scatter, covariances (b, 6, 6)): of poses by their corners and
+// the lens.
+TRIGPOINT_KERNEL(tp_pose_covariances) {
+    const Lens lens(arguments[0].array.as<double>(), arguments[0].array.shape[0]);
+    const Array &points = arguments[3].array, &spread = arguments[5].array;
+    const Eigen::Index corners = points.shape[1], parameters = spread.shape[0];
+    if (parameters != 0 && parameters != lens.parameters())
+        throw std::invalid_argument("sigmas of another lens");
+    const Eigen::Map<const Eigen::VectorXd> sigmas(spread.as<double>(), parameters);
+    const double weight = 1 / arguments[4].number, scale = arguments[6].number;
+    const Pose camera{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};
+    Eigen::MatrixXd by_lens(2, lens.parameters());
+    for (Eigen::Index b = 0; b < points.shape[0]; ++b) {
+        const Pose pose =
+            pose_at(arguments[1].array.as<double>(), arguments[2].array.as<double>(), b);
+        Matrix6d normal = Matrix6d::Zero();
+        Eigen::Matrix<double, 6, Eigen::Dynamic> pull = decltype(pull)::Zero(6, parameters);
+        for (Eigen::Index k = 0; k < corners; ++k) {
+            const Eigen::Vector3d point = Points3(points.as<double>(), points.shape[0] * corners, 3)
+                                              .row(b * corners + k)
+                                              .transpose();
+            const ByPose by = weight * projected(lens, pose, point, camera).by_body;
+            normal.noalias() += by.transpose() * by;
+            if (parameters == 0) continue;
+            lens.by_parameters(pose.rotation * point + pose.translation, by_lens);
+            pull.noalias() += by.transpose() * (weight * by_lens) * sigmas.asDiagonal();
+        }
+        if (!normal.allFinite() || !pull.allFinite())
+            throw std::invalid_argument("a corner that no camera sees");
+        const Matrix6d own = inverse_of(normal, OPEN_COVARIANCE);
+        const Eigen::Matrix<double, 6, Eigen::Dynamic> by = own * pull;
+        Eigen::Map<Matrix6d>(arguments[7].array.as<double>() + 36 * b) =
+            scale * scale * own + by * by.transpose();
     }
     return 0;
 }
