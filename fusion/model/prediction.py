@@ -20,8 +20,7 @@ from .projection import many
 
 _NO_TWISTS = np.empty((0, 6))
 _REAL = np.float64
-_CORNERS = Kernel(
-    "tp_corner_terms",
+_BATCH = (
     In(_REAL, ("p",)),
     *(In(_REAL, (1, 3, 3)), In(_REAL, (1, 3))),
     *(In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
@@ -34,12 +33,25 @@ _CORNERS = Kernel(
     In(_REAL, ("t", 6)),
     In(_REAL, ("n",)),
     In(np.int64, ("d",)),
-    int,
-    int,
+    *(int, int),
+)
+_TERMS = Kernel(
+    "tp_corner_terms",
+    *_BATCH,
     Out(_REAL, ("n", "k", 2)),
     Out(_REAL, ("n", "k", "c")),
     Out(_REAL, ("n", "k", "s")),
 )
+_EQUATIONS = Kernel(
+    "tp_corner_equations",
+    *_BATCH,
+    In(_REAL, ("j", 6)),
+    float,
+    Out(_REAL, ("n", "c", "c")),
+    Out(_REAL, ("n", "c")),
+    Out(_REAL, (2,)),
+)
+_NO_JITTER = np.empty((0, 6))
 
 
 def batch_residual(batch: Batch, state: State, disturbance: Array | None = None) -> Array:
@@ -85,6 +97,25 @@ def _dense_columns(problem: Problem, batch: Batch) -> np.ndarray:
     return np.concatenate(columns)
 
 
+def corner_equations(
+    problem: Problem, batch: Batch, state: State, huber: float
+) -> tuple[Array, Array, np.ndarray, tuple[float, float]]:
+    """The normal equations of each picture of a batch: Hessian (n, d + q, d + q) and gradient
+    (n, d + q) in the columns of `batch_jacobian`, the dense ones (q,), and the cost and
+    ln |covariance| of all. Corners beyond `huber` sigmas have a linear cost (Huber); the robot's
+    deviation in a picture is eliminated about its best fit, since what is left of a tilt has the
+    same sign in all pictures."""
+    columns = _dense_columns(problem, batch)
+    tangent = problem.chains[batch.robot].tangent
+    count, size = len(batch.nodes), len(tangent) + len(columns)
+    hessian, gradient, score = np.empty((count, size, size)), np.empty((count, size)), np.empty(2)
+    jitter = _NO_JITTER if batch.jitter is None else np.ascontiguousarray(batch.jitter)
+    given = _given(batch, state, problem)
+    _EQUATIONS(*given, jitter, float(huber), hessian, gradient, score)
+    cost, log_determinant = score.tolist()
+    return hessian, gradient, columns, (cost, log_determinant)
+
+
 def _terms(
     batch: Batch,
     state: State,
@@ -95,8 +126,24 @@ def _terms(
 ) -> tuple[Array, Array, Array]:
     """Residual (n, K, 2), Jacobian (n, K, 2, c) by the unknowns of a problem, and the derivative
     (n, K, 2, 6) by the robot as it was seen: the last two without columns where not asked for."""
+    shape, shape_seen, columns = batch.weights.shape, 12 if by_seen else 0, 0
+    if problem is not None:
+        columns = len(problem.chains[batch.robot].tangent) + len(_dense_columns(problem, batch))
+    residual = np.empty((*shape, 2))
+    jacobian, by_robot = np.empty((*shape, 2 * columns)), np.empty((*shape, shape_seen))
+    _TERMS(*_given(batch, state, problem, disturbance), residual, jacobian, by_robot)
+    return (
+        residual,
+        jacobian.reshape(*shape, 2, columns),
+        by_robot.reshape(*shape, 2, shape_seen // 2),
+    )
+
+
+def _given(
+    batch: Batch, state: State, problem: Problem | None, disturbance: Array | None = None
+) -> tuple[object, ...]:
+    """A batch at a state as the core takes it."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
-    shape, shape_seen = batch.weights.shape, 12 if by_seen else 0
     node = robot.map_from_base[batch.nodes]
     seen, twists = node, _NO_TWISTS
     if batch.carried is not None:
@@ -104,18 +151,7 @@ def _terms(
         twists = np.ascontiguousarray(batch.carried.twists)
     if disturbance is not None:
         seen = seen.disturbed(disturbance)
-    tangent, columns = [], 0
-    has_lens = has_faces = False
-    if problem is not None:
-        tangent = problem.chains[batch.robot].tangent
-        has_lens, has_faces = (
-            batch.camera in problem.layout.lens,
-            batch.robot in problem.layout.faces,
-        )
-        columns = len(tangent) + len(_dense_columns(problem, batch))
-    residual = np.empty((*shape, 2))
-    jacobian, by_robot = np.empty((*shape, 2 * columns)), np.empty((*shape, shape_seen))
-    _CORNERS(
+    return (
         camera.lens.parameters,
         *many(camera.map_from_camera, (1,)),
         *many(node, (len(node),)),
@@ -124,17 +160,9 @@ def _terms(
         *map(np.ascontiguousarray, (batch.faces, batch.face_points, batch.pixels, batch.weights)),
         twists,
         np.ascontiguousarray(batch.since_epoch_s),
-        np.array(tangent, dtype=np.int64),
-        has_lens,
-        has_faces,
-        residual,
-        jacobian,
-        by_robot,
-    )
-    return (
-        residual,
-        jacobian.reshape(*shape, 2, columns),
-        by_robot.reshape(*shape, 2, shape_seen // 2),
+        np.array(() if problem is None else problem.chains[batch.robot].tangent, dtype=np.int64),
+        problem is not None and batch.camera in problem.layout.lens,
+        problem is not None and batch.robot in problem.layout.faces,
     )
 
 

@@ -4,12 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trigpoint.fusion.model.prediction import batch_jacobian, batch_jacobians, odometry_terms
+from trigpoint.fusion.model.prediction import corner_equations, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem, RobotState, State
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-
-from .picture_jitter import PictureJitter
 
 # Information of a pose that is known exactly: 0.3 µm and µrad.
 EXACT = 1e13
@@ -136,36 +134,9 @@ def has_each_once(rows: np.ndarray) -> bool:
 def _add_batch(
     equations: NormalEquations, problem: Problem, batch: Batch, state: State, huber: float
 ) -> None:
-    if batch.jitter is None:
-        jitter, (jacobian, residual, columns) = None, batch_jacobian(problem, batch, state)
-    else:
-        jacobian, residual, columns, by_base = batch_jacobians(problem, batch, state)
-        jitter = PictureJitter.by(by_base.reshape(len(by_base), -1, 6), batch.jitter)
-        residual = jitter.about_fit(batch, state, residual)
-    left = residual
-    if jitter is not None:
-        left = jitter.compensated(residual.reshape(len(residual), -1)).reshape(residual.shape)
-    with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(left, axis=-1)
-    weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
-    if jitter is None:
-        counted = np.where(weight < 1, huber * (2 * length - huber), length**2)
-        equations.cost += float(np.sum(counted))
-    root = np.sqrt(weight)[..., None]
-    if np.any(weight < 1):
-        jacobian, residual = jacobian * root[..., None], residual * root
-    n, _, _, q = jacobian.shape
-    flat = jacobian.reshape(n, -1, q)
-    if jitter is not None:
-        shared = np.broadcast_to(root, residual.shape).reshape(n, -1)
-        weighted = PictureJitter.by(jitter.jacobian * shared[..., None], jitter.variances)
-        hessian, gradient, cost = weighted.eliminated(flat, residual.reshape(n, -1))
-        equations.cost += cost + float(np.sum(np.where(weight < 1, huber * (length - huber), 0.0)))
-        equations.log_determinant += weighted.log_determinant
-    else:
-        transposed = np.swapaxes(flat, 1, 2)
-        hessian = transposed @ flat
-        gradient = (transposed @ residual.reshape(n, -1, 1))[..., 0]
+    hessian, gradient, columns, score = corner_equations(problem, batch, state, huber)
+    equations.cost += score[0]
+    equations.log_determinant += score[1]
     _scatter(equations, problem, batch.robot, batch.nodes, hessian, gradient, columns)
 
 

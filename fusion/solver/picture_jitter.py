@@ -6,7 +6,8 @@ picture, of variances Σ, and J the corners' derivative by it, their covariance 
 inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury): ε is eliminated from each picture.
 
 The corners are not linear in ε: what a tilt ε leaves at a distance d, ε²d, has the same sign in all
-pictures, and does not average out. So the residual is that at the best-fitting ε (`about_fit`).
+pictures, and does not average out. So the normal equations are those about the best-fitting ε
+(`model/prediction.corner_equations`).
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
+from trigpoint.fusion.model.prediction import base_jacobian
 from trigpoint.fusion.model.problem import Batch, State
 from trigpoint.geometry.rotation import Array
 
@@ -43,14 +44,6 @@ class PictureJitter:
         information[:, range(6), range(6)] += 1 / variances
         return cls(jacobian, variances, information)
 
-    def about_fit(self, batch: Batch, state: State, residual: Array) -> Array:
-        """A batch's residual (n, K, 2), linearised about the disturbances that fit it best instead
-        of about none: r(ε) - J ε, of which elimination leaves r(ε) to the second order."""
-        pull = np.swapaxes(self.jacobian, 1, 2) @ residual.reshape(len(residual), -1, 1)
-        fit = -np.linalg.solve(self.information, pull)
-        linear = (self.jacobian @ fit).reshape(residual.shape)
-        return batch_residual(batch, state, fit[..., 0]) - linear
-
     def compensated(self, residual: Array) -> Array:
         """Residuals (n, 2K) less what the best-fitting disturbances explain of them."""
         return self._squares(residual[..., None])[0][..., 0]
@@ -62,22 +55,9 @@ class PictureJitter:
         rows = np.concatenate(self._squares(rows), axis=1)
         return rows[..., :-1], rows[..., -1]
 
-    def eliminated(self, jacobian: Array, residual: Array) -> tuple[Array, Array, float]:
-        """Hessian (n, q, q), gradient (n, q) and cost of `rows`."""
-        jacobian, residual = self.rows(jacobian, residual)
-        rows = np.concatenate([jacobian, residual[..., None]], axis=-1)
-        square = np.swapaxes(rows, 1, 2) @ rows
-        return square[:, :-1, :-1], square[:, :-1, -1], float(np.sum(square[:, -1, -1]))
-
     def _squares(self, rows: Array) -> tuple[Array, Array]:
         """Rows (n, 2K, q) less the fitted disturbance, and the residual (n, 6, q) of its own prior:
         the sum of the squares of both is what its elimination leaves."""
         pull = np.swapaxes(self.jacobian, 1, 2) @ rows
         shift = np.linalg.solve(self.information, pull)
         return rows - self.jacobian @ shift, shift / np.sqrt(self.variances)[..., None]
-
-    @property
-    def log_determinant(self) -> float:
-        """ln |I + J Σ Jᵀ| over all pictures."""
-        whole = np.linalg.slogdet(self.information)[1].sum()
-        return float(whole + np.sum(np.log(self.variances)))

@@ -3,45 +3,66 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
+import pytest
 from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.prediction import base_jacobian, batch_residual
+from trigpoint.fusion.model.prediction import (
+    batch_jacobian,
+    batch_jacobians,
+    batch_residual,
+    corner_equations,
+)
+from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 
-VARIANCES = np.random.default_rng(0).uniform(0.01, 0.2, (5, 6))
+JITTER = Jitter(sway=0.003, tilt=0.02)
 
 
-def drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    random = np.random.default_rng(seed)
-    return (
-        random.normal(size=(5, 12, 6)),
-        random.normal(size=(5, 12, 4)),
-        random.normal(size=(5, 12)),
+def shaken() -> tuple[Problem, Batch, State]:
+    """A small problem whose robot sways and tilts in each picture, and its first batch."""
+    assembled = small_problem(noise_px=0.5)
+    batch = assembled.problem.batches[0]
+    shared = replace(batch, jitter=np.tile(JITTER.variances, (len(batch.nodes), 1)))
+    return assembled.problem, shared, assembled.start
+
+
+def test_a_pictures_equations_weigh_with_the_inverse_of_its_joint_covariance() -> None:
+    problem, batch, state = shaken()
+    n, shared = len(batch.nodes), np.diag(JITTER.variances)
+    hessian, gradient, columns, (cost, log_determinant) = corner_equations(
+        problem, batch, state, np.inf
     )
+    jacobian, residual, wanted, by_base = batch_jacobians(problem, batch, state)
+    assert np.array_equal(columns, wanted)
+    jacobian, by = jacobian.reshape(n, -1, jacobian.shape[-1]), by_base.reshape(n, -1, 6)
+    covariance = np.eye(by.shape[1]) + by @ shared @ np.swapaxes(by, 1, 2)
+    weight = np.linalg.inv(covariance)
+    pull = np.swapaxes(by, 1, 2) @ residual.reshape(n, -1, 1)
+    fit = -np.linalg.solve(np.linalg.inv(shared) + np.swapaxes(by, 1, 2) @ by, pull)
+    about = batch_residual(batch, state, fit[..., 0]).reshape(n, -1, 1) - by @ fit
+    np.testing.assert_allclose(
+        hessian, np.swapaxes(jacobian, 1, 2) @ weight @ jacobian, rtol=1e-6, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        gradient, (np.swapaxes(jacobian, 1, 2) @ weight @ about)[..., 0], rtol=1e-6, atol=1e-3
+    )
+    assert np.isclose(cost, float(np.sum(np.swapaxes(about, 1, 2) @ weight @ about)))
+    assert np.isclose(log_determinant, np.linalg.slogdet(covariance)[1].sum())
 
 
-def covariance(by_base: np.ndarray) -> np.ndarray:
-    """Of all corners (60, 60), by what each picture's share."""
-    shared = [by @ np.diag(row) @ by.T for by, row in zip(by_base, VARIANCES, strict=True)]
-    return np.eye(60) + np.asarray(block_diag(*shared))
-
-
-def test_elimination_weighs_with_the_inverse_of_the_joint_covariance() -> None:
-    by_base, by_others, residual = drawn(1)
-    hessian, gradient, cost = PictureJitter.by(by_base, VARIANCES).eliminated(by_others, residual)
-    weight = np.linalg.inv(covariance(by_base))
-    others, flat = by_others.reshape(60, 4), residual.reshape(60)
-    np.testing.assert_allclose(hessian.sum(axis=0), others.T @ weight @ others)
-    np.testing.assert_allclose(gradient.sum(axis=0), others.T @ weight @ flat)
-    assert np.isclose(cost, flat @ weight @ flat)
-
-
-def test_determinant_is_that_of_the_joint_covariance() -> None:
-    by_base, _, _ = drawn(2)
-    expected = np.linalg.slogdet(covariance(by_base))[1]
-    assert np.isclose(PictureJitter.by(by_base, VARIANCES).log_determinant, expected)
+def test_a_far_corner_costs_and_pulls_as_huber_says() -> None:
+    problem, batch, state = shaken()
+    batch, limit = replace(batch, jitter=None), 1.5
+    hessian, gradient, _, (cost, _) = corner_equations(problem, batch, state, limit)
+    jacobian, residual, _ = batch_jacobian(problem, batch, state)
+    length = np.linalg.norm(residual, axis=-1)
+    assert np.any(length > limit)
+    assert np.isclose(cost, np.where(length > limit, limit * (2 * length - limit), length**2).sum())
+    weight = np.minimum(1.0, limit / np.maximum(length, 1e-12))
+    weighted = jacobian * weight[..., None, None]
+    np.testing.assert_allclose(gradient, np.einsum("nkic,nki->nc", weighted, residual), atol=1e-6)
+    np.testing.assert_allclose(hessian, np.einsum("nkic,nkid->ncd", weighted, jacobian), rtol=1e-9)
 
 
 def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
@@ -78,20 +99,14 @@ def test_a_tilt_in_each_picture_anew_is_shared_by_none() -> None:
     np.testing.assert_allclose(jitter.among(np.zeros((3, 3))), np.tile(jitter.variances, (3, 1)))
 
 
-def test_a_tilt_of_three_degrees_leaves_nothing_of_its_square() -> None:
-    """Linearised about none it leaves a part of a sigma, of one sign in all pictures."""
+def test_a_tilt_of_three_degrees_costs_what_its_prior_says() -> None:
+    """Linearised about none it would leave a part of a sigma of each corner."""
     assembled = small_problem(noise_px=0.0)
     batch, state = assembled.problem.batches[0], assembled.start
-    n = len(batch.nodes)
-    tilt = np.tile(np.radians([0, 0, 0, 2.4, -1.8, 0.0]), (n, 1))
-    seen = batch_residual(batch, state, tilt) / np.maximum(batch.weights, 1e-9)[..., None]
-    batch = replace(batch, pixels=batch.pixels + seen)
-    jacobian = base_jacobian(batch, state).reshape(n, -1, 6)
-    jitter = PictureJitter.by(jacobian, np.tile(Jitter(1e-6, 0.1, 1.0).variances, (n, 1)))
-    residual = batch_residual(batch, state)
-    about = jitter.about_fit(batch, state, residual)
-    left, square = (
-        np.abs(jitter.compensated(each.reshape(n, -1))).max() for each in (about, residual)
-    )
-    assert square > 0.3
-    assert left < square / 20
+    variances = Jitter(1e-6, 0.1, 1.0).variances
+    n, tilt = len(batch.nodes), np.radians([0, 0, 0, 2.4, -1.8, 0.0])
+    seen = batch_residual(batch, state, np.tile(tilt, (n, 1)))
+    seen = seen / np.maximum(batch.weights, 1e-9)[..., None]
+    batch = replace(batch, pixels=batch.pixels + seen, jitter=np.tile(variances, (n, 1)))
+    *_, (cost, _) = corner_equations(assembled.problem, batch, state, np.inf)
+    assert cost == pytest.approx(n * np.sum(tilt**2 / variances), rel=0.05)
