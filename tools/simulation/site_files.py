@@ -13,9 +13,9 @@ from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_tum
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import BusConfig, OdometryNoise, WheelConfig
+from trigpoint.tools.shapes.text import target_text
 
 from .serial.speakers import WHEELS
-from .sight.targets import target_text
 from .world import World
 
 
