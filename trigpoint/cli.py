@@ -96,6 +96,11 @@ COMMANDS: dict[str, Command] = {
     "intrinsics": Command(
         "trigpoint.tools.pictures.intrinsics:main", "One camera's intrinsics from pictures.", "edge"
     ),
+    "target make": Command(
+        "trigpoint.tools.target.make:make",
+        "A target file with its poses, and its print.",
+        "edge,tools",
+    ),
     "target draw": Command(
         "trigpoint.tools.target.files:draw", "A printable target at true scale.", "edge,tools"
     ),

@@ -237,8 +237,9 @@ def toml_value(value: object) -> str:
 _TARGET_HEAD = (
     "Three ChArUco faces on a box: ahead, left and right. For your own box, vanes or single board,",
     "with poses and a PDF: trigpoint target make --help",
-    "base_from_face: x along a row of corners, y from row to row, z into the board; the robot's base",
-    "has x forward, y left, z up. Corner 0 is the top left inner corner of the face seen upright.",
+    "translation and quaternion are base_from_face: x along a row of corners, y from row to row, z",
+    "into the board; the robot's base has x forward, y left, z up. Corner 0 is the top left inner",
+    "corner of the face seen upright.",
 )
 _BOARD = Face(
     id=0,
