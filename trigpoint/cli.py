@@ -45,6 +45,9 @@ COMMANDS: dict[str, Command] = {
     "demo": Command(
         "trigpoint.tools.demo.command:main", "The whole system around a simulated lab.", "all"
     ),
+    "up": Command(
+        "trigpoint.tools.up.command:main", "All parts of this machine: one log, one stop.", "all"
+    ),
     "init": Command("trigpoint.tools.site.init:main", "Write a first site.toml and target.toml."),
     "doctor": Command("trigpoint.tools.doctor.command:main", "Say what is wrong on this machine."),
     "status": Command("trigpoint.tools.site.status:main", "Show the live site."),

@@ -39,11 +39,13 @@ def write_site(
     recordings: str = "sessions",
     pictures: bool = False,
     protocol: str = "trigpoint",
+    more_cameras: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Path:
     """Write site.toml with its target files and every camera's intrinsics; return its path.
 
     `sources`: camera -> URL, by default the world's own `sim://`; `ports`: robot -> serial port, by
-    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice.
+    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice;
+    `more_cameras`: tables of cameras that are not the world's.
     """
     directory.mkdir(parents=True, exist_ok=True)
     targets = _write_targets(world, directory)
@@ -57,6 +59,8 @@ def write_site(
         if camera.line_delay_s:
             lens["line_delay"] = camera.line_delay_s
         lines += _table(f"cameras.{name}", {"source": source, **size, **lens})
+    for name, keys in (more_cameras or {}).items():
+        lines += _table(f"cameras.{name}", keys)
     for name, robot in world.robots.items():
         port = (ports or {}).get(name, "loop://")
         spoken = {"protocol": protocol} if protocol != "trigpoint" else {}

@@ -6,18 +6,21 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from trigpoint.base.errors import OperationError
+from trigpoint.base.errors import InputError, OperationError
+
+from .output import Output
 
 STOP_S = 5.0
 """A part that has not stopped by then is killed; each promises to stop within two seconds."""
 
 _MOST_RESTARTS = 5
-_TAIL_BYTES = 4096
-_LONGEST_LINE = 300
+_STEADY_S = 60.0
+"""A part that ran for so long before it ended begins to count anew: a camera that hangs once a day
+is no part that does not stay alive."""
+_REFUSED = 2  # the exit status of what is wrong with a file or with a command's words
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +35,13 @@ class PartSpec:
 
 
 class Part:
-    """A running part and its log."""
+    """A running part and what it says."""
 
-    def __init__(self, spec: PartSpec, log_directory: Path) -> None:
-        self.spec = spec
+    def __init__(self, spec: PartSpec, output: Output) -> None:
+        self.spec, self.output = spec, output
         self.restarts = 0
-        self.log = log_directory / f"{spec.name.replace(' ', '_').replace('/', '_')}.log"
+        self._failures = 0
+        self._began_s = 0.0
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -52,8 +56,22 @@ class Part:
 
     def start(self) -> None:
         """Start the process; it is in a session of its own, so that Ctrl-C does not reach it."""
-        with self.log.open("ab") as log:
+        self._began_s = time.monotonic()
+        with self.output.attach() as log:
             self._process = _open(self.spec.command, log)
+
+    def start_again(self) -> None:
+        """Start it once more and count it. Raises InputError where it was refused, OperationError
+        where it does not stay alive."""
+        if self._process is not None and self._process.returncode == _REFUSED:
+            raise InputError(f"{self.ended()}{self.output.where}")
+        if time.monotonic() - self._began_s > _STEADY_S:
+            self._failures = 0
+        if self._failures >= _MOST_RESTARTS:
+            raise OperationError(f"{self.ended()}, {self._failures + 1} times{self.output.where}")
+        self._failures += 1
+        self.restarts += 1
+        self.start()
 
     def ended(self) -> str:
         """How the process ended, with the last line of its log."""
@@ -61,7 +79,7 @@ class Part:
         status = self._process.returncode
         if status < 0:
             return f"{self.spec.name} was ended by {signal.Signals(-status).name}"
-        last = last_line(self.log)
+        last = self.output.last_line().removeprefix("trigpoint: ")
         return f"{self.spec.name} ended with status {status}: {last or 'it said nothing'}"
 
     def has_failed(self) -> bool:
@@ -88,9 +106,14 @@ class Supervisor:
     """All parts; leaving the context stops them. `say` gets one line for the user at a time."""
 
     def __init__(
-        self, specs: Sequence[PartSpec], log_directory: Path, *, say: Callable[[str], None]
+        self,
+        specs: Sequence[PartSpec],
+        output: Callable[[str], Output],
+        *,
+        say: Callable[[str], None],
     ) -> None:
-        self.parts = [Part(spec, log_directory) for spec in specs]
+        """`output`: where a part of this name writes."""
+        self.parts = [Part(spec, output(spec.name)) for spec in specs]
         self._say = say
         self.killed: list[str] = []
 
@@ -129,24 +152,22 @@ class Supervisor:
         """Raise OperationError where a part ended while the system comes up."""
         for part in self.parts:
             if part.spec.needed and part.has_failed():
-                raise OperationError(f"{part.ended()} (see {part.log})")
+                raise OperationError(f"{part.ended()}{part.output.where}")
         self.revive()
 
     def revive(self) -> bool:
         """Start again what ended; return whether anything did.
 
-        Raises OperationError where a part does not stay alive.
+        Raises OperationError where a part does not stay alive, InputError where it refused a file.
         """
         fallen = [part for part in self.parts if not part.is_running]
         for part in list(fallen):
             if not part.spec.needed:
                 self._let_go(part)
                 continue
-            if part.restarts >= _MOST_RESTARTS:
-                raise OperationError(f"{part.ended()}, {part.restarts + 1} times (see {part.log})")
-            self._say(f"{part.ended()}; it is started again")
-            part.restarts += 1
-            part.start()
+            ending = part.ended()
+            part.start_again()
+            self._say(f"{ending}; it is started again")
         return bool(fallen)
 
     def _let_go(self, part: Part) -> None:
@@ -198,13 +219,3 @@ def _environment() -> dict[str, str]:
     """One thread of linear algebra a process: more of them only fight for the same cores."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return threads | {"PYTHONUNBUFFERED": "1"} | dict(os.environ)
-
-
-def last_line(log: Path) -> str:
-    """The last line of a log that says anything, "" where there is none."""
-    if not log.exists():
-        return ""
-    with log.open("rb") as file:
-        file.seek(max(0, log.stat().st_size - _TAIL_BYTES))
-        lines = file.read().decode(errors="replace").splitlines()
-    return next((line.strip()[:_LONGEST_LINE] for line in reversed(lines) if line.strip()), "")
