@@ -139,6 +139,11 @@ COMMANDS: dict[str, Command] = {
     "secure router": Command(
         "trigpoint.tools.secure.command:router", "The configuration of a stock zenohd.", "secure"
     ),
+    "pack": Command(
+        "trigpoint.tools.pack.command:main",
+        "One archive for a machine.",
+        "recorder",
+    ),
     "simulate": Command(
         "trigpoint.tools.simulation.command:main",
         "A session of a simulated lab, with its truth.",
