@@ -45,6 +45,9 @@ COMMANDS: dict[str, Command] = {
     "demo": Command(
         "trigpoint.tools.demo.command:main", "The whole system around a simulated lab.", "all"
     ),
+    "start": Command(
+        "trigpoint.tools.start.command:main", "Asks what you have, and goes on with it.", "all"
+    ),
     "up": Command(
         "trigpoint.tools.up.command:main", "All parts of this machine: one log, one stop.", "all"
     ),

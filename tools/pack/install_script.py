@@ -61,7 +61,8 @@ echo "4 the user and the service: {node.service}"
 systemd-sysusers "$PWD/trigpoint.conf"
 chown -R trigpoint: "$files"
 systemctl daemon-reload
-systemctl enable --now {node.service}
+systemctl enable {node.service}
+systemctl restart {node.service}
 echo "done; what it says: journalctl -fu {node.service}"
 """
 

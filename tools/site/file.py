@@ -174,11 +174,23 @@ _EXPECT = """\
 _FIRST_KEYS = ("source", "width", "height", "rate", "intrinsics", "horizontal_fov")
 
 
-def first_site_text() -> str:
-    """The shortest site file: one camera, one robot, this machine alone."""
+def first_site_text(
+    *, source: str | None = None, port: str | None = None, protocol: str | None = None
+) -> str:
+    """The shortest site file: one camera, one robot, this machine alone. What is known of them goes
+    in place of the examples; the protocol is written where it is said."""
+    said = {
+        (CameraConfig, "source"): source,
+        (RobotConfig, "port"): port,
+        (RobotConfig, "protocol"): protocol,
+    }
+    values: dict[tuple[type[Struct], str], object] = {
+        place: value for place, value in said.items() if value is not None
+    }
+    of_robot = ("port", "baud", "protocol") if protocol else ("port", "baud")
     tables = [
-        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS),
-        _table("robots.r1", RobotConfig, only=("port", "baud")),
+        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS, values=values),
+        _table("robots.r1", RobotConfig, only=of_robot, values=values),
     ]
     return "\n".join([_HEAD, *tables])
 
@@ -210,18 +222,29 @@ def _commented(table: str) -> str:
     return "".join(f"# {line.removeprefix('# ')}\n" for line in table.splitlines() if line)
 
 
-def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = None) -> str:
-    rows = [line for line in _rows(struct) if only is None or line.lstrip("# ").startswith(only)]
+def _table(
+    name: str,
+    struct: type[Struct],
+    *,
+    only: tuple[str, ...] | None = None,
+    values: dict[tuple[type[Struct], str], object] | None = None,
+) -> str:
+    rows = [
+        line
+        for line in _rows(struct, values or {})
+        if only is None or line.lstrip("# ").startswith(only)
+    ]
     return "\n".join([f"[{name}]", *rows, ""])
 
 
-def _rows(struct: type[Struct]) -> Iterator[str]:
+def _rows(struct: type[Struct], values: dict[tuple[type[Struct], str], object]) -> Iterator[str]:
+    """A line for each key: `values` go before examples, and those before defaults."""
     for field in msgspec.structs.fields(struct):
         default = field.default
         if isinstance(default, Struct) or field.name in _TABLES or field.default_factory is dict:
             continue  # a table of its own
         place = (struct, field.name)
-        value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)
+        value = ({place: default} | _WRITTEN | _EXAMPLES | values)[place]
         sign = "# " if default is None and place in _EXAMPLES else ""
         row = f"{sign}{field.name} = {toml_value(value)}"
         yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"

@@ -151,7 +151,7 @@ def test_unit_runs_what_the_script_installs(folder: Path) -> None:
     )
     assert "User=trigpoint\n" in unit
     script = (place / "install.sh").read_text()
-    assert "systemctl enable --now trigpoint-edge@c1" in script
+    assert "systemctl restart trigpoint-edge@c1" in script
     assert f'"{FILES_AT}"' not in script  # it goes by $files, which DESTDIR moves
     router = packed("router", "hall") / "trigpoint-router.service"
     assert " router --name hall --site " in router.read_text()
