@@ -1,7 +1,9 @@
 """Which process a part is: its command, as a user would give it, and when it is stopped."""
 
+import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from .supervisor import PartSpec
 
@@ -41,3 +43,12 @@ def firmware(robot: str, options: dict[str, str]) -> PartSpec:
 def shares(names: Sequence[str], count: int) -> list[list[str]]:
     """Names dealt out like cards, so that neighbours come into different shares."""
     return [share for i in range(count) if (share := list(names[i::count]))]
+
+
+def leashed(spec: PartSpec) -> PartSpec:
+    """The part, told to stop where whoever started it is killed, so that nothing is left behind
+    (prctl(2), by util-linux's setpriv; where that is missing, as it is)."""
+    setpriv = shutil.which("setpriv")
+    if setpriv is None:
+        return spec
+    return replace(spec, command=(setpriv, "--pdeathsig", "TERM", "--", *spec.command))

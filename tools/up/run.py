@@ -10,6 +10,7 @@ from typing import TextIO
 from trigpoint.base.errors import OperationError
 from trigpoint.base.words import counted
 from trigpoint.tools.parts.joined_log import JoinedLog
+from trigpoint.tools.parts.specs import leashed
 from trigpoint.tools.parts.supervisor import PartSpec, Supervisor
 
 _NAME = "up"
@@ -44,7 +45,7 @@ def run_parts(specs: Sequence[PartSpec], stream: TextIO) -> None:
         def say(line: str) -> None:
             log.say(_NAME, line)
 
-        supervisor = Supervisor(specs, log.output, say=say)
+        supervisor = Supervisor([leashed(spec) for spec in specs], log.output, say=say)
         with supervisor:
             say(f"{counted(len(specs), 'part')} started; Ctrl-C stops all")
             _watch(supervisor, log, stop)

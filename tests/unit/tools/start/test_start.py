@@ -30,9 +30,9 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     lines: list[list[str]] = []
     real = subprocess.run
 
-    def noted(command: tuple[str, ...], **more: bool) -> "subprocess.CompletedProcess[bytes]":
+    def noted(command: tuple[str, ...], *, check: bool) -> "subprocess.CompletedProcess[bytes]":
         lines.append(list(command[command.index("trigpoint") + 1 :]))
-        return real(command, **more)
+        return real(command, check=check)
 
     def become(path: str, command: tuple[str, ...]) -> NoReturn:
         assert path == command[0] == sys.executable

@@ -2,7 +2,9 @@
 
 import io
 import os
+import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -73,11 +75,12 @@ def signalled(number: signal.Signals) -> Callable[[], None]:
 
 
 def is_alive(number: int) -> bool:
+    """Whether a process runs; one that has ended may wait for its new parent to take notice."""
     try:
-        os.kill(number, 0)
-    except ProcessLookupError:
+        text = Path(f"/proc/{number}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
         return False
-    return True
+    return text.rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.fixture(autouse=True)
@@ -149,6 +152,24 @@ def test_a_hangup_that_is_ignored_stays_so(tmp_path: Path) -> None:
         timer.join()
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="no setpriv here")
+def test_nothing_is_left_behind_where_it_is_killed() -> None:
+    code = f"""
+import sys
+from trigpoint.tools.parts.supervisor import PartSpec
+from trigpoint.tools.up.run import run_parts
+run_parts([PartSpec("a", (sys.executable, "-c", {SLEEPS!r}))], sys.stdout)
+"""
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as up:
+        assert up.stdout is not None
+        lines = iter(up.stdout.readline, "")
+        number = next(int(word) for line in lines if (word := line.split()[-1]).isdecimal())
+        assert is_alive(number)
+        up.kill()
+    assert eventually(lambda: not is_alive(number), 20)
 
 
 def test_log_that_nobody_takes_any_more_ends_all() -> None:
