@@ -14,7 +14,8 @@ from trigpoint.base.errors import InputError, OperationError
 from .output import Output
 
 STOP_S = 5.0
-"""A part that has not stopped by then is killed; each promises to stop within two seconds."""
+"""A part that has not stopped by then is killed; each promises to stop within two seconds, unless
+it writes something irreplaceable."""
 
 _MOST_RESTARTS = 5
 _STEADY_S = 60.0
@@ -111,10 +112,13 @@ class Supervisor:
         output: Callable[[str], Output],
         *,
         say: Callable[[str], None],
+        stop_s: float | None = None,
     ) -> None:
-        """`output`: where a part of this name writes."""
+        """`output`: where a part of this name writes; `stop_s`: how long a stop may take before the
+        part is killed, if not STOP_S."""
         self.parts = [Part(spec, output(spec.name)) for spec in specs]
         self._say = say
+        self._stop_s = STOP_S if stop_s is None else stop_s
         self.killed: list[str] = []
 
     def __enter__(self) -> Self:
@@ -185,13 +189,13 @@ class Supervisor:
         running = [part for part in parts if part.is_running]
         for part in running:
             part.send(signal.SIGTERM)
-        deadline_s = time.monotonic() + STOP_S
+        deadline_s = time.monotonic() + self._stop_s
         for part in running:
             if not part.wait(deadline_s):
                 part.send(signal.SIGKILL)
                 part.wait(time.monotonic() + STOP_S)
                 self.killed.append(part.spec.name)
-                self._say(f"{part.spec.name} did not stop in {STOP_S:.0f} s and was killed")
+                self._say(f"{part.spec.name} did not stop in {self._stop_s:.0f} s and was killed")
 
     def _kill(self) -> None:
         for part in self.parts:

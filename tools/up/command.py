@@ -50,7 +50,8 @@ def main(
     On a secured site the keys here say what belongs; else devices that are here, and what could run
     anywhere where [bus] connect leads to no other machine. A part that ends is started again; one
     that ends six times, each within a minute of its start, ends all with status 1, one that refuses
-    its files with status 2. Ctrl-C stops all in order, each within five seconds; twice: at once.
+    its files with status 2. Ctrl-C stops all in order: agents, bridges, recorder, fusion, each
+    within two seconds, or eleven where it still writes; twice: at once.
     """
     cameras, robots, left = camera or [], robot or [], without or []
     if not simulate_robot:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TextIO
 
+from trigpoint.base.ending import LONGEST_END_S
 from trigpoint.base.errors import OperationError
 from trigpoint.base.words import counted
 from trigpoint.tools.parts.joined_log import JoinedLog
@@ -15,6 +16,8 @@ from trigpoint.tools.parts.supervisor import PartSpec, Supervisor
 
 _NAME = "up"
 _LOOK_S = 0.1
+STOP_S = LONGEST_END_S + 1.0
+"""A part ends within two seconds; one that still writes a network or a recording is let finish."""
 _WIDEST_NAME = 24
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -45,7 +48,9 @@ def run_parts(specs: Sequence[PartSpec], stream: TextIO) -> None:
         def say(line: str) -> None:
             log.say(_NAME, line)
 
-        supervisor = Supervisor([leashed(spec) for spec in specs], log.output, say=say)
+        supervisor = Supervisor(
+            [leashed(spec) for spec in specs], log.output, say=say, stop_s=STOP_S
+        )
         with supervisor:
             say(f"{counted(len(specs), 'part')} started; Ctrl-C stops all")
             _watch(supervisor, log, stop)
