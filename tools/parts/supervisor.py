@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.errors import InputError, OperationError, TrigpointError
 
 from .output import Output
 
@@ -27,12 +27,14 @@ _REFUSED = 2  # the exit status of what is wrong with a file or with a command's
 @dataclass(frozen=True, slots=True)
 class PartSpec:
     """One process. Parts of a lower `rank` stop first, those of one rank together; one that is not
-    `needed` (a window that the user may close) is not started again."""
+    `needed` (a window that the user may close) is not started again; one that is `optional` is, but
+    where it does not stay alive the others go on without it."""
 
     name: str
     command: tuple[str, ...]
     rank: int = 0
     needed: bool = True
+    optional: bool = False
 
 
 class Part:
@@ -169,10 +171,20 @@ class Supervisor:
             if not part.spec.needed:
                 self._let_go(part)
                 continue
-            ending = part.ended()
-            part.start_again()
-            self._say(f"{ending}; it is started again")
+            self._start_again(part)
         return bool(fallen)
+
+    def _start_again(self, part: Part) -> None:
+        ending = part.ended()
+        try:
+            part.start_again()
+        except TrigpointError as reason:
+            if not part.spec.optional:
+                raise
+            self._say(f"{reason}; it goes on without")
+            self.parts.remove(part)
+        else:
+            self._say(f"{ending}; it is started again")
 
     def _let_go(self, part: Part) -> None:
         if part.has_failed():

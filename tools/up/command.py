@@ -96,5 +96,6 @@ def _run(file: Path, site: Site, selection: Selection, *more: PartSpec) -> None:
     typer.echo(f"from {file}: {', '.join(spec.name for spec in specs)}")
     for reason in selection.left_out:
         typer.echo(f"not here: {reason}")
+    typer.echo(f"how it goes: trigpoint status --site {file}")
     sys.stdout.flush()
     run_parts(specs, sys.stdout)

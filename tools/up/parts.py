@@ -31,7 +31,7 @@ def parts_of(site: Site, file: Path, selection: Selection) -> list[PartSpec]:
     specs += [bridge(robot, name) for robot in selection.robots]
     specs = _with_metrics(site, specs)
     if selection.has_board:
-        specs.append(PartSpec("board", trigpoint("board", "--site", name), PAGE))
+        specs.append(PartSpec("board", trigpoint("board", "--site", name), PAGE, optional=True))
     return specs
 
 

@@ -187,6 +187,16 @@ def test_ends_far_apart_are_not_counted_together(supervise, monkeypatch):
             assert supervisor.restarts == {"a": count}
 
 
+def test_optional_part_that_does_not_stay_alive_ends_nothing_else(supervise, said):
+    page = PartSpec("board", (sys.executable, "-c", FAILS), optional=True)
+    with supervise(page, spec("a", SLEEPS)) as supervisor:
+        assert eventually(lambda: supervisor.revive() and len(supervisor.parts) == 1)
+        assert supervisor.parts[0].is_running
+    assert len(said) == 6
+    assert said[-1].startswith("board ended with status 1: the port is on fire, 6 times")
+    assert said[-1].endswith("it goes on without")
+
+
 def test_parts_use_one_thread_of_linear_algebra_each(supervise):
     code = "import os, time; print(os.environ['OPENBLAS_NUM_THREADS']); time.sleep(60)"
     with supervise(spec("a", code)) as supervisor:
