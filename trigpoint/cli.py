@@ -45,6 +45,12 @@ COMMANDS: dict[str, Command] = {
     "demo": Command(
         "trigpoint.tools.demo.command:main", "The whole system around a simulated lab.", "all"
     ),
+    "start": Command(
+        "trigpoint.tools.start.command:main", "Asks what you have, and goes on with it.", "all"
+    ),
+    "up": Command(
+        "trigpoint.tools.up.command:main", "All parts of this machine: one log, one stop.", "all"
+    ),
     "init": Command("trigpoint.tools.site.init:main", "Write a first site.toml and target.toml."),
     "doctor": Command("trigpoint.tools.doctor.command:main", "Say what is wrong on this machine."),
     "status": Command("trigpoint.tools.site.status:main", "Show the live site."),
@@ -96,6 +102,11 @@ COMMANDS: dict[str, Command] = {
     "intrinsics": Command(
         "trigpoint.tools.pictures.intrinsics:main", "One camera's intrinsics from pictures.", "edge"
     ),
+    "target make": Command(
+        "trigpoint.tools.target.make:make",
+        "A target file with its poses, and its print.",
+        "edge,tools",
+    ),
     "target draw": Command(
         "trigpoint.tools.target.files:draw", "A printable target at true scale.", "edge,tools"
     ),
@@ -130,6 +141,11 @@ COMMANDS: dict[str, Command] = {
     ),
     "secure router": Command(
         "trigpoint.tools.secure.command:router", "The configuration of a stock zenohd.", "secure"
+    ),
+    "pack": Command(
+        "trigpoint.tools.pack.command:main",
+        "One archive for a machine.",
+        "recorder",
     ),
     "simulate": Command(
         "trigpoint.tools.simulation.command:main",

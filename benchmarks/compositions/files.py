@@ -14,7 +14,7 @@ from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_tum
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.target import Target
-from trigpoint.tools.simulation.sight.targets import target_text
+from trigpoint.tools.shapes.text import target_text
 
 from .ride import STEP_S, told_noise
 from .room import CENTRE_SPREAD, DISTORTION_SPREAD, FOCAL_SPREAD, Camera

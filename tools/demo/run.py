@@ -14,13 +14,15 @@ from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Bus
 from trigpoint.site.config import BusConfig, FusionConfig, RecorderConfig, Site
+from trigpoint.tools.parts.output import LogFile
+from trigpoint.tools.parts.specs import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER
+from trigpoint.tools.parts.supervisor import Supervisor
 from trigpoint.tools.simulation.world import World
 from trigpoint.zenoh import open_bus
 
 from .folder import DemoFolder, DemoRecord
-from .parts import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER, parts_of, tokens_of, viewer_of
+from .parts import parts_of, tokens_of, viewer_of
 from .progress import Progress, status_line
-from .supervisor import Supervisor
 from .watch import Watch
 
 _LEADS_S = (6.0, 20.0, 60.0)
@@ -72,7 +74,7 @@ class Run:
             specs.append(viewer_of(self.folder))
         watch = Watch(bus, self.world.site_name)
         with closing(watch):
-            supervisor = Supervisor(specs, self.folder.log, say=self.progress.say)
+            supervisor = Supervisor(specs, self._log, say=self.progress.say)
             try:
                 with supervisor:
                     record = self._keep(record, supervisor, watch)
@@ -85,6 +87,9 @@ class Run:
                 watch.read()
                 record = self._keep(record, supervisor, watch)
         return record
+
+    def _log(self, part: str) -> LogFile:
+        return LogFile.of(part, self.folder.log)
 
     def _record(self, lead_s: float) -> DemoRecord:
         world = self.world

@@ -13,9 +13,9 @@ from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_tum
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import BusConfig, OdometryNoise, WheelConfig
+from trigpoint.tools.shapes.text import target_text
 
 from .serial.speakers import WHEELS
-from .sight.targets import target_text
 from .world import World
 
 
@@ -39,31 +39,36 @@ def write_site(
     recordings: str = "sessions",
     pictures: bool = False,
     protocol: str = "trigpoint",
+    name: str | None = None,
+    more_cameras: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Path:
     """Write site.toml with its target files and every camera's intrinsics; return its path.
 
     `sources`: camera -> URL, by default the world's own `sim://`; `ports`: robot -> serial port, by
-    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice.
+    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice;
+    `name`: the site's, if not the world's; `more_cameras`: tables of cameras that the world lacks.
     """
     directory.mkdir(parents=True, exist_ok=True)
     targets = _write_targets(world, directory)
-    lines = [f'site = "{world.site_name}"', ""]
+    lines = [f'site = "{name or world.site_name}"', ""]
     lines += _bus(bus) if bus is not None else []
-    for name, camera in world.cameras.items():
-        write_camera_info(directory / f"{name}.yaml", camera.model, name)
-        source = (sources or {}).get(name) or sim_url(world, name)
+    for eye, camera in world.cameras.items():
+        write_camera_info(directory / f"{eye}.yaml", camera.model, eye)
+        source = (sources or {}).get(eye) or sim_url(world, eye)
         size = {"width": camera.model.width, "height": camera.model.height, "rate": camera.rate}
-        lens: dict[str, object] = {"intrinsics": f"{name}.yaml"}
+        lens: dict[str, object] = {"intrinsics": f"{eye}.yaml"}
         if camera.line_delay_s:
             lens["line_delay"] = camera.line_delay_s
-        lines += _table(f"cameras.{name}", {"source": source, **size, **lens})
-    for name, robot in world.robots.items():
-        port = (ports or {}).get(name, "loop://")
+        lines += _table(f"cameras.{eye}", {"source": source, **size, **lens})
+    for eye, keys in (more_cameras or {}).items():
+        lines += _table(f"cameras.{eye}", keys)
+    for carrier, robot in world.robots.items():
+        port = (ports or {}).get(carrier, "loop://")
         spoken = {"protocol": protocol} if protocol != "trigpoint" else {}
-        lines += _table(f"robots.{name}", {"port": port, **spoken, "target": targets[name]})
+        lines += _table(f"robots.{carrier}", {"port": port, **spoken, "target": targets[carrier]})
         if protocol in WHEELS:
-            lines += _table(f"robots.{name}.wheels", _stated(WHEELS[protocol]))
-        lines += _table(f"robots.{name}.odometry", _changed(robot.noise))
+            lines += _table(f"robots.{carrier}.wheels", _stated(WHEELS[protocol]))
+        lines += _table(f"robots.{carrier}.odometry", _changed(robot.noise))
     lines += _table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"
     path.write_text("\n".join(lines), encoding="utf-8")

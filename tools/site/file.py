@@ -1,14 +1,11 @@
 """Writes site.toml and target.toml from the structs that read them, so they cannot go stale."""
 
 import json
-import math
 from collections.abc import Iterator
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 
-from trigpoint.geometry import Pose
 from trigpoint.site.config import (
     BusConfig,
     CameraConfig,
@@ -26,6 +23,9 @@ from trigpoint.site.config import (
     TlsConfig,
     WheelConfig,
 )
+from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.shapes.bodies import Side, box_faces
+from trigpoint.tools.shapes.text import target_text
 
 COMMENTS: dict[tuple[type[Struct], str], str] = {
     (BusConfig, "connect"): "a router or a peer elsewhere, like tls/192.168.1.10:7447; "
@@ -174,11 +174,23 @@ _EXPECT = """\
 _FIRST_KEYS = ("source", "width", "height", "rate", "intrinsics", "horizontal_fov")
 
 
-def first_site_text() -> str:
-    """The shortest site file: one camera, one robot, this machine alone."""
+def first_site_text(
+    *, source: str | None = None, port: str | None = None, protocol: str | None = None
+) -> str:
+    """The shortest site file: one camera, one robot, this machine alone. What is known of them goes
+    in place of the examples; the protocol is written where it is said."""
+    said = {
+        (CameraConfig, "source"): source,
+        (RobotConfig, "port"): port,
+        (RobotConfig, "protocol"): protocol,
+    }
+    values: dict[tuple[type[Struct], str], object] = {
+        place: value for place, value in said.items() if value is not None
+    }
+    of_robot = ("port", "baud", "protocol") if protocol else ("port", "baud")
     tables = [
-        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS),
-        _table("robots.r1", RobotConfig, only=("port", "baud")),
+        _table("cameras.c1", CameraConfig, only=_FIRST_KEYS, values=values),
+        _table("robots.r1", RobotConfig, only=of_robot, values=values),
     ]
     return "\n".join([_HEAD, *tables])
 
@@ -210,18 +222,29 @@ def _commented(table: str) -> str:
     return "".join(f"# {line.removeprefix('# ')}\n" for line in table.splitlines() if line)
 
 
-def _table(name: str, struct: type[Struct], *, only: tuple[str, ...] | None = None) -> str:
-    rows = [line for line in _rows(struct) if only is None or line.lstrip("# ").startswith(only)]
+def _table(
+    name: str,
+    struct: type[Struct],
+    *,
+    only: tuple[str, ...] | None = None,
+    values: dict[tuple[type[Struct], str], object] | None = None,
+) -> str:
+    rows = [
+        line
+        for line in _rows(struct, values or {})
+        if only is None or line.lstrip("# ").startswith(only)
+    ]
     return "\n".join([f"[{name}]", *rows, ""])
 
 
-def _rows(struct: type[Struct]) -> Iterator[str]:
+def _rows(struct: type[Struct], values: dict[tuple[type[Struct], str], object]) -> Iterator[str]:
+    """A line for each key: `values` go before examples, and those before defaults."""
     for field in msgspec.structs.fields(struct):
         default = field.default
         if isinstance(default, Struct) or field.name in _TABLES or field.default_factory is dict:
             continue  # a table of its own
         place = (struct, field.name)
-        value = _EXAMPLES[place] if place in _EXAMPLES else _WRITTEN.get(place, default)
+        value = ({place: default} | _WRITTEN | _EXAMPLES | values)[place]
         sign = "# " if default is None and place in _EXAMPLES else ""
         row = f"{sign}{field.name} = {toml_value(value)}"
         yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"
@@ -234,47 +257,29 @@ def toml_value(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-_TARGET_HEAD = """\
-# Three ChArUco faces on a box: ahead, left and right. Measure your own box, write where corner 0 of
-# each face is (metres) and how it is turned, and print with `trigpoint target draw target.toml`.
-# base_from_face: x along a row of corners, y from row to row, z into the board; the robot's base
-# has x forward, y left, z up. Corner 0 is the top left inner corner of the face seen upright.
-name = "box"
-"""
-
-_COLUMNS, _ROWS, _SQUARE, _MARKER = 5, 7, 0.035, 0.026
-_BOX_HALF_WIDTH, _BOX_HEIGHT = 0.15, 0.40
+_TARGET_HEAD = (
+    "Three ChArUco faces on a box: ahead, left and right. For your own box, vanes or single board,",
+    "with poses and a PDF: trigpoint target make --help",
+    "translation and quaternion are base_from_face: x along a row of corners, y from row to row, z",
+    "into the board; the robot's base has x forward, y left, z up. Corner 0 is the top left inner",
+    "corner of the face seen upright.",
+)
+_BOARD = Face(
+    id=0,
+    pattern=Pattern.CHARUCO,
+    columns=5,
+    rows=7,
+    square=0.035,
+    marker=0.026,
+    dictionary="DICT_4X4_100",
+    translation=(0.0, 0.0, 0.0),
+    quaternion=(0.0, 0.0, 0.0, 1.0),
+)
+_SIDES = (Side.FRONT, Side.LEFT, Side.RIGHT)
+_BOX_M, _HEIGHT_M = 0.30, 0.40
 
 
 def first_target_text() -> str:
     """A target of three faces that fit on A4 and that a picture can tell apart."""
-    directions_rad = (0.0, math.pi / 2, -math.pi / 2)
-    return "\n".join([_TARGET_HEAD, *(_face(i, angle) for i, angle in enumerate(directions_rad))])
-
-
-def _face(number: int, direction_rad: float) -> str:
-    pose = _base_from_face(direction_rad)
-    rows = {
-        "id": number,
-        "pattern": "charuco",
-        "columns": _COLUMNS,
-        "rows": _ROWS,
-        "square": _SQUARE,
-        "marker": _MARKER,
-        "dictionary": "DICT_4X4_100",
-        "first_marker": number * (_COLUMNS * _ROWS // 2),
-        "translation": [round(float(value), 6) + 0.0 for value in pose.translation],
-        "quaternion": [round(float(value), 9) + 0.0 for value in pose.quaternion],
-    }
-    lines = [f"{key} = {toml_value(value)}" for key, value in rows.items()]
-    return "\n".join(["[[faces]]", *lines, ""])
-
-
-def _base_from_face(direction_rad: float) -> Pose:
-    """Pose of a face on the side of the box facing `direction_rad` in the robot's plane."""
-    normal = np.array([math.cos(direction_rad), math.sin(direction_rad), 0.0])
-    along = np.array([-normal[1], normal[0], 0.0])  # to the viewer's right
-    down = np.array([0.0, 0.0, -1.0])
-    across = (_COLUMNS - 2) * _SQUARE * along + (_ROWS - 2) * _SQUARE * down
-    corner = _BOX_HALF_WIDTH * normal + [0.0, 0.0, _BOX_HEIGHT] - across / 2
-    return Pose(np.stack([along, down, -normal], axis=-1), corner)
+    faces = box_faces(_BOARD, _SIDES, length=_BOX_M, width=_BOX_M, height=_HEIGHT_M)
+    return target_text(Target("box", faces), head=_TARGET_HEAD, remarks=dict(enumerate(_SIDES)))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from trigpoint.base.errors import InputError, OperationError
-from trigpoint.site.config import RecorderConfig, load_site
+from trigpoint.site.config import RecorderConfig, load_site, parse_site
 
 from .file import first_site_text, first_target_text, full_site_text
 from .systemd_units import SERVICE_USER, SYSUSERS, service_user, unit_files
@@ -19,19 +19,41 @@ def main(
     systemd: Annotated[
         bool, typer.Option("--systemd", help="Units for systemd; a site that exists is kept.")
     ] = False,
+    camera: Annotated[
+        str | None, typer.Option(metavar="SOURCE", help="Where the camera's pictures come from.")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(metavar="PORT", help="What the robot is connected to.")
+    ] = None,
+    protocol: Annotated[str | None, typer.Option(help="What the robot speaks.")] = None,
+    keep_target: Annotated[
+        bool, typer.Option("--keep-target", help="Write no target.toml: there is one.")
+    ] = False,
     directory: Annotated[Path, typer.Option(help="Where to write them.")] = Path(),
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
     """Write a first site.toml and target.toml that work, to be filled in."""
+    if full and not (camera is robot is protocol is None):
+        raise InputError("--full writes examples; leave --camera, --robot and --protocol out")
     site = directory / "site.toml"
     texts: dict[Path, str] = {}
     if not (systemd and site.exists()):
-        texts[site] = full_site_text() if full else first_site_text()
-        texts[directory / "target.toml"] = first_target_text()
+        texts[site] = _site_text(camera, robot, protocol, full=full)
+        if not keep_target:
+            texts[directory / "target.toml"] = first_target_text()
     if systemd:
         texts |= unit_files(directory / "systemd", site, _sessions(site))
     _write(texts, directory, force=force)
     typer.echo(_next_step(site, has_units=systemd))
+
+
+def _site_text(camera: str | None, robot: str | None, protocol: str | None, *, full: bool) -> str:
+    """The site file; raises ConfigError where what was given is not one's."""
+    if full:
+        return full_site_text()
+    text = first_site_text(source=camera, port=robot, protocol=protocol)
+    parse_site(text, directory=Path(), file="the site file")
+    return text
 
 
 def _sessions(site: Path) -> Path:

@@ -108,9 +108,17 @@ def sysusers_text(home: Path) -> str:
     return "\n".join([*lines, *(f"m {SERVICE_USER} {group}" for group in groups), ""])
 
 
-def unit_text(unit: Unit, site: Path, sessions: Path) -> str:
-    """The text of a unit that runs this installation."""
-    command = f"{_quoted(sys.executable)} -m trigpoint {unit.words} --site {_quoted(str(site))}"
+def unit_text(
+    unit: Unit,
+    site: Path,
+    sessions: Path,
+    *,
+    python: str = sys.executable,
+    user: str | None = None,
+) -> str:
+    """The text of a unit that runs this installation, or another one's `python`; `user`: who runs
+    it, if not who does here."""
+    command = f"{_quoted(python)} -m trigpoint {unit.words} --site {_quoted(str(site))}"
     folder = _escaped(str(site.parent))
     group = f"SupplementaryGroups={unit.group}\n" if unit.group else ""
     written = dict.fromkeys([site.parent, sessions] if unit.writes else [])
@@ -128,7 +136,7 @@ StartLimitIntervalSec=0
 Type=notify
 ExecStart={command}
 WorkingDirectory={folder}
-User={service_user()}
+User={user or service_user()}
 {group}Restart=always
 RestartSec=2
 # Where systemd knows these two (254), one that keeps failing is started ever more rarely.

@@ -1,6 +1,5 @@
 """A target as a printable PDF: one page per face at true scale, as vectors."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from reportlab.pdfgen.canvas import Canvas
@@ -8,43 +7,10 @@ from reportlab.pdfgen.canvas import Canvas
 from trigpoint.site.target import Face, Target
 
 from .pattern import black_rectangles, described
+from .sheets import BAR_MM, FOOT_MM, HEAD_MM, MARGIN_MM, Sheet, sheet_for
 
 MILLIMETRE = 72 / 25.4
 _NON_ZERO = 1  # reportlab's FILL_NON_ZERO
-MARGIN_MM = 10.0
-HEAD_MM = 12.0
-FOOT_MM = 26.0
-BAR_MM = 100.0
-SHEETS_MM = {
-    "A4": (210.0, 297.0),
-    "A3": (297.0, 420.0),
-    "A2": (420.0, 594.0),
-    "A1": (594.0, 841.0),
-    "A0": (841.0, 1189.0),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Sheet:
-    """A page: its name for people, and its size in millimetres."""
-
-    name: str
-    width_mm: float
-    height_mm: float
-
-
-def sheet_for(face: Face) -> Sheet:
-    """The smallest of A4 … A0, portrait or landscape, that fits the face; else a custom size."""
-    low, high = face.outline.min(axis=0), face.outline.max(axis=0)
-    pattern_mm, height_mm = (float(value) for value in (high - low)[:2] * 1000)
-    width_mm = max(pattern_mm, BAR_MM) + 2 * MARGIN_MM
-    height_mm += HEAD_MM + FOOT_MM
-    for name, (short, long) in SHEETS_MM.items():
-        if width_mm <= short and height_mm <= long:
-            return Sheet(f"{name} upright", short, long)
-        if width_mm <= long and height_mm <= short:
-            return Sheet(f"{name} lying", long, short)
-    return Sheet(f"{width_mm:.0f} × {height_mm:.0f} mm", width_mm, height_mm)
 
 
 def draw_target(target: Target, path: Path) -> list[Sheet]:

@@ -24,6 +24,8 @@ STOP_S = 2.0
 """From the signal to the end of the process."""
 _WRITING_S = 8.0
 """How much longer writing a file may take: a lost network is worse than a late stop."""
+LONGEST_END_S = STOP_S + _WRITING_S
+"""After that a process has ended, or has ended itself by force."""
 _LOOK_S = 0.02
 _REQUESTS = (signal.SIGINT, signal.SIGTERM)
 

@@ -28,8 +28,9 @@ from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.config import OdometryNoise, parse_site
 from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
+from trigpoint.tools.shapes.text import target_text
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
-from trigpoint.tools.simulation.sight.targets import target_of, target_text
+from trigpoint.tools.simulation.sight.targets import target_of
 
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_S = 0.025

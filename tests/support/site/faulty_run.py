@@ -19,7 +19,8 @@ from trigpoint.fusion.checkpoint import read_checkpoint
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.network import Network, load_network
-from trigpoint.tools.simulation.sight.targets import target_of, target_text
+from trigpoint.tools.shapes.text import target_text
+from trigpoint.tools.simulation.sight.targets import target_of
 from trigpoint.tools.site.state import NodeStatus
 from trigpoint.tools.site.status import look, wanted_of
 

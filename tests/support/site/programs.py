@@ -25,7 +25,7 @@ from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.map.network import Network
 from trigpoint.site.camera_info import write_camera_info
 from trigpoint.site.config import Site, load_site, parse_site
-from trigpoint.tools.simulation.sight.targets import target_text
+from trigpoint.tools.shapes.text import target_text
 from trigpoint.zenoh import open_bus
 
 LEAD_S = 1.0

@@ -15,8 +15,9 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, wrap
 from trigpoint.site.target import Face, Target
+from trigpoint.tools.shapes.bodies import HALF_THICKNESS
 from trigpoint.tools.simulation.motion.actors import SimulatedRobot
-from trigpoint.tools.simulation.sight.targets import HALF_THICKNESS, panel
+from trigpoint.tools.simulation.sight.targets import panel
 
 from .lens_grid import SUBPIXELS, subpixel_centres
 from .textures import level_for, texture

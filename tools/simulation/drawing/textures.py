@@ -8,7 +8,7 @@ import numpy as np
 
 from trigpoint.base.errors import InputError
 from trigpoint.site.target import Face, Pattern
-from trigpoint.tools.simulation.sight.targets import PANEL_MARGIN
+from trigpoint.tools.shapes.upright import MARGIN_M
 
 LEVELS = (96, 48, 32, 24, 16, 12, 8)  # texels a square; all divide the first, so edges stay exact
 BLACK, WHITE = 28, 222
@@ -39,7 +39,7 @@ def texture(face: Face, texels: int) -> Texture:
     """A face's sheet at one of LEVELS, area-averaged from the finest."""
     size = (face.columns * texels, face.rows * texels)
     grey = cv2.resize(_printed(face), size, interpolation=cv2.INTER_AREA)
-    margin = max(1, round(PANEL_MARGIN / face.square * texels))
+    margin = max(1, round(MARGIN_M / face.square * texels))
     grey = _framed(grey, margin, WHITE)
     sheet = np.dstack([_framed(grey, _NOTHING, 0), _framed(np.full_like(grey, 255), _NOTHING, 0)])
     return Texture(sheet, texels / face.square, margin + _NOTHING - 0.5, face.square)

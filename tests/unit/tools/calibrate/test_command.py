@@ -14,7 +14,7 @@ from trigpoint.map.network import decode_network, decode_tum, encode_network, lo
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.sessions.inputs import session_inputs
-from trigpoint.tools.simulation.sight.targets import target_text
+from trigpoint.tools.shapes.text import target_text
 
 
 @pytest.fixture(scope="module")

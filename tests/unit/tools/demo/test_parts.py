@@ -2,17 +2,8 @@ from pathlib import Path
 
 from trigpoint.cli import COMMANDS
 from trigpoint.tools.demo.folder import DemoFolder, DemoRecord
-from trigpoint.tools.demo.parts import (
-    AGENTS,
-    BRIDGES,
-    FIRMWARE,
-    FUSION,
-    RECORDER,
-    parts_of,
-    shares,
-    tokens_of,
-    viewer_of,
-)
+from trigpoint.tools.demo.parts import parts_of, tokens_of, viewer_of
+from trigpoint.tools.parts.specs import AGENTS, BRIDGES, FIRMWARE, FUSION, RECORDER, shares
 from trigpoint.tools.simulation.world import load_world
 
 RECORD = DemoRecord(world="lab", seed=2, target="charuco", seconds=20.0, epoch_ns=10**18)

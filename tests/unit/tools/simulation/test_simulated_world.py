@@ -8,8 +8,9 @@ import pytest
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.site.target import parse_target
+from trigpoint.tools.shapes.text import target_text
 from trigpoint.tools.simulation.sight.seen_corners import Wall, hidden_by_walls, seen_faces
-from trigpoint.tools.simulation.sight.targets import target_of, target_text
+from trigpoint.tools.simulation.sight.targets import target_of
 from trigpoint.tools.simulation.world import World, load_world
 
 TWO_ROBOTS = """

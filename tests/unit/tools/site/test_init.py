@@ -164,3 +164,27 @@ def test_units_are_written_for_a_site_that_exists_and_is_kept(
     assert "trigpoint-edge@c1 trigpoint-edge@c2 trigpoint-robot@r1" in capsys.readouterr().out
     assert run(words) == 2
     assert "exists already; add --force" in capsys.readouterr().err
+
+
+def test_camera_and_robot_that_are_said_stand_in_the_file(tmp_path: Path) -> None:
+    words = ["--camera", "rtsp://hall/1", "--robot", "/dev/ttyACM0", "--protocol", "create2"]
+    assert run(["init", "--directory", str(tmp_path), *words, "--keep-target"]) == 0
+    site = load_site(tmp_path / "site.toml")
+    assert site.camera("c1").source == "rtsp://hall/1"
+    assert (site.robot("r1").port, site.robot("r1").protocol) == ("/dev/ttyACM0", "create2")
+    assert not (tmp_path / "target.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--camera", "video0"], "source «video0» is no URL"),
+        (["--full", "--camera", "v4l2:///dev/video0"], "--full writes examples"),
+    ],
+)
+def test_camera_that_is_none_is_one_clear_line_and_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    assert run(["init", "--directory", str(tmp_path), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

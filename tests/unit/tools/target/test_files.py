@@ -13,8 +13,9 @@ import pytest
 
 from trigpoint.cli import run
 from trigpoint.site.target import load_target
-from trigpoint.tools.simulation.sight.targets import target_of, target_text
-from trigpoint.tools.target.drawing import sheet_for
+from trigpoint.tools.shapes.text import target_text
+from trigpoint.tools.simulation.sight.targets import target_of
+from trigpoint.tools.target.sheets import sheet_for
 
 
 @pytest.fixture

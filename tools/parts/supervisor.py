@@ -6,38 +6,45 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from trigpoint.base.errors import OperationError
+from trigpoint.base.errors import InputError, OperationError, TrigpointError
+
+from .output import Output
 
 STOP_S = 5.0
-"""A part that has not stopped by then is killed; each promises to stop within two seconds."""
+"""A part that has not stopped by then is killed; each promises to stop within two seconds, unless
+it writes something irreplaceable."""
 
 _MOST_RESTARTS = 5
-_TAIL_BYTES = 4096
-_LONGEST_LINE = 300
+_STEADY_S = 60.0
+"""A part that ran for so long before it ended begins to count anew: a camera that hangs once a day
+is no part that does not stay alive."""
+_REFUSED = 2  # the exit status of what is wrong with a file or with a command's words
 
 
 @dataclass(frozen=True, slots=True)
 class PartSpec:
     """One process. Parts of a lower `rank` stop first, those of one rank together; one that is not
-    `needed` (a window that the user may close) is not started again."""
+    `needed` (a window that the user may close) is not started again; one that is `optional` is, but
+    where it does not stay alive the others go on without it."""
 
     name: str
     command: tuple[str, ...]
     rank: int = 0
     needed: bool = True
+    optional: bool = False
 
 
 class Part:
-    """A running part and its log."""
+    """A running part and what it says."""
 
-    def __init__(self, spec: PartSpec, log_directory: Path) -> None:
-        self.spec = spec
+    def __init__(self, spec: PartSpec, output: Output) -> None:
+        self.spec, self.output = spec, output
         self.restarts = 0
-        self.log = log_directory / f"{spec.name.replace(' ', '_').replace('/', '_')}.log"
+        self._failures = 0
+        self._began_s = 0.0
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -52,8 +59,22 @@ class Part:
 
     def start(self) -> None:
         """Start the process; it is in a session of its own, so that Ctrl-C does not reach it."""
-        with self.log.open("ab") as log:
+        self._began_s = time.monotonic()
+        with self.output.attach() as log:
             self._process = _open(self.spec.command, log)
+
+    def start_again(self) -> None:
+        """Start it once more and count it. Raises InputError where it was refused, OperationError
+        where it does not stay alive."""
+        if self._process is not None and self._process.returncode == _REFUSED:
+            raise InputError(f"{self.ended()}{self.output.where}")
+        if time.monotonic() - self._began_s > _STEADY_S:
+            self._failures = 0
+        if self._failures >= _MOST_RESTARTS:
+            raise OperationError(f"{self.ended()}, {self._failures + 1} times{self.output.where}")
+        self._failures += 1
+        self.restarts += 1
+        self.start()
 
     def ended(self) -> str:
         """How the process ended, with the last line of its log."""
@@ -61,7 +82,7 @@ class Part:
         status = self._process.returncode
         if status < 0:
             return f"{self.spec.name} was ended by {signal.Signals(-status).name}"
-        last = last_line(self.log)
+        last = self.output.last_line().removeprefix("trigpoint: ")
         return f"{self.spec.name} ended with status {status}: {last or 'it said nothing'}"
 
     def has_failed(self) -> bool:
@@ -88,10 +109,18 @@ class Supervisor:
     """All parts; leaving the context stops them. `say` gets one line for the user at a time."""
 
     def __init__(
-        self, specs: Sequence[PartSpec], log_directory: Path, *, say: Callable[[str], None]
+        self,
+        specs: Sequence[PartSpec],
+        output: Callable[[str], Output],
+        *,
+        say: Callable[[str], None],
+        stop_s: float | None = None,
     ) -> None:
-        self.parts = [Part(spec, log_directory) for spec in specs]
+        """`output`: where a part of this name writes; `stop_s`: how long a stop may take before the
+        part is killed, if not STOP_S."""
+        self.parts = [Part(spec, output(spec.name)) for spec in specs]
         self._say = say
+        self._stop_s = STOP_S if stop_s is None else stop_s
         self.killed: list[str] = []
 
     def __enter__(self) -> Self:
@@ -129,25 +158,33 @@ class Supervisor:
         """Raise OperationError where a part ended while the system comes up."""
         for part in self.parts:
             if part.spec.needed and part.has_failed():
-                raise OperationError(f"{part.ended()} (see {part.log})")
+                raise OperationError(f"{part.ended()}{part.output.where}")
         self.revive()
 
     def revive(self) -> bool:
         """Start again what ended; return whether anything did.
 
-        Raises OperationError where a part does not stay alive.
+        Raises OperationError where a part does not stay alive, InputError where it refused a file.
         """
         fallen = [part for part in self.parts if not part.is_running]
         for part in list(fallen):
             if not part.spec.needed:
                 self._let_go(part)
                 continue
-            if part.restarts >= _MOST_RESTARTS:
-                raise OperationError(f"{part.ended()}, {part.restarts + 1} times (see {part.log})")
-            self._say(f"{part.ended()}; it is started again")
-            part.restarts += 1
-            part.start()
+            self._start_again(part)
         return bool(fallen)
+
+    def _start_again(self, part: Part) -> None:
+        ending = part.ended()
+        try:
+            part.start_again()
+        except TrigpointError as reason:
+            if not part.spec.optional:
+                raise
+            self._say(f"{reason}; it goes on without")
+            self.parts.remove(part)
+        else:
+            self._say(f"{ending}; it is started again")
 
     def _let_go(self, part: Part) -> None:
         if part.has_failed():
@@ -164,13 +201,13 @@ class Supervisor:
         running = [part for part in parts if part.is_running]
         for part in running:
             part.send(signal.SIGTERM)
-        deadline_s = time.monotonic() + STOP_S
+        deadline_s = time.monotonic() + self._stop_s
         for part in running:
             if not part.wait(deadline_s):
                 part.send(signal.SIGKILL)
                 part.wait(time.monotonic() + STOP_S)
                 self.killed.append(part.spec.name)
-                self._say(f"{part.spec.name} did not stop in {STOP_S:.0f} s and was killed")
+                self._say(f"{part.spec.name} did not stop in {self._stop_s:.0f} s and was killed")
 
     def _kill(self) -> None:
         for part in self.parts:
@@ -198,13 +235,3 @@ def _environment() -> dict[str, str]:
     """One thread of linear algebra a process: more of them only fight for the same cores."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return threads | {"PYTHONUNBUFFERED": "1"} | dict(os.environ)
-
-
-def last_line(log: Path) -> str:
-    """The last line of a log that says anything, "" where there is none."""
-    if not log.exists():
-        return ""
-    with log.open("rb") as file:
-        file.seek(max(0, log.stat().st_size - _TAIL_BYTES))
-        lines = file.read().decode(errors="replace").splitlines()
-    return next((line.strip()[:_LONGEST_LINE] for line in reversed(lines) if line.strip()), "")

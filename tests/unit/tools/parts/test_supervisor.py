@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from support.builders import eventually
 
-from trigpoint.base.errors import OperationError
-from trigpoint.tools.demo import supervisor as module
-from trigpoint.tools.demo.supervisor import PartSpec, Supervisor, last_line
+from trigpoint.base.errors import InputError, OperationError
+from trigpoint.tools.parts import supervisor as module
+from trigpoint.tools.parts.output import LogFile
+from trigpoint.tools.parts.supervisor import PartSpec, Supervisor
 
 SLEEPS = "import time; time.sleep(60)"
 FAILS = "import sys; print('starting'); sys.exit('the port is on fire')"
@@ -38,7 +39,10 @@ def said() -> list[str]:
 
 @pytest.fixture
 def supervise(tmp_path: Path, said: list[str]) -> Callable[..., Supervisor]:
-    return lambda *specs: Supervisor(specs, tmp_path, say=said.append)
+    def output(part: str) -> LogFile:
+        return LogFile.of(part, tmp_path)
+
+    return lambda *specs: Supervisor(specs, output, say=said.append)
 
 
 def ended(supervisor: Supervisor) -> bool:
@@ -104,7 +108,7 @@ def test_parts_stop_in_the_order_of_their_ranks(supervise, tmp_path):
     parts = (noting("last", 3, 0.0), noting("first", 1, 0.3), noting("second", 2, 0.1))
     with supervise(*parts) as supervisor:
         for part in supervisor.parts:
-            assert eventually(lambda log=part.log: last_line(log) == "up")
+            assert eventually(lambda part=part: part.output.last_line() == "up")
         supervisor.stop([1])
         assert notes.read_text().split() == ["first"]
         assert [part.is_running for part in supervisor.parts] == [True, False, True]
@@ -115,7 +119,7 @@ def test_parts_stop_in_the_order_of_their_ranks(supervise, tmp_path):
 def test_part_that_does_not_stop_is_killed_and_said(supervise, said, monkeypatch):
     monkeypatch.setattr(module, "STOP_S", 0.3)
     with supervise(spec("a", STUBBORN)) as supervisor:
-        assert eventually(lambda: last_line(supervisor.parts[0].log) == "up")
+        assert eventually(lambda: supervisor.parts[0].output.last_line() == "up")
     assert ended(supervisor)
     assert supervisor.killed == ["a"]
     assert "a did not stop" in said[0]
@@ -137,7 +141,7 @@ def test_second_interrupt_kills_what_is_slow_to_stop(supervise, monkeypatch):
     with ExitStack() as stack:
         stack.enter_context(pytest.raises(KeyboardInterrupt))
         stack.enter_context(supervisor)
-        assert eventually(lambda: last_line(supervisor.parts[0].log) == "up")
+        assert eventually(lambda: supervisor.parts[0].output.last_line() == "up")
         monkeypatch.setattr(supervisor, "_stop", interrupted)
     assert ended(supervisor)
 
@@ -155,16 +159,46 @@ def test_ctrl_c_in_the_terminal_does_not_reach_the_parts(supervise):
 
 
 def test_last_line_skips_empty_ones(tmp_path):
-    log = tmp_path / "x.log"
-    assert last_line(log) == ""
-    log.write_text("one\ntwo\n\n  \n")
-    assert last_line(log) == "two"
-    log.write_text("x" * 10_000 + "\nthe end")
-    assert last_line(log) == "the end"
+    log = LogFile.of("edge c1", tmp_path)
+    assert log.last_line() == ""
+    with log.attach() as file:
+        file.write(b"one\ntwo\n\n  \n")
+    assert log.last_line() == "two"
+    with log.attach() as file:
+        file.write(b"x" * 10_000 + b"\nthe end")
+    assert log.last_line() == "the end"
+    assert log.where == f" (see {tmp_path}/edge_c1.log)"
+
+
+def test_part_that_refuses_a_file_is_not_started_again(supervise):
+    code = "import sys; print('site.toml:3: no such key'); sys.exit(2)"
+    with supervise(spec("edge c1", code)) as supervisor:
+        assert eventually(lambda: ended(supervisor))
+        with pytest.raises(InputError, match=r"edge c1 ended with status 2: site\.toml:3: no such"):
+            supervisor.revive()
+
+
+def test_ends_far_apart_are_not_counted_together(supervise, monkeypatch):
+    monkeypatch.setattr(module, "_STEADY_S", 0.0)
+    with supervise(spec("a", FAILS)) as supervisor:
+        for count in range(1, 9):
+            assert eventually(lambda: ended(supervisor))
+            supervisor.revive()
+            assert supervisor.restarts == {"a": count}
+
+
+def test_optional_part_that_does_not_stay_alive_ends_nothing_else(supervise, said):
+    page = PartSpec("board", (sys.executable, "-c", FAILS), optional=True)
+    with supervise(page, spec("a", SLEEPS)) as supervisor:
+        assert eventually(lambda: supervisor.revive() and len(supervisor.parts) == 1)
+        assert supervisor.parts[0].is_running
+    assert len(said) == 6
+    assert said[-1].startswith("board ended with status 1: the port is on fire, 6 times")
+    assert said[-1].endswith("it goes on without")
 
 
 def test_parts_use_one_thread_of_linear_algebra_each(supervise):
     code = "import os, time; print(os.environ['OPENBLAS_NUM_THREADS']); time.sleep(60)"
     with supervise(spec("a", code)) as supervisor:
-        assert eventually(lambda: last_line(supervisor.parts[0].log) != "")
-        assert last_line(supervisor.parts[0].log) == "1"
+        assert eventually(lambda: supervisor.parts[0].output.last_line() != "")
+        assert supervisor.parts[0].output.last_line() == "1"

@@ -1,0 +1,1 @@
+"""`trigpoint pack`: one archive with everything that a machine of a site needs."""

@@ -1,0 +1,1 @@
+"""`trigpoint start`: asks what one has, and strings the other commands together."""

@@ -1,0 +1,1 @@
+"""`trigpoint up`: every part of a site that belongs to this machine, in one command."""
