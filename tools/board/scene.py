@@ -36,7 +36,9 @@ class Scene:
 
     def __init__(self, cameras: Iterable[str], robots: Iterable[str]) -> None:
         self._fields: Entities = {f"camera/{name}": {"state": UNSEEN} for name in cameras}
-        self._fields |= {f"robot/{name}": {"stale": True} for name in robots}
+        self._fields |= {
+            f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
+        }
         self._posed_ns: dict[str, int] = {}
         self._goal_ns: dict[str, int] = {}
         self._dirty = set(self._fields)

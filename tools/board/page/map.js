@@ -90,8 +90,9 @@ export class SiteMap {
 
   newCamera(name) {
     const mark = made(this.svg.querySelector("#cameras"), "g", { "data-id": name });
-    made(made(mark, "g", { class: "turned" }), "path", { d: "M-6-5H3V-2L9-6V6L3 2V5H-6Z", "stroke-width": 1.5 });
-    made(mark, "text", { y: 18, stroke: "none" }).textContent = nameOf(name);
+    made(made(mark, "g", { class: "turned" }), "path", { d: "M-9-6H3V-2L10-6V6L3 2V6H-9Z", "stroke-width": 1 });
+    made(mark.firstChild, "path", { d: "M12 0 30-11V11Z", class: "view", stroke: "none" });
+    made(mark, "text", { y: 24, stroke: "none" }).textContent = nameOf(name);
     made(mark, "title").textContent = `camera ${nameOf(name)}: click to look through it`;
     mark.addEventListener("click", () => this.look(nameOf(name)));
     return { mark, ellipse: made(this.svg.querySelector("#ellipses"), "ellipse", { class: "camera" }), floor: made(this.svg.querySelector("#floors"), "path", { "data-id": name }) };
@@ -111,7 +112,7 @@ export class SiteMap {
   }
 
   newRobot(name) {
-    const colour = robotColour(Object.keys(this.fields).filter((n) => n.startsWith("robot/")).length - 1);
+    const colour = robotColour(this.fields[name].index);
     const mark = made(this.svg.querySelector("#robots"), "g", { "data-id": name });
     const turned = made(mark, "g");
     made(turned, "path", { d: "M-8-6H4L12 0 4 6H-8Z" });
@@ -178,7 +179,9 @@ export class SiteMap {
     if (!Number.isFinite(this.low[0])) return;
     const w = Math.max(2, this.high[0] - this.low[0]), h = Math.max(2, this.high[1] - this.low[1]);
     const x = (this.low[0] + this.high[0] - w) / 2, y = -(this.low[1] + this.high[1] + h) / 2;
-    this.box = { x: x - 0.06 * w, y: y - 0.06 * h, w: 1.12 * w, h: 1.12 * h };
+    const { clientWidth, clientHeight } = this.svg;  // marks and names need their place at the edge
+    const edge = 34 * Math.max(w / Math.max(100, clientWidth - 68), h / Math.max(100, clientHeight - 68));
+    this.box = { x: x - edge, y: y - edge, w: w + 2 * edge, h: h + 2 * edge };
     this.place();
   }
 

@@ -11,6 +11,7 @@ export const robotColour = (index) => `var(--r${index % 8})`;
 const centimetres = (m) => m < 1e-3 ? "<0.1 cm" : m < 1 ? `±${(100 * m).toFixed(1)} cm` : `±${m.toFixed(1)} m`;
 const degrees = (rad) => `${Math.round((180 * rad / Math.PI + 360) % 360)}°`;
 const fine = (rad) => `±${(180 * rad / Math.PI).toFixed(1)}°`;
+const tilt = (rad) => `${Math.abs(Math.round(180 * rad / Math.PI))}° ${rad < 0 ? "down" : "up"}`;
 const metres = (values) => values.map((v) => v.toFixed(2)).join(", ");
 const named = (text) => text.slice(text.indexOf("/") + 1);
 const byName = new Intl.Collator("en", { numeric: true }).compare;
@@ -49,17 +50,16 @@ export class Tables {
 
   robot(name, robot, now) {
     const row = this.row("robot-table", name, robot.stale);
-    const index = Object.keys(this.state).filter((n) => n.startsWith("robot/")).sort(byName).indexOf(name);
     const head = row.cells[0];
     if (!head.firstChild) {
       const disc = document.createElement("i");
-      disc.style.background = robotColour(index);
+      disc.style.background = robotColour(robot.index);
       head.append(disc, named(name));
     }
     if (!robot.at) return this.cells(row, [null, "not placed yet", "", "", "", ""]);
     const fixed = robot.fixed ? `${spoken(now - robot.fixed)} ago` : "never";
-    this.cells(row, [null, metres(robot.at.slice(0, 2)) + (robot.stale ? " (stale)" : ""), degrees(robot.at[2]),
-      `${centimetres(robot.sigma)} ${fine(robot.turn)}`, fixed, robot.goal ? `${metres(robot.goal.slice(0, 2))} (${degrees(robot.goal[2])})` : "–"]);
+    const place = metres(robot.at.slice(0, 2)) + (robot.stale ? " (stale)" : "");
+    this.cells(row, [null, place, fixed, `${centimetres(robot.sigma)} ${fine(robot.turn)}`, degrees(robot.at[2]), robot.goal ? `${metres(robot.goal.slice(0, 2))} (${degrees(robot.goal[2])})` : "–"]);
   }
 
   camera(name, camera, now) {
@@ -75,11 +75,11 @@ export class Tables {
     const runs = node.source && node.source !== "running" ? node.source : node.age === undefined ? "–" : node.age < 1 ? "live" : `${spoken(node.age)} old`;
     const isLive = runs === "live" || runs === "–";
     const place = camera.at ? metres(camera.at) : "–";
-    const looks = camera.look ? `${degrees(camera.look[0])}, ${Math.round(180 * camera.look[1] / Math.PI)}° up` : "–";
+    const looks = camera.look ? `${degrees(camera.look[0])}, ${tilt(camera.look[1])}` : "–";
     const state = camera.state + (camera.stale && camera.state === "located" ? " (stale)" : "");
-    this.cells(row, [null, state, camera.sigma ? centimetres(camera.sigma) : "–", place, looks, runs, camera.seen ? `${spoken(now - camera.seen)} ago` : "never"]);
+    this.cells(row, [null, state, camera.sigma ? centimetres(camera.sigma) : "–", runs, camera.seen ? `${spoken(now - camera.seen)} ago` : "never", place, looks]);
     row.cells[1].className = camera.state === "located" ? "good" : "open";
-    row.cells[5].className = isLive ? "" : "bad";
+    row.cells[3].className = isLive ? "" : "bad";
     row.classList.toggle("fine", camera.state === "located" && !camera.stale && isLive);
   }
 
