@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
@@ -168,9 +168,17 @@ class Guard:
     def _is_named(self, host: str) -> bool:
         """Against DNS rebinding: a foreign name that is made to lead here, which an address is
         not."""
-        name = urlsplit(f"//{host}").hostname or ""
+        name = _parts(f"//{host}").hostname or ""
         return name in self._names or _address(name) is not None
 
     def _is_own_page(self, request: Request) -> bool:
         origin = request.headers.get("origin", "")
-        return urlsplit(origin).netloc == request.headers.get("host", "") != ""
+        return _parts(origin).netloc == request.headers.get("host", "") != ""
+
+
+def _parts(address: str) -> SplitResult:
+    """A web address's parts; none of one that cannot be read."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return urlsplit("")

@@ -1,6 +1,7 @@
 """The page's addresses. Nothing that a request says becomes a path to a file."""
 
 import asyncio
+import math
 import zlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
@@ -152,6 +153,8 @@ class _Pages:
         try:
             at_s = float(request.query_params.get("at", ""))
         except ValueError:
+            at_s = math.nan
+        if not math.isfinite(at_s):
             return PlainTextResponse("`at` is a Unix time in seconds", 400)
         whole = await run_in_threadpool(self._board.history.at, at_s)
         if whole is None:
