@@ -28,27 +28,20 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """A served board; `broker`: its bus."""
+    """A served board; `broker`: its bus; `context`: by which it is asked over TLS."""
 
     address: str
     broker: MemoryBroker
     service: BoardService
+    context: ssl.SSLContext | None = None
 
     @property
     def port(self) -> int:
         return urlsplit(self.address).port or 0
 
-    def ask(
-        self,
-        path: str,
-        method: str = "GET",
-        *,
-        body: str = "",
-        context: ssl.SSLContext | None = None,
-        **headers: str,
-    ) -> Answer:
+    def ask(self, path: str, method: str = "GET", *, body: str = "", **headers: str) -> Answer:
         """One request on a connection of its own; headers with _ in place of -."""
-        connection = self.connected(context)
+        connection = self.connected()
         try:
             sent = {name.replace("_", "-"): value for name, value in headers.items()}
             connection.request(method, path, body or None, sent)
@@ -58,11 +51,11 @@ class Desk:
         finally:
             connection.close()
 
-    def connected(self, context: ssl.SSLContext | None = None) -> http.client.HTTPConnection:
-        """A connection, by TLS with a context."""
-        if context is not None:
-            return http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=context)
-        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+    def connected(self) -> http.client.HTTPConnection:
+        """A connection of one's own."""
+        if self.context is None:
+            return http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        return http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.context)
 
     @contextmanager
     def events(self, **headers: str) -> Iterator[Iterator[dict]]:
@@ -100,7 +93,9 @@ def served_board(
         assert eventually(lambda: bool(said or errors))
         if errors:
             raise errors[0]
-        yield Desk(said[0].rpartition(" ")[2], broker, service)
+        trusted = access.certificate if access else None
+        context = ssl.create_default_context(cafile=trusted) if trusted else None
+        yield Desk(said[0].rpartition(" ")[2], broker, service, context)
     finally:
         service.stop()
         thread.join()

@@ -59,6 +59,7 @@ function take(message) {
   loadedVersion ||= version;
   if (version !== loadedVersion) location.reload();
   schedule();
+  if (message.all) everySecond();
 }
 
 function announce(name, alarm) {

@@ -145,7 +145,7 @@ export class Tables {
   }
 
   absent() {
-    const open = this.kinds("camera").filter(([, camera]) => !camera.at).map(([name, camera]) => `${named(name)} (${camera.state})`);
+    const open = this.kinds("camera").filter(([, camera]) => !camera.at).map(([name, camera]) => `${named(name)} (${camera.state})`).sort(byName);
     return open.length ? `Not on the map: ${open.length > 12 ? `${open.length} cameras` : open.join(", ")}` : "";
   }
 

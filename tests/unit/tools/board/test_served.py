@@ -6,6 +6,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from trigpoint.contract import topics
 from trigpoint.contract.messages import Picture
 from trigpoint.contract.topics import command_key
 from trigpoint.tools.board import serving
-from trigpoint.tools.board.entities import Entities
 from trigpoint.tools.board.feed import MOST_PAGES
+
+State = dict[str, Any]
 
 TRUTH = Truth(4, 2, is_still=True)
 
@@ -40,9 +42,9 @@ def site(desk: Desk) -> BoardSite:
     )
 
 
-def state_when(desk: Desk, site: BoardSite, holds: Callable[[Entities], bool]) -> Entities:
+def state_when(desk: Desk, site: BoardSite, holds: Callable[[State], bool]) -> State:
     """The state as a page has it, once something holds of it."""
-    state: Entities = {}
+    state: State = {}
     with desk.events() as messages:
         deadline = time.monotonic() + 30
         for message in messages:
@@ -70,7 +72,7 @@ def test_a_page_gets_the_truth(desk: Desk, site: BoardSite) -> None:
 
 
 def test_who_disappears_and_who_is_in_trouble_is_an_alarm(desk: Desk, site: BoardSite) -> None:
-    def alarms(state: Entities) -> set[tuple[object, object]]:
+    def alarms(state: State) -> set[tuple[object, object]]:
         return {(f["node"], f["text"]) for n, f in state.items() if n.startswith("alarm/")}
 
     site.troubles["edge/c2"] = "the camera hangs"
