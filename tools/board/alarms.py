@@ -48,7 +48,7 @@ class Alarms:
         return found | self._end(now_s)
 
     def _say(self, node: NodeStatus, now_s: float) -> dict[str, Fields | None]:
-        text = node.message or node.last_error or node.state
+        text = "gone" if node.state == "gone" else node.message or node.last_error or node.state
         key = (node.name, numberless(text))
         alarm = self._active.get(key)
         if alarm is None:

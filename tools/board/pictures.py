@@ -3,15 +3,15 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from trigpoint.base.errors import InputError, MessageError, OperationError
-from trigpoint.bus.bus import Bus, Sample, Subscription
+from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.contract import cdr
-from trigpoint.contract.messages import FaceSighting, Picture
+from trigpoint.contract.messages import FaceSighting, Picture, Sightings
 from trigpoint.contract.topics import IMAGE, SIGHTINGS, Topic
 
 MOST_WATCHED = 6
@@ -24,12 +24,23 @@ _POLL_S = 0.05
 
 @dataclass(slots=True)
 class _Watch:
-    """One camera that is looked at; `sightings` are decoded when they are asked for."""
+    """One camera that is looked at."""
 
     pictures: Subscription
+    sightings: Subscription
     asked_s: float = 0.0
     shown: deque[Picture] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    sightings: deque[Sample] = field(default_factory=lambda: deque(maxlen=_SIGHTINGS))
+    seen: deque[Sightings] = field(default_factory=lambda: deque(maxlen=_SIGHTINGS))
+
+    def drain(self) -> None:
+        """Take in what came."""
+        self.shown.extend(_decoded(IMAGE, self.pictures))
+        self.seen.extend(_decoded(SIGHTINGS, self.sightings))
+
+    def close(self) -> None:
+        """Withdraw both."""
+        self.pictures.close()
+        self.sightings.close()
 
 
 class Pictures:
@@ -50,19 +61,13 @@ class Pictures:
         while True:
             with self._lock:
                 watch = self._watch(camera)
-                _drain(watch)
+                watch.drain()
                 found = self._found(watch, after_ns)
             if found is not None:
                 return found
             if time.monotonic() > deadline:
                 raise OperationError(f"no picture of {camera} comes; is its agent running?")
             time.sleep(_POLL_S)
-
-    def see(self, camera: str, sample: Sample) -> None:
-        """Keep a camera's sightings, if it is looked at."""
-        with self._lock:
-            if (watch := self._watches.get(camera)) is not None:
-                watch.sightings.append(sample)
 
     def jpeg(self, camera: str, stamp_ns: int) -> bytes | None:
         """One of the last pictures' bytes; None where it is not kept any more."""
@@ -76,13 +81,13 @@ class Pictures:
         now_s = time.monotonic()
         with self._lock:
             for camera in [c for c, w in self._watches.items() if now_s - w.asked_s > _IDLE_S]:
-                self._watches.pop(camera).pictures.close()
+                self._watches.pop(camera).close()
 
     def close(self) -> None:
         """Withdraw everything."""
         with self._lock:
             while self._watches:
-                self._watches.popitem()[1].pictures.close()
+                self._watches.popitem()[1].close()
 
     @property
     def watched(self) -> list[str]:
@@ -100,8 +105,10 @@ class Pictures:
                 raise OperationError("the site's bus is not reached yet; wait a moment")
             if len(self._watches) >= MOST_WATCHED:
                 raise OperationError(f"{MOST_WATCHED} cameras are looked at already; close one")
-            subscription = bus.subscribe(IMAGE, IMAGE.key(self._site, camera))
-            watch = self._watches[camera] = _Watch(subscription)
+            pictures = bus.subscribe(IMAGE, IMAGE.key(self._site, camera))
+            new = replace(SIGHTINGS, cache=0)  # of what was before no picture is shown
+            sightings = bus.subscribe(new, SIGHTINGS.key(self._site, camera))
+            watch = self._watches[camera] = _Watch(pictures, sightings)
         watch.asked_s = time.monotonic()
         return watch
 
@@ -111,20 +118,15 @@ class Pictures:
         """The newest picture whose sightings are there too; where they do not come, or come late,
         the last but one without."""
         later = [picture for picture in watch.shown if picture.stamp_ns > after_ns]
-        faces = {one.stamp_ns: one.faces for one in _decoded(SIGHTINGS, list(watch.sightings))}
+        faces = {one.stamp_ns: one.faces for one in watch.seen}
         both = [picture for picture in later if picture.stamp_ns in faces]
         if both:
             return both[-1], faces[both[-1].stamp_ns]
         return (later[-2], ()) if len(later) > 1 else None
 
 
-def _drain(watch: _Watch) -> None:
-    samples = iter(lambda: watch.pictures.take(0.0), None)
-    watch.shown.extend(_decoded(IMAGE, samples))
-
-
-def _decoded(topic: Topic, samples: Iterable[Sample]) -> Iterator[Any]:
+def _decoded(topic: Topic, subscription: Subscription) -> Iterator[Any]:
     """The messages; every node counts and names what does not decode already."""
-    for sample in samples:
+    while (sample := subscription.take(0.0)) is not None:
         with suppress(MessageError):
             yield cdr.decode(topic.type_name, sample.payload)

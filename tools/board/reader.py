@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from trigpoint import CONTRACT, __version__
@@ -36,7 +36,6 @@ _QUEUE = 4096
 _READ = (
     topics.CAMERA_POSE,
     topics.COVERAGE,
-    topics.SIGHTINGS,
     topics.ROBOT_POSE,
     topics.CORRECTION,
     topics.SUGGESTION,
@@ -103,10 +102,9 @@ class Reader:
         return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
 
     def _subscribe(self, bus: Bus, topic: Topic) -> Subscription:
-        """The page shows what is now: nothing is sent again for it but the last values."""
-        cache = min(topic.cache, 1) if topic is not topics.SIGHTINGS else 0
-        shallow = replace(topic, queue=_QUEUE, cache=cache)
-        subscription = bus.subscribe(shallow, topic.expression(self._site.name))
+        wide = replace(topic, queue=_QUEUE)
+        expression = topic.expression(self._site.name)
+        subscription = bus.subscribe(wide, expression, in_turns=True)
         self.health.watch(topic.name, subscription)
         return subscription
 
@@ -114,28 +112,17 @@ class Reader:
         self, bus: Bus, subscriptions: list[tuple[Topic, Subscription]], heard: Subscription
     ) -> None:
         for topic, subscription in subscriptions:
-            for sample in self._newest(topic, subscription):
+            # Of each key only the last; the others are past already.
+            for sample in {sample.key: sample for sample in _waiting(subscription)}.values():
                 self._take(topic, sample)
-        for _ in range(heard.depth):
-            if (sample := heard.take(0.0)) is not None:
-                self._hear(sample)
+        for sample in _waiting(heard):
+            self._hear(sample)
         entities: dict[str, Fields | None] = {**self._scene.changed(time.time_ns())}
         if time.monotonic() - self._looked_s >= _LOOK_S:
             self._looked_s = time.monotonic()
             entities |= self._look(bus)
             self._pictures.end_idle()
         self._show(entities)
-
-    def _newest(self, topic: Topic, subscription: Subscription) -> list[Sample]:
-        """What waits, but of each key only the last; a camera that is looked at keeps them all."""
-        found: dict[str, Sample] = {}
-        for _ in range(subscription.depth):
-            if (sample := subscription.take(0.0)) is None:
-                break
-            found[sample.key] = sample
-            if topic is topics.SIGHTINGS:
-                self._pictures.see(node_of(sample.key), sample)
-        return list(found.values())
 
     def _take(self, topic: Topic, sample: Sample) -> None:
         message = self._sound(topic, sample)
@@ -159,6 +146,9 @@ class Reader:
             for status in message.statuses:
                 unique = f"{status.name} {status.values.get('node', '')}"
                 self._statuses[unique] = (time.monotonic(), message.stamp_ns, status)
+                kind, _, name = status.name.partition("/")
+                if kind == "edge":
+                    self._scene.report(name, status.values, sample.received_ns)
 
     def _look(self, bus: Bus) -> dict[str, Fields | None]:
         """The site in words; of its nodes only where these had time to speak."""
@@ -213,3 +203,10 @@ class Reader:
                 self._tokens = bus.alive(alive_key(self._site.name, "*", "*"), timeout_s=_LOOK_S)
             except BusError as reason:
                 _log.debug("%s", reason)
+
+
+def _waiting(subscription: Subscription) -> Iterator[Sample]:
+    """What waits now; what comes meanwhile has the next turn."""
+    for _ in range(subscription.depth):
+        if (sample := subscription.take(0.0)) is not None:
+            yield sample

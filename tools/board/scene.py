@@ -5,13 +5,13 @@ cannot be seen is not sent.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStamped, Sightings
+from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStamped
 from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -57,8 +57,18 @@ class Scene:
             self._set(entity, {"goal": _plane(message.pose)})
         elif isinstance(message, Polygon):
             self._set(entity, {"floor": _outline(message.points[:, :2])})
-        elif isinstance(message, Sightings) and message.faces:
-            self._see(entity, received_ns)
+
+    def report(self, camera: str, values: Mapping[str, str], received_ns: int) -> None:
+        """Take what a camera's agent reports of the faces it found: that is enough to say whether
+        it sees a target, and its sightings, a thousand a second, need not come here."""
+        entity = f"camera/{camera}"
+        if entity not in self._fields or _count(values.get("faces.total")) <= 0:
+            return
+        if self._fields[entity]["state"] == UNSEEN:
+            self._set(entity, {"state": UNDETERMINED})
+        if _count(values.get("faces.rate")) > 0:
+            seen_s = round(to_seconds(received_ns))
+            self._set(entity, {"seen": seen_s // _SEEN_STEP_S * _SEEN_STEP_S})
 
     def changed(self, now_ns: int) -> Entities:
         """The entities that may have changed since the last call, with what time alone changed."""
@@ -70,11 +80,6 @@ class Scene:
     def _set(self, entity: str, fields: Fields) -> None:
         self._fields[entity] = self._fields[entity] | fields
         self._dirty.add(entity)
-
-    def _see(self, entity: str, received_ns: int) -> None:
-        seen = round(to_seconds(received_ns)) // _SEEN_STEP_S * _SEEN_STEP_S
-        state = self._fields[entity]["state"]
-        self._set(entity, {"seen": seen, "state": UNDETERMINED if state == UNSEEN else state})
 
     def _age(self, now_ns: int) -> None:
         camera_ns = max((ns for n, ns in self._posed_ns.items() if n[0] == "c"), default=0)
@@ -117,14 +122,24 @@ def _plane(pose: Pose) -> list[float]:
 def _uncertainty(covariance: Array) -> Fields:
     """`sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the heading, rad;
     `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's direction."""
-    values, axes = np.linalg.eigh(covariance[:2, :2])
-    short, long = (_ELLIPSE_95 * math.sqrt(max(0.0, value)) for value in values.tolist())
-    direction = math.atan2(axes[1, 1], axes[0, 1]) % math.pi
+    a, b, c = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    middle, apart = (a + c) / 2, math.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
+    long, short = (_ELLIPSE_95 * math.sqrt(max(0.0, v)) for v in (middle + apart, middle - apart))
+    direction = math.atan2(2 * b, a - c) / 2 % math.pi
+    height = float(covariance[2, 2])
     return {
-        "sigma": _two_digits(math.sqrt(max(0.0, float(np.trace(covariance[:3, :3]))))),
+        "sigma": _two_digits(math.sqrt(max(0.0, a + c + height))),
         "turn": _two_digits(math.sqrt(max(0.0, float(covariance[5, 5])))),
         "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
     }
+
+
+def _count(text: str | None) -> float:
+    """A number that another node sent; 0 of what is none."""
+    try:
+        return float(text or 0)
+    except ValueError:
+        return 0.0
 
 
 def _two_digits(value: float) -> float:

@@ -163,7 +163,9 @@ class BoardSite:
         values = {"node": node, "version": "0.1.0", "contract": "1", "uptime": f"{time_s:.1f}"}
         if node.startswith("edge/"):
             values |= {"pictures.rate": f"{unsteady}", "pictures.total": "1000"}
-            values |= {"faces.rate": "9.9", "picture_age_s": "0.1", "source": "running"}
+            faces = 0.0 if index in self._unseen else 9.9
+            values |= {"faces.rate": f"{faces}", "faces.total": f"{100 * faces:.0f}"}
+            values |= {"picture_age_s": "0.1", "source": "running"}
         elif node.startswith("robot/"):
             values |= {"odom.rate": f"{5 * unsteady:.1f}", "odom.total": "5000"}
         return values

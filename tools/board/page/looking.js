@@ -73,6 +73,7 @@ function drawn({ target, face, pixels }, width) {
   text.setAttribute("x", pixels[low]);
   text.setAttribute("y", pixels[low + 1] + width / 30);
   text.setAttribute("font-size", width / 40);
+  if (pixels[low] > 0.7 * width) text.setAttribute("text-anchor", "end");
   text.textContent = [target, face >= 0 ? `face ${face}` : ""].filter(Boolean).join(", ");
   return [cross, text];
 }

@@ -146,9 +146,9 @@ export class SiteMap {
     let way = this.tracks.get(name);
     if (!way) this.tracks.set(name, way = []);
     const last = way[way.length - 1];
-    if (last && Math.abs(last.x - x) + Math.abs(last.y - y) < NEAR_M) return;
     const t = performance.now();
-    way.push({ x, y, t });
+    if (!last || Math.abs(last.x - x) + Math.abs(last.y - y) >= NEAR_M) way.push({ x, y, t });
+    else if (line.hasAttribute("d")) return;
     while (way.length > WAY_POINTS || t - way[0].t > 1000 * WAY_S) way.shift();
     line.setAttribute("d", path(way.flatMap((p) => [p.x, p.y])));
   }

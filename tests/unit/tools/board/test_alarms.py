@@ -25,6 +25,12 @@ def test_an_alarm_keeps_its_begin_while_its_numbers_grow_and_ends() -> None:
     assert alarms_in(alarms.look(status_of("running", 0), 105.0)) == [{"until": 101}]
 
 
+def test_a_node_that_ended_does_not_say_that_it_runs() -> None:
+    last = DiagnosticStatus(0, "edge/c1", "running", "pc", {})
+    status = summarise("lab", peers=1, tokens=[], statuses=[last])
+    assert alarms_in(Alarms().look(status, 0.0))[0]["text"] == "gone"
+
+
 def test_the_same_trouble_later_is_another_alarm() -> None:
     alarms = Alarms()
     names = set()

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from support.builders import make_sightings
 
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Polygon, PoseEstimate, PoseStamped, Sightings
+from trigpoint.contract.messages import Polygon, PoseEstimate, PoseStamped
 from trigpoint.geometry import Pose
 from trigpoint.tools.board.scene import Scene
 
@@ -36,9 +35,11 @@ def camera_pose() -> PoseEstimate:
 def test_a_camera_is_unseen_then_undetermined_then_located() -> None:
     shown = Scene(["c1"], [])
     assert shown.changed(0)["camera/c1"]["state"] == "unseen"
-    shown.take(topics.SIGHTINGS, "c1", Sightings(0, "", 1, 1, ()), S)
+    shown.report("c1", {"faces.total": "0", "faces.rate": "0.0"}, S)
+    shown.report("own_c9", {"faces.total": "5"}, S)  # of another site
+    shown.report("c1", {"faces.total": "many"}, S)
     assert not shown.changed(S)
-    shown.take(topics.SIGHTINGS, "c1", make_sightings(0), 2 * S)
+    shown.report("c1", {"faces.total": "7", "faces.rate": "3.5"}, 2 * S)
     assert shown.changed(2 * S)["camera/c1"] == {"state": "undetermined", "seen": 2}
     shown.take(topics.CAMERA_POSE, "c1", camera_pose(), 3 * S)
     camera = shown.changed(3 * S)["camera/c1"]
