@@ -58,15 +58,15 @@ def version_of(files: dict[str, bytes]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What the addresses give; `metrics`: all nodes' in Prometheus's format; `commands`: None where
-    the page only reads."""
+    """What the addresses give. `picture`: of the floor «plan» or «grid», PNG; `metrics`: all nodes' in
+    Prometheus's format; `commands`: None where the page only reads."""
 
     files: dict[str, bytes]
     guard: Guard
     feed: Feed
     history: History
     pictures: Pictures
-    plan: bytes
+    picture: Callable[[str], bytes]
     metrics: Callable[[], bytes]
     commands: Commands | None = None
 
@@ -79,7 +79,8 @@ def app_of(board: Board) -> Starlette:
         Route("/login", pages.login, methods=["GET", "POST"]),
         Route("/events", pages.events),
         Route("/past", pages.past),
-        Route("/plan.png", pages.plan),
+        Route("/plan.png", pages.laid),
+        Route("/grid.png", pages.laid),
         Route("/metrics", pages.metrics),
         Route("/camera/{name}/look", pages.look),
         Route("/camera/{name}/picture/{stamp:int}", pages.picture),
@@ -125,10 +126,11 @@ class _Pages:
         body = self._board.files[name]
         return _kept(request, body, ASSETS[name])
 
-    async def plan(self, request: Request) -> Response:
-        if not self._board.plan:
-            return PlainTextResponse("the site has no floor plan", 404)
-        return _kept(request, self._board.plan, "image/png")
+    async def laid(self, request: Request) -> Response:
+        name = request.url.path.strip("/").partition(".")[0]
+        if not (data := self._board.picture(name)):
+            return PlainTextResponse(f"the site has no {name}", 404)
+        return _kept(request, data, "image/png")
 
     async def login(self, request: Request) -> Response:
         if request.method != "POST":

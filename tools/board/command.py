@@ -89,7 +89,7 @@ class BoardService:
             feed=self._feed,
             history=self._history,
             pictures=self._pictures,
-            plan=self._reader.plan,
+            picture=self._reader.picture,
             metrics=lambda: exposition(families(site.name, self._reader.heard())),
             commands=Commands(lambda: self._bus, site) if is_operator else None,
         )

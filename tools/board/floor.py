@@ -6,6 +6,7 @@ import numpy as np
 
 from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import PoseEstimate
+from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import Building, load_plan
 from trigpoint.map.live_laying import LiveLaying
 from trigpoint.site.config import Site
@@ -52,9 +53,16 @@ class Floor:
     def _matrix(self, building: Building) -> list[float]:
         assert self._plan is not None
         rows, columns = self._plan.pixels.shape
-        low, right, _, top = (building.frame_from_map.inverse() @ self._plan.corners)[:, :2]
-        across, down = (right - low) / columns, (low - top) / rows
-        return [round(float(value), 6) for value in (*across, *down, *top)]
+        corners = building.frame_from_map.inverse() @ self._plan.corners
+        return matrix(corners[[0, 1, 3], :2], columns, rows)
+
+
+def matrix(corners: Array, columns: int, rows: int) -> list[float]:
+    """A picture's columns and rows to x, y of the map, as SVG orders them; `corners` (3, 2): its
+    lower left, lower right and upper left."""
+    low, right, top = corners
+    across, down = (right - low) / columns, (low - top) / rows
+    return [round(float(value), 6) for value in (*across, *down, *top)]
 
 
 def _png(pixels: np.ndarray) -> bytes:

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from trigpoint import CONTRACT, __version__
 from trigpoint.base.clock import to_seconds
@@ -23,6 +24,7 @@ from .alarms import Alarms
 from .entities import Fields
 from .feed import Feed
 from .floor import Floor
+from .grid import GRID, GridPicture, grid_picture
 from .history import History
 from .pictures import Pictures
 from .scene import Scene
@@ -39,6 +41,7 @@ _READ = (
     topics.ROBOT_POSE,
     topics.CORRECTION,
     topics.SUGGESTION,
+    *((GRID,) if GRID is not None else ()),
 )
 
 _log = logging.getLogger(__name__)
@@ -61,6 +64,7 @@ class Reader:
         self._scene = Scene(site.cameras, site.robots)
         self._floor, self._alarms, self.health = Floor(site), Alarms(), Health()
         self._about = {"name": site.name, "link": "the bus is being opened"} | about
+        self._grid: GridPicture | None = None
         self._statuses: dict[str, tuple[float, int, DiagnosticStatus]] = {}
         self._tokens: list[str] = []
         self._started_s = self._apart_s = time.monotonic()
@@ -68,10 +72,11 @@ class Reader:
         self._own = self._own_status()
         self.health.gauge("pages", lambda: feed.pages)
 
-    @property
-    def plan(self) -> bytes:
-        """The floor plan's picture, PNG; empty without one."""
-        return self._floor.picture
+    def picture(self, name: str) -> bytes:
+        """The floor «plan» or the «grid» of corrections, PNG; empty without one. Any thread."""
+        if name == "plan":
+            return self._floor.picture
+        return b"" if self._grid is None else self._grid.png
 
     def begin(self) -> None:
         """Show the site as its file has it, before there is a bus."""
@@ -129,6 +134,10 @@ class Reader:
         if message is None:
             return
         name = node_of(sample.key)
+        if topic is GRID:
+            grid: Any = message
+            self._grid = grid_picture(grid.cell_m, grid.origin, grid.values)
+            return
         self._scene.take(topic, name, message, sample.received_ns)
         if isinstance(message, PoseEstimate) and topic is not topics.CORRECTION:
             self._floor.take("camera" if topic is topics.CAMERA_POSE else "robot", name, message)
@@ -158,6 +167,7 @@ class Reader:
         about: Fields = self._about | {"peers": len(bus.peers), "link": link}
         about["begin"] = round(self._history.begin_s or 0)
         shown: dict[str, Fields | None] = {"site": about, "plan": self._floor.fields}
+        shown["grid"] = None if self._grid is None else self._grid.fields
         now_s = time.monotonic()
         if link:
             self._apart_s = now_s

@@ -100,6 +100,7 @@ function everySecond() {
   element("link").textContent = link || (past ? `as it was at ${clockOf(past.t)}` : "live");
   element("site").textContent = site.name || "Trigpoint";
   document.title = `${site.name || "Trigpoint"}: ${tables.headline()}`;
+  element("for-grid").hidden = !shown.grid;
   element("operator").hidden = !site.operator;
   looking.isOperator = Boolean(site.operator);
   tables.everySecond(now());
@@ -137,7 +138,7 @@ element("now").addEventListener("click", () => {
 
 // -- what one may switch
 
-for (const layer of ["floors", "ways"]) {
+for (const layer of ["floors", "ways", "grid"]) {
   element(`with-${layer}`).addEventListener("change", (event) => {
     document.body.classList.toggle(`hide-${layer}`, !event.target.checked);
   });

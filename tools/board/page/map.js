@@ -50,12 +50,13 @@ export class SiteMap {
   show(name, fields) {
     if (!fields) return this.drop(name);
     this.fields[name] = fields;
-    if (name === "plan") this.plan(fields);
+    if (name === "plan" || name === "grid") this.lay(name, fields);
     else if (name.startsWith("camera/")) this.camera(name, fields);
     else if (name.startsWith("robot/")) this.robot(name, fields);
   }
 
   drop(name) {
+    if (name === "grid") this.lay(name, {});
     for (const part of Object.values(this.parts.get(name) || {})) part.remove();
     this.parts.delete(name);
     delete this.fields[name];
@@ -63,11 +64,13 @@ export class SiteMap {
 
   // -- what is drawn
 
-  plan({ matrix, size }) {
-    const layer = this.svg.querySelector("#plan");
+  // A picture of the floor: the plan, or how well robots are corrected where.
+  lay(name, { matrix, size, version }) {
+    const layer = this.svg.querySelector(`#${name}`);
     if (!matrix) return layer.replaceChildren();
-    const image = layer.firstChild || made(layer, "image", { href: "/plan.png", preserveAspectRatio: "none" });
-    const [a, b, c, d, e, f] = matrix;
+    const image = layer.firstChild || made(layer, "image", { preserveAspectRatio: "none" });
+    const [a, b, c, d, e, f] = matrix, href = `/${name}.png${version ? `?${version}` : ""}`;
+    if (image.getAttribute("href") !== href) image.setAttribute("href", href);
     set(image, { width: size[0], height: size[1], transform: `matrix(${a} ${-b} ${c} ${-d} ${e} ${-f})` });
     for (const [u, v] of [[0, 0], [size[0], 0], [0, size[1]], size]) this.reach(a * u + c * v + e, b * u + d * v + f);
   }
