@@ -58,8 +58,8 @@ def version_of(files: dict[str, bytes]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What the addresses give. `picture`: of the floor «plan» or «grid», PNG; `metrics`: all nodes' in
-    Prometheus's format; `commands`: None where the page only reads."""
+    """What the addresses give. `picture`: of the floor «plan» or «grid», PNG; `metrics`: those of all
+    nodes, as Prometheus reads them; `commands`: None where the page only reads."""
 
     files: dict[str, bytes]
     guard: Guard

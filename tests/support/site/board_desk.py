@@ -73,13 +73,18 @@ class Desk:
 
 @contextmanager
 def served_board(
-    site: Site, monkeypatch: pytest.MonkeyPatch, *, access: Access | None = None, port: int = 0
+    site: Site,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    access: Access | None = None,
+    port: int = 0,
+    is_operator: bool = False,
 ) -> Iterator[Desk]:
     """A board on a bus in memory, until the end of the `with` block."""
     said: list[str] = []
     monkeypatch.setattr(command.typer, "echo", said.append)
     broker, errors = MemoryBroker(), []
-    service = BoardService(site, access or Access())
+    service = BoardService(site, access or Access(), is_operator=is_operator)
 
     def run() -> None:
         try:

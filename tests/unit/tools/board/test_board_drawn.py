@@ -17,6 +17,7 @@ from support.site.board_site import BoardSite, Truth, run
 
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Picture
+from trigpoint.contract.topics import command_key
 from trigpoint.site.config import Site, parse_site
 
 CHROMIUM = shutil.which("chromium")
@@ -279,6 +280,33 @@ def test_a_cameras_picture_is_shown_with_what_was_found(browser: Browser, desk: 
             over.set()
             thread.join()
     assert said == []
+
+
+def test_a_new_map_is_asked_for_twice(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    lab, asked = make_site(cameras=9, robots=3), []
+    with (
+        served_board(lab, monkeypatch, is_operator=True) as desk,
+        published(desk, lab),
+        desk.broker.session() as bus,
+    ):
+        bus.serve(command_key("lab", "fusion/reset"), lambda _: asked.append(1) or b"{}")
+        page, said = opened(browser, desk.address)
+        begin, go = page.get_by_role("button", name="Begin a new map"), page.locator("#go")
+        begin.click()
+        page.get_by_role("button", name="Leave it").click()
+        begin.click()
+        go.click()
+        expect(page.locator("#asked")).to_contain_text("Write the site's name")
+        assert go.is_disabled()
+        page.keyboard.press("Escape")
+        assert asked == []
+        begin.click()
+        go.click()
+        page.locator("#answer").fill("lab")
+        go.click()
+        expect(page.locator("#asked")).to_have_text("A new map begins.")
+        assert asked == [1]
+        assert said == []
 
 
 def test_the_floor_plan_lies_under_the_map(

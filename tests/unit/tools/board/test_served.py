@@ -150,6 +150,31 @@ def test_no_command_goes_to_the_bus(desk: Desk, site: BoardSite) -> None:
     assert senders == {site._bus.identity}  # the board itself has nothing to send on
 
 
+def test_an_operators_commands_go_to_the_bus_and_no_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[str] = []
+    with (
+        served_board(make_site(cameras=2), monkeypatch, is_operator=True) as desk,
+        desk.broker.session() as bus,
+    ):
+        for path in ("camera/c1/snapshot", "camera/c1/calibrate", "fusion/reset"):
+            bus.serve(command_key("lab", path), lambda _, path=path: asked.append(path) or b"{}")
+        own = {"Origin": f"http://127.0.0.1:{desk.port}"}
+        for headers in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+            assert desk.ask("/command/fusion/reset", "POST", **headers).status == 403
+        assert desk.ask("/command/fusion/reset").status == 405
+        for path in ("camera/c1/calibrate", "camera/*/snapshot", "**", "../x"):
+            assert desk.ask(f"/command/{path}", "POST", **own).status == 404, path
+        assert asked == []
+        assert desk.ask("/command/fusion/reset", "POST", **own).status == 200
+        answer = desk.ask("/command/camera/c1/snapshot", "POST", **own)
+        assert (answer.status, answer.headers["content-type"]) == (200, "image/jpeg")
+        assert asked == ["fusion/reset", "camera/c1/snapshot"]
+        answer = desk.ask("/command/camera/c2/snapshot", "POST", **own)
+        assert (answer.status, b"nobody answers" in answer.body) == (503, True)
+
+
 def test_a_page_that_does_not_read_is_dropped_and_its_connection_ends(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
