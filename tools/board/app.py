@@ -58,8 +58,8 @@ def version_of(files: dict[str, bytes]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What the addresses give. `picture`: of the floor «plan» or «grid», PNG; `metrics`: those of all
-    nodes, as Prometheus reads them; `commands`: None where the page only reads."""
+    """What the addresses give. `picture`: PNG of the floor's «plan» or «grid»; `metrics`: those of
+    all nodes, as Prometheus reads them; `commands`: None where the page only reads."""
 
     files: dict[str, bytes]
     guard: Guard
@@ -135,7 +135,7 @@ class _Pages:
     async def login(self, request: Request) -> Response:
         if request.method != "POST":
             return Response(self._board.files["login.html"], media_type="text/html")
-        given = parse_qs((await _body(request)).decode(errors="replace")).get("token", [""])[0]
+        given = parse_qs(await _form(request)).get("token", [""])[0]
         if not self._board.guard.is_token(given.strip()):
             await asyncio.sleep(_LOGIN_DELAY_S)
             return Response(self._board.files["login.html"], 401, media_type="text/html")
@@ -246,13 +246,17 @@ async def _disconnected(receive: Receive) -> None:
         pass
 
 
-async def _body(request: Request) -> bytes:
+async def _form(request: Request) -> str:
+    """A short form that comes at once; else nothing."""
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > _MOST_FORM:
-            return b""
-    return body
+    with suppress(TimeoutError):
+        async with asyncio.timeout(SEND_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > _MOST_FORM:
+                    return ""
+            return body.decode(errors="replace")
+    return ""
 
 
 async def _told(work: Callable[[], Awaitable[Response]]) -> Response:

@@ -1,5 +1,6 @@
 """The web server, on a thread of its own."""
 
+import asyncio
 import socket
 import threading
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from contextlib import contextmanager
 
 import uvicorn
 from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from trigpoint.base.errors import InputError, OperationError
 
@@ -15,6 +17,7 @@ from .access import Access
 _MOST_CONNECTIONS = 64
 _UNREAD_MS = 15_000
 """The system hangs up on who has not taken what was sent for so long."""
+_REQUEST_S = 10.0
 _STOP_S = 1
 
 
@@ -40,10 +43,35 @@ def served(app: ASGIApp, access: Access, port: int) -> Iterator[str]:
             thread.join()
 
 
+class _Prompt(H11Protocol):
+    """Hangs up on a connection on which no request is asked for, or none to its end, in time."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
+        super().connection_made(transport)
+        self._look_later()
+
+    def data_received(self, data: bytes) -> None:
+        is_idle = not self._is_busy
+        super().data_received(data)
+        if is_idle:
+            self._look_later()
+
+    def _look_later(self) -> None:
+        self.loop.call_later(_REQUEST_S, self._look)
+
+    def _look(self) -> None:
+        if not self._is_busy and not self.transport.is_closing():
+            self.transport.close()
+
+    @property
+    def _is_busy(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+
 def _config(app: ASGIApp, access: Access) -> uvicorn.Config:
     config = uvicorn.Config(
         app,
-        http="h11",
+        http=_Prompt,
         ws="none",
         lifespan="off",
         loop="asyncio",

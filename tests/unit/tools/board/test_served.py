@@ -216,6 +216,26 @@ def test_pages_are_bounded(desk: Desk) -> None:
     assert eventually(lambda: desk.service._feed.pages == 0)
 
 
+def test_who_asks_for_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "_REQUEST_S", 1.0)
+    with served_board(make_site(), monkeypatch) as desk:
+        idle = [socket.create_connection(("127.0.0.1", desk.port)) for _ in range(70)]
+        idle[0].sendall(b"GET / HT")
+        page = desk.connected()
+        assert eventually(lambda: desk.ask("/").status == 200)
+        page.request("GET", "/events")
+        events = page.getresponse()
+        assert events.status == 200
+        for one in idle:
+            one.settimeout(20)
+            assert one.recv(10) == b""
+            one.close()
+        time.sleep(1.5)
+        assert events.readline() == b"retry: 1000\n"  # who listens is not idle
+        assert desk.service._feed.pages == 1
+        page.close()
+
+
 def test_it_stops_at_once_with_pages_open(monkeypatch: pytest.MonkeyPatch) -> None:
     with served_board(make_site(), monkeypatch) as desk:
         connection = desk.connected()
