@@ -27,9 +27,6 @@ import typer
 from support.builders import site_text
 from support.site.board_site import BoardSite, Truth
 
-from trigpoint.contract import topics
-from trigpoint.contract.messages import PoseEstimate
-from trigpoint.geometry import Pose
 from trigpoint.site.config import load_site
 from trigpoint.zenoh import open_bus
 
@@ -56,6 +53,11 @@ _WATCH = """(seconds) => new Promise((done) => {
 })"""
 
 
+class _Paced(Truth):
+    def robot(self, index: int, time_s: float) -> tuple[float, float, float]:
+        return (time_s % _ROUND_M, 1.0, 0.0) if index == 0 else Truth.robot(self, index, time_s)
+
+
 def main(
     seconds: Annotated[float, typer.Option(help="Of each measurement.", min=2.0)] = 30.0,
     cameras: int = 100,
@@ -68,7 +70,8 @@ def main(
         try:
             time.sleep(_SETTLED_S)
             rows |= _transfer(address, process.pid, seconds)
-            rows |= _latency(address, seconds)
+            rows |= _to_the_page(address, seconds)
+            rows |= _to_pixels(address, seconds)
             rows["server's memory, MB"] = _resident(process.pid)
         finally:
             process.terminate()
@@ -98,17 +101,13 @@ def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
 def _publish(path: Path, cameras: int, robots: int, over: Event) -> None:
     site = load_site(path)
     with open_bus(site) as bus:
-        published = BoardSite(bus, site, Truth(cameras, robots))
+        published = BoardSite(bus, site, _Paced(cameras, robots))
         published.cover()
         turn, begin_s = 0, time.time()
         while not over.is_set():
             if turn % 10 == 0:
                 published.announce(time.time())
             published.move(time.time())
-            now_s = time.time()
-            pose = Pose.planar(now_s % _ROUND_M, 1.0, 0.0)
-            estimate = PoseEstimate(round(1e9 * now_s), "map", pose, 1e-4 * np.eye(6))
-            published.put(topics.ROBOT_POSE, "r1", estimate)
             turn += 1
             over.wait(max(0.0, begin_s + 0.1 * turn - time.time()))
 
@@ -158,7 +157,29 @@ def _taken(page: socket.socket, seconds: float) -> int:
     return taken
 
 
-def _latency(address: str, seconds: float) -> dict[str, float]:
+def _to_the_page(address: str, seconds: float) -> dict[str, float]:
+    """Message to the bytes that tell a page."""
+    late_ms: list[float] = []
+    end_s = time.monotonic() + seconds
+    with urllib.request.urlopen(f"{address}events", timeout=20) as events:
+        while time.monotonic() < end_s:
+            line = events.readline()
+            if line.startswith(b"data: "):
+                robot = json.loads(line[6:]).get("set", {}).get("robot/r1", {})
+                if "at" in robot:
+                    late_ms.append(1e3 * ((time.time() - robot["at"][0]) % _ROUND_M))
+    return _quantiles("message to page", late_ms)
+
+
+def _quantiles(what: str, late_ms: list[float]) -> dict[str, float]:
+    return {
+        f"{what}: changes seen": len(late_ms),
+        f"{what}, median, ms": float(np.median(late_ms)),
+        f"{what}, 95 %, ms": float(np.quantile(late_ms, 0.95)),
+    }
+
+
+def _to_pixels(address: str, seconds: float) -> dict[str, float]:
     """Message to pixels; nothing without Chromium."""
     chromium = shutil.which("chromium")
     if chromium is None:
@@ -171,14 +192,10 @@ def _latency(address: str, seconds: float) -> dict[str, float]:
         page.goto(address)
         page.wait_for_selector('#robots [data-id="robot/r1"]')
         page.wait_for_timeout(2000)
-        found = json.loads(json.dumps(page.evaluate(_WATCH, seconds)))
+        found = page.evaluate(_WATCH, seconds)
         browser.close()
     late_ms = [1e3 * ((now_ms / 1e3 - at_m) % _ROUND_M) for at_m, now_ms in found]
-    return {
-        "changes seen": len(late_ms),
-        "message to pixels, median, ms": float(np.median(late_ms)),
-        "message to pixels, 95 %, ms": float(np.quantile(late_ms, 0.95)),
-    }
+    return _quantiles("message to pixels", late_ms)
 
 
 def _busy_s(pid: int) -> float:

@@ -130,10 +130,12 @@ class Reader:
         self._show(entities)
 
     def _take(self, topic: Topic, sample: Sample) -> None:
+        name = node_of(sample.key)
+        if not self._scene.needs(topic, name, sample.received_ns):
+            return
         message = self._sound(topic, sample)
         if message is None:
             return
-        name = node_of(sample.key)
         if topic is GRID:
             grid: Any = message
             self._grid = grid_picture(grid.cell_m, grid.origin, grid.values)

@@ -48,7 +48,7 @@ class Scene:
         kind = topic.path.partition("/")[0]
         entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
         if topic is topics.CORRECTION:
-            self._set(entity, {"fixed": round(to_seconds(received_ns))})
+            self._set(entity, {"fixed": int(to_seconds(received_ns))})
         elif isinstance(message, PoseEstimate):
             self._posed_ns[entity] = received_ns
             self._set(entity, (_robot if kind == "robot" else _camera)(message))
@@ -57,6 +57,11 @@ class Scene:
             self._set(entity, {"goal": _plane(message.pose)})
         elif isinstance(message, Polygon):
             self._set(entity, {"floor": _outline(message.points[:, :2])})
+
+    def needs(self, topic: Topic, name: str, received_ns: int) -> bool:
+        """Whether a message says anything new: a correction does by its second."""
+        fixed = self._fields.get(f"robot/{name}", {}).get("fixed")
+        return topic is not topics.CORRECTION or fixed != int(to_seconds(received_ns))
 
     def report(self, camera: str, values: Mapping[str, str], received_ns: int) -> None:
         """Take what a camera's agent reports of the faces it found: that is enough to say whether
