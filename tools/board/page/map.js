@@ -1,11 +1,13 @@
-// The map, in metres: x to the right, y up, which SVG counts downwards. Marks keep their size.
+// The map, in metres: x to the right, y up, which SVG counts downwards. Marks keep their size. What
+// moves is a drawing of its own above the rest, which then need not be painted again.
 import { robotColour } from "./tables.js";
 
 const TIMES = 10;  // ellipses are drawn so much larger
-const WAY_POINTS = 600, WAY_S = 60, NEAR_M = 0.05;
+const WAY_POINTS = 600, WAY_S = 60, WAY_MS = 500, NEAR_M = 0.05;
 const CROWD = 30;  // with more cameras, names are shown where one has come closer
 const SVG = "http://www.w3.org/2000/svg";
 const nameOf = (entity) => entity.slice(entity.indexOf("/") + 1);
+const layerOf = (name) => document.getElementById(name);
 const degrees = (rad) => -180 * rad / Math.PI;
 
 function made(parent, tag, attributes = {}) {
@@ -32,10 +34,12 @@ export class SiteMap {
   }
 
   begin(ways) {
-    for (const layer of this.svg.children) layer.replaceChildren();
+    for (const layer of document.querySelectorAll(".drawn > g")) layer.replaceChildren();
     this.parts = new Map();
     this.fields = {};
     this.tracks = new Map();
+    this.drawn = new Map();
+    this.looks = new Map();
     for (const [name, way] of Object.entries(ways)) this.tracks.set(name, way.map((v, i) => i % 2 ? null : { x: v, y: way[i + 1], t: performance.now() }).filter(Boolean));
     this.low = [Infinity, Infinity];
     this.high = [-Infinity, -Infinity];
@@ -59,6 +63,7 @@ export class SiteMap {
     if (name === "grid") this.lay(name, {});
     for (const part of Object.values(this.parts.get(name) || {})) part.remove();
     this.parts.delete(name);
+    this.looks.delete(name);
     delete this.fields[name];
   }
 
@@ -66,7 +71,7 @@ export class SiteMap {
 
   // A picture of the floor: the plan, or how well robots are corrected where.
   lay(name, { matrix, size, version }) {
-    const layer = this.svg.querySelector(`#${name}`);
+    const layer = layerOf(name);
     if (!matrix) return layer.replaceChildren();
     const image = layer.firstChild || made(layer, "image", { preserveAspectRatio: "none" });
     const [a, b, c, d, e, f] = matrix, href = `/${name}.png${version ? `?${version}` : ""}`;
@@ -77,6 +82,9 @@ export class SiteMap {
 
   camera(name, camera) {
     if (!camera.at) return;
+    const look = [camera.at, camera.look, camera.state, camera.stale, camera.ellipse, camera.floor, this.unit].join();
+    if (this.looks.get(name) === look) return;  // when it saw a target is not on the map
+    this.looks.set(name, look);
     const parts = this.part(name, () => this.newCamera(name));
     const [x, y] = camera.at;
     set(parts.mark, { class: `${camera.state}${camera.stale ? " stale" : ""}`, "data-x": x, "data-y": y });
@@ -92,13 +100,13 @@ export class SiteMap {
   }
 
   newCamera(name) {
-    const mark = made(this.svg.querySelector("#cameras"), "g", { "data-id": name });
+    const mark = made(layerOf("cameras"), "g", { "data-id": name });
     made(made(mark, "g", { class: "turned" }), "path", { d: "M-9-6H3V-2L10-6V6L3 2V6H-9Z", "stroke-width": 1 });
     made(mark.firstChild, "path", { d: "M12 0 30-11V11Z", class: "view", stroke: "none" });
     made(mark, "text", { y: 24, stroke: "none" }).textContent = nameOf(name);
     made(mark, "title").textContent = `camera ${nameOf(name)}: click to look through it`;
     mark.addEventListener("click", () => this.look(nameOf(name)));
-    return { mark, ellipse: made(this.svg.querySelector("#ellipses"), "ellipse", { class: "camera" }), floor: made(this.svg.querySelector("#floors"), "path", { "data-id": name }) };
+    return { mark, ellipse: made(layerOf("camera-ellipses"), "ellipse"), floor: made(layerOf("floors"), "path", { "data-id": name }) };
   }
 
   robot(name, robot) {
@@ -116,15 +124,15 @@ export class SiteMap {
 
   newRobot(name) {
     const colour = robotColour(this.fields[name].index);
-    const mark = made(this.svg.querySelector("#robots"), "g", { "data-id": name });
+    const mark = made(layerOf("robots"), "g", { "data-id": name });
     const turned = made(mark, "g");
     made(turned, "path", { d: "M-8-6H4L12 0 4 6H-8Z" });
     made(mark, "text", { y: -11 }).textContent = nameOf(name);
     made(mark, "title").textContent = `robot ${nameOf(name)}`;
-    const goal = made(this.svg.querySelector("#goals"), "g");
+    const goal = made(layerOf("goals"), "g");
     made(goal, "line");
     made(goal, "circle", { r: 7 });
-    const parts = { mark, goal, ellipse: made(this.svg.querySelector("#ellipses"), "ellipse"), way: made(this.svg.querySelector("#ways"), "path", { "data-id": name }) };
+    const parts = { mark, goal, ellipse: made(layerOf("robot-ellipses"), "ellipse"), way: made(layerOf("ways"), "path", { "data-id": name }) };
     turned.style.fill = parts.ellipse.style.fill = colour;
     parts.ellipse.style.stroke = parts.way.style.stroke = goal.style.stroke = colour;
     return parts;
@@ -133,7 +141,7 @@ export class SiteMap {
   ellipse(one, { ellipse, stale }, x, y) {
     if (!ellipse) return;
     const [long, short, direction] = ellipse;
-    set(one, { rx: TIMES * long, ry: TIMES * short, transform: `translate(${x} ${-y}) rotate(${degrees(direction)})`, class: `${one.classList.contains("camera") ? "camera" : ""}${stale ? " stale" : ""}` });
+    set(one, { rx: TIMES * long, ry: TIMES * short, transform: `translate(${x} ${-y}) rotate(${degrees(direction)})`, class: stale ? "stale" : "" });
   }
 
   goal(one, goal, x, y) {
@@ -152,6 +160,8 @@ export class SiteMap {
     const t = performance.now();
     if (!last || Math.abs(last.x - x) + Math.abs(last.y - y) >= NEAR_M) way.push({ x, y, t });
     else if (line.hasAttribute("d")) return;
+    if (t - (this.drawn.get(name) || 0) < WAY_MS) return;  // it covers much of the map
+    this.drawn.set(name, t);
     while (way.length > WAY_POINTS || t - way[0].t > 1000 * WAY_S) way.shift();
     line.setAttribute("d", path(way.flatMap((p) => [p.x, p.y])));
   }
@@ -206,7 +216,7 @@ export class SiteMap {
   place() {
     const { x, y, w, h } = this.box, { clientWidth, clientHeight } = this.svg;
     if (!clientWidth || !clientHeight) return;
-    this.svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
+    for (const one of document.querySelectorAll(".drawn")) one.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
     const unit = Math.max(w / clientWidth, h / clientHeight);
     const cameras = Object.keys(this.fields).filter((name) => name.startsWith("camera/")).length;
     this.svg.classList.toggle("crowded", cameras > CROWD && unit > 0.02);

@@ -141,7 +141,7 @@ def test_what_is_drawn_is_where_the_truth_is_and_the_tables_say_the_same(
     assert page.locator('#floors [data-id="camera/c1"]').get_attribute("d")
     assert page.locator('#cameras [data-id="camera/c2"]').count() == 0
     assert page.locator("#counts").inner_text().split("\n")[0] == "7 / 9 cameras located"
-    ellipse = page.locator("#ellipses ellipse:not(.camera)").first
+    ellipse = page.locator("#robot-ellipses ellipse").first
     assert float(ellipse.get_attribute("rx") or 0) > float(ellipse.get_attribute("ry") or 0) > 0
     assert page.locator('#ways [data-id="robot/r1"]').get_attribute("d")
     assert said == []
