@@ -79,8 +79,10 @@ def served_board(
     access: Access | None = None,
     port: int = 0,
     is_operator: bool = False,
+    opens_bus: bool = False,
 ) -> Iterator[Desk]:
-    """A board on a bus in memory, until the end of the `with` block."""
+    """A board on a bus in memory, until the end of the `with` block; `opens_bus`: on the site's
+    own."""
     said: list[str] = []
     monkeypatch.setattr(command.typer, "echo", said.append)
     broker, errors = MemoryBroker(), []
@@ -88,7 +90,7 @@ def served_board(
 
     def run() -> None:
         try:
-            service.run(port, broker.session())
+            service.run(port, None if opens_bus else broker.session())
         except BaseException as reason:  # noqa: BLE001 - raised in the test's own thread
             errors.append(reason)
 
