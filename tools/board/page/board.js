@@ -58,8 +58,10 @@ function take(message) {
   const version = live.site?.page;
   loadedVersion ||= version;
   if (version !== loadedVersion) location.reload();
-  schedule();
-  if (message.all) everySecond();
+  if (message.all) {
+    draw();
+    showTables();
+  } else schedule();
 }
 
 function announce(name, alarm) {
@@ -103,10 +105,21 @@ function everySecond() {
   element("for-grid").hidden = !shown.grid;
   element("operator").hidden = !site.operator;
   looking.isOperator = Boolean(site.operator);
-  tables.everySecond(now());
   element("absent").textContent = [tables.absent(), shown.plan?.trouble].filter(Boolean).join("; ");
   const begin = live.site?.begin;
   if (begin) element("when").min = -Math.min(3600, Math.max(60, Math.round(told.t - begin)));
+}
+
+function showTables() {
+  for (let table = 0; table < 4; table++) tables.update(table, now());
+  everySecond();
+}
+
+let quarter = 0;
+function everyQuarter() {
+  tables.update(quarter, now());
+  if (quarter === 3) everySecond();
+  quarter = (quarter + 1) % 4;
 }
 
 // -- the last hour
@@ -120,7 +133,8 @@ async function goTo(seconds) {
     past = null;
     element("then").textContent = "now";
     showAll(live, map.ways());
-    return everySecond();
+    draw();
+    return showTables();
   }
   const at = told.t + (performance.now() - told.at) / 1000 + seconds;
   element("then").textContent = `${clockOf(at)}, ${spoken(-seconds)} ago`;
@@ -128,7 +142,8 @@ async function goTo(seconds) {
   if (mine !== asked || !answer?.ok) return;
   past = await answer.json();
   showAll(past.all, past.ways || {});
-  everySecond();
+  draw();
+  showTables();
 }
 element("when").addEventListener("input", (event) => goTo(Number(event.target.value)));
 element("now").addEventListener("click", () => {
@@ -149,4 +164,4 @@ element("further").addEventListener("click", () => map.zoom(1 / 1.4));
 element("fit").addEventListener("click", () => map.fit());
 
 connect();
-setInterval(everySecond, 1000);
+setInterval(everyQuarter, 250);

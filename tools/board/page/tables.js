@@ -35,17 +35,18 @@ export class Tables {
     this.dirty.add(name);
   }
 
-  // Ages go on while nothing comes, so every row is looked at; only cells that differ are touched.
-  everySecond(now) {
+  // Ages go on while nothing comes, so every row is looked at once a second, a table at a time so
+  // that robots do not wait; only cells that differ are touched.
+  update(table, now) {
     for (const name of this.dirty) if (!this.state[name]) this.drop(name);
     this.dirty.clear();
-    for (const [name, fields] of Object.entries(this.state)) {
-      if (name.startsWith("robot/")) this.robot(name, fields, now);
-      else if (name.startsWith("camera/")) this.camera(name, fields, now);
-      else if (name.startsWith("node/")) this.node(name, fields);
+    if (table === 3) {
+      this.alarms(now);
+      this.counts();
+      return;
     }
-    this.alarms(now);
-    this.counts();
+    const kind = ["robot", "camera", "node"][table];
+    for (const [name, fields] of this.kinds(kind)) this[kind](name, fields, now);
   }
 
   robot(name, robot, now) {
