@@ -29,7 +29,7 @@ export class SiteMap {
     this.box = { x: -5, y: -5, w: 10, h: 10 };
     document.getElementById("times").textContent = TIMES;
     this.begin({});
-    new ResizeObserver(() => this.place()).observe(svg);
+    new ResizeObserver(() => (this.isOwn ? this.place() : this.fit())).observe(svg);
     this.listen();
   }
 
@@ -189,11 +189,11 @@ export class SiteMap {
 
   fit() {
     this.isFitting = this.isOwn = false;
-    if (!Number.isFinite(this.low[0])) return;
+    if (!Number.isFinite(this.low[0])) return this.place();
     const w = Math.max(2, this.high[0] - this.low[0]), h = Math.max(2, this.high[1] - this.low[1]);
     const x = (this.low[0] + this.high[0] - w) / 2, y = -(this.low[1] + this.high[1] + h) / 2;
     const { clientWidth, clientHeight } = this.svg;  // marks and names need their place at the edge
-    const edge = 34 * Math.max(w / Math.max(100, clientWidth - 68), h / Math.max(100, clientHeight - 68));
+    const edge = 42 * Math.max(w / Math.max(100, clientWidth - 84), h / Math.max(100, clientHeight - 84));
     this.box = { x: x - edge, y: y - edge, w: w + 2 * edge, h: h + 2 * edge };
     this.place();
   }
