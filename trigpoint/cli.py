@@ -54,6 +54,12 @@ COMMANDS: dict[str, Command] = {
     "init": Command("trigpoint.tools.site.init:main", "Write a first site.toml and target.toml."),
     "doctor": Command("trigpoint.tools.doctor.command:main", "Say what is wrong on this machine."),
     "status": Command("trigpoint.tools.site.status:main", "Show the live site."),
+    "board": Command(
+        "trigpoint.tools.board.command:main",
+        "A web page of the live site, and all its metrics.",
+        "board",
+        service=True,
+    ),
     "edge": Command(
         "trigpoint.edge.command:main", "The agent of one or several cameras.", "edge", service=True
     ),
@@ -179,6 +185,8 @@ EXTRAS: dict[str, str] = {
     "rerun_cli": "recorder",
     "pyarrow": "recorder",
     "reportlab": "tools",
+    "starlette": "board",
+    "uvicorn": "board",
 }
 """Package -> the extra that installs it, if the command's own row names none."""
 

@@ -1,16 +1,13 @@
 """The floor plan under the cameras in rerun, where what is surveyed says that it lies."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import rerun as rr
 
-from trigpoint.base.clock import NANOSECONDS, to_ns
 from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import PoseEstimate
-from trigpoint.geometry.rotation import Array
-from trigpoint.map.building import Building, lay_map
+from trigpoint.map.building import Building
 from trigpoint.map.floor_plan import FloorPlan
+from trigpoint.map.live_laying import LiveLaying
 from trigpoint.site.config import Site
 
 from . import style
@@ -19,7 +16,6 @@ from .log import LogLine
 
 _MOST_PIXELS = 4096
 """A side: what every graphics card takes as one texture."""
-_PERIOD_NS = to_ns(5.0)
 _BELOW_M = 0.02
 """Below the paths, so that the two do not flicker through each other."""
 
@@ -28,55 +24,38 @@ class BuildingScene:
     """Lays the site's plan under the map; anew as the cameras' poses come, at most every 5 s."""
 
     def __init__(self, site: Site, plan: FloorPlan | None, columns: Columns, log: LogLine) -> None:
-        self._config, self._plan, self._columns, self._log = site.map, plan, columns, log
-        self._places: dict[str, tuple[Array, Array]] = {}
-        self._first_ns: dict[str, int] = {}
-        self._laid_ns = 0
-        self._is_new = False
+        self._laying, self._plan = LiveLaying(site.map, plan), plan
+        self._columns, self._log = columns, log
         self._said = ""
 
     def announce(self) -> None:
         """Send the picture; where it lies comes later, unless the site file says it."""
         if self._plan is not None:
             self._columns.fixed(f"{style.PLAN}/picture", _mesh(self._plan.reduced(_MOST_PIXELS)))
-        if self._config is not None and not self._config.points:
-            self._send(lay_map(self._config, self._plan, {}, _no_covariance), None)
+        if (building := self._laying.given()) is not None:
+            self._send(building, None)
 
     def add_camera(self, camera: str, estimate: PoseEstimate) -> None:
         """Take a camera's pose, where it is one of the surveyed points."""
-        if self._config is not None and camera in self._config.points:
-            self._take(camera, estimate)
+        self._laying.take_camera(camera, estimate.pose.translation, estimate.covariance[:3, :3])
+        self._lay(estimate.stamp_ns)
 
     def add_robot(self, robot: str, estimate: PoseEstimate) -> None:
         """Take a robot's pose at the moment when it stood on a mark."""
-        if self._config is None:
-            return
-        first_ns = self._first_ns.setdefault(robot, estimate.stamp_ns)
-        after_s = (estimate.stamp_ns - first_ns) / NANOSECONDS
-        for name, point in self._config.points.items():
-            if point.robot == robot and after_s >= point.at and name not in self._places:
-                self._take(name, estimate)
+        place, covariance = estimate.pose.translation, estimate.covariance[:3, :3]
+        self._laying.take_robot(robot, estimate.stamp_ns, place, covariance)
+        self._lay(estimate.stamp_ns)
 
     def finish(self, stamp_ns: int) -> None:
         """Lay it by all that came."""
-        if self._is_new:
-            self._lay(stamp_ns)
+        self._lay(stamp_ns, at_once=True)
 
-    def _take(self, name: str, estimate: PoseEstimate) -> None:
-        covariance = estimate.covariance[:3, :3]
-        self._places[name] = estimate.pose.translation, covariance
-        self._is_new = True
-        if estimate.stamp_ns - self._laid_ns >= _PERIOD_NS:
-            self._lay(estimate.stamp_ns)
-
-    def _lay(self, stamp_ns: int) -> None:
-        assert self._config is not None  # else nothing is taken
-        self._laid_ns, self._is_new = stamp_ns, False
-        places = {name: place for name, (place, _) in self._places.items()}
-        try:
-            building = lay_map(self._config, self._plan, places, self._covariance)
-        except InputError as reason:
-            self._say(stamp_ns, "WARN", str(reason))
+    def _lay(self, stamp_ns: int, *, at_once: bool = False) -> None:
+        building = self._laying.laid(stamp_ns, at_once=at_once)
+        if building is None:
+            return
+        if isinstance(building, InputError):
+            self._say(stamp_ns, "WARN", str(building))
             return
         if building.laying is not None and building.laying.outliers:
             names = ", ".join(building.laying.outliers)
@@ -84,13 +63,6 @@ class BuildingScene:
         else:
             self._say(stamp_ns, "INFO", f"the map is laid over {building.frame}")
         self._send(building, stamp_ns)
-
-    def _covariance(self, names: Sequence[str]) -> Array:
-        """What the bus says: each camera's own, without what they have in common."""
-        joint = np.zeros((3 * len(names), 3 * len(names)))
-        for i, name in enumerate(names):
-            joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = self._places[name][1]
-        return joint
 
     def _send(self, building: Building, stamp_ns: int | None) -> None:
         if building.plan is None:
@@ -115,10 +87,6 @@ class BuildingScene:
         if text != self._said:
             self._said = text
             self._log(stamp_ns, level, text)
-
-
-def _no_covariance(_: Sequence[str]) -> Array:
-    return np.empty((0, 0))
 
 
 def _mesh(plan: FloorPlan) -> rr.Mesh3D:

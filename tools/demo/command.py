@@ -65,7 +65,7 @@ def main(
         f"{length_s:.0f} s, a robot that speaks {protocol}, into {out}"
     )
     if not has_viewer:
-        typer.echo(f"  to watch it: trigpoint view --site {folder.site}")
+        typer.echo(f"  to watch it: trigpoint board --site {folder.site}")
     try:
         Run(world, folder, length_s, progress, has_viewer, protocol).carry_out()
     except KeyboardInterrupt:

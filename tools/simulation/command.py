@@ -81,6 +81,7 @@ def robot(
         ("robot", f"--robot {name}"),
         ("fusion", f"--out {out}"),
         ("record", f"--out {out}"),
+        ("board", ""),
         ("view", ""),
     ):
         typer.echo(f"  trigpoint {part} --site {site} {rest}".rstrip())

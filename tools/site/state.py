@@ -186,7 +186,7 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
     margin = " " * (len(heads[0]) + 2)
     for head, node in zip(heads[1:], status.nodes, strict=True):
         first = f"{head}  "
-        for text in _notes(node) or ["-"]:
+        for text in notes(node) or ["-"]:
             lines += textwrap.wrap(
                 text,
                 max(width, len(margin) + 20),
@@ -202,18 +202,18 @@ def table(status: SiteStatus, *, width: int = 100) -> str:
     return "\n".join(lines)
 
 
-def _notes(node: NodeStatus) -> list[str]:
+def notes(node: NodeStatus) -> list[str]:
     """Remarks on a node, one per line; none for an idle one."""
     told = _by_topic(node.rates).items()
     rates = ", ".join(f"{name} {rate:g}" for name, rate in told if rate or name == _FACES)
     losses = ", ".join(f"{count} {name}" for name, count in node.losses.items() if count)
     words = ", ".join(f"{name}: {text}" for name, text in node.words.items() if text)
-    notes = [rates, words, losses and f"lost: {losses}"]
+    found = [rates, words, losses and f"lost: {losses}"]
     is_told = node.message == "running" or node.message.startswith(LOST_SO_FAR)
-    notes += ["" if is_told else node.message]
+    found += ["" if is_told else node.message]
     if _without_numbers(node.last_error) != _without_numbers(node.message):
-        notes += [node.last_error and f"last error: {node.last_error}"]
-    return [note for note in notes if note]
+        found += [node.last_error and f"last error: {node.last_error}"]
+    return [note for note in found if note]
 
 
 def _by_topic(rates: dict[str, float]) -> dict[str, float]:

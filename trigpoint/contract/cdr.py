@@ -18,6 +18,7 @@ from .messages import (
     CAMERA_INFO,
     ODOMETRY,
     PICTURE,
+    POSE_ESTIMATE,
     RAW_IMAGE,
     SIGHTINGS,
     CameraInfo,
@@ -42,6 +43,7 @@ _BY_TYPE = {codec.type_name: codec for codec in CODECS}
 _LAYOUTS: dict[str, Callable[[bytes], Message | None]] = {
     ODOMETRY: cdr_layout.odometry,
     SIGHTINGS: cdr_layout.sightings,
+    POSE_ESTIMATE: cdr_layout.pose_estimate,
 }
 
 

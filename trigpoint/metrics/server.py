@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
-from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client import CollectorRegistry, generate_latest, make_wsgi_app
 from prometheus_client.metrics_core import Metric as Family
 
 from trigpoint.base.errors import OperationError
@@ -47,6 +47,13 @@ def served(listen: str, collect: Callable[[], list[Family]]) -> Iterator[str]:
         finally:
             server.shutdown()
             thread.join()
+
+
+def exposition(collected: list[Family]) -> bytes:
+    """Families as a page in Prometheus's text format, for who serves it himself."""
+    registry = CollectorRegistry()
+    registry.register(_Collector(lambda: collected))
+    return generate_latest(registry)
 
 
 class _Collector:

@@ -15,7 +15,13 @@ from trigpoint.contract.cdr import (
     encode_by_definition,
     type_name,
 )
-from trigpoint.contract.messages import SIGHTINGS, FaceSighting, Odometry, Sightings
+from trigpoint.contract.messages import (
+    SIGHTINGS,
+    FaceSighting,
+    Odometry,
+    PoseEstimate,
+    Sightings,
+)
 from trigpoint.geometry import Pose
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
@@ -38,12 +44,16 @@ sizes = st.integers(0, 2**32 - 1)
 sightings = st.builds(
     Sightings, stamps, names, sizes, sizes, st.lists(faces(), max_size=3).map(tuple)
 )
-either = st.one_of(odometry, sightings)
+covariances = arrays(float, (6, 6), elements=st.floats(-1e6, 1e6))
+estimates = st.builds(PoseEstimate, stamps, names, poses, covariances)
+Quick = Odometry | Sightings | PoseEstimate
+any_of_them = st.one_of(odometry, sightings, estimates)
 
 
-def by_layout(name: str, payload: bytes) -> Odometry | Sightings | None:
-    layout = cdr_layout.odometry if name.endswith("Odometry") else cdr_layout.sightings
-    return layout(payload)
+def by_layout(name: str, payload: bytes) -> Quick | None:
+    if name.endswith("Odometry"):
+        return cdr_layout.odometry(payload)
+    return (cdr_layout.sightings if name == SIGHTINGS else cdr_layout.pose_estimate)(payload)
 
 
 def assert_same(one: object, other: object) -> None:
@@ -55,6 +65,13 @@ def assert_same(one: object, other: object) -> None:
         np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
         np.testing.assert_array_equal(one.linear, other.linear)
         np.testing.assert_array_equal(one.angular, other.angular)
+        return
+    if isinstance(one, PoseEstimate):
+        assert isinstance(other, PoseEstimate)
+        assert (one.stamp_ns, one.frame_id) == (other.stamp_ns, other.frame_id)
+        np.testing.assert_allclose(one.pose.rotation, other.pose.rotation, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(one.pose.translation, other.pose.translation)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
         return
     assert isinstance(one, Sightings)
     assert isinstance(other, Sightings)
@@ -68,8 +85,8 @@ def assert_same(one: object, other: object) -> None:
 
 
 @settings(max_examples=300)
-@given(either)
-def test_sound_message_is_read_as_by_its_definition(message: Odometry | Sightings) -> None:
+@given(any_of_them)
+def test_sound_message_is_read_as_by_its_definition(message: Quick) -> None:
     name, payload = type_name(message), encode(message)
     assert_same(by_layout(name, payload), decode_by_definition(name, payload))
 
@@ -85,9 +102,9 @@ def test_stamp_that_no_message_holds_is_left_to_the_definition() -> None:
 
 
 @settings(max_examples=800)
-@given(either, st.data())
+@given(any_of_them, st.data())
 def test_damaged_message_is_refused_or_read_as_by_its_definition(
-    message: Odometry | Sightings, data: st.DataObject
+    message: Quick, data: st.DataObject
 ) -> None:
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(0, 3))):

@@ -1,0 +1,212 @@
+"""`PYTHONPATH=tests python -m benchmarks.network.board`: what the page costs, of a large site.
+
+A process publishes 100 cameras and 30 robots at 10 Hz over Zenoh, `trigpoint board` serves them, a
+socket counts what one page takes, and Chromium, where there is one, shows the page: how long after
+its message a robot has moved on the screen.
+"""
+
+import json
+import multiprocessing
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import urlsplit
+
+import numpy as np
+import typer
+from support.builders import site_text
+from support.site.board_site import BoardSite, Truth
+
+from trigpoint.site.config import load_site
+from trigpoint.zenoh import open_bus
+
+_FILES = ("", "board.css", "board.js", "map.js", "tables.js", "looking.js", "mark.svg")
+_SETTLED_S = 8.0
+_TICKS = os.sysconf("SC_CLK_TCK")
+_ROUND_M = 10.0
+"""Robot r1 goes a metre a second along x, over and over: where it is says when that was sent."""
+
+# A frame after the one that shows a new place, that one has been painted.
+_WATCH = """(seconds) => new Promise((done) => {
+  const found = [], end = performance.now() + 1000 * seconds;
+  let last = "", seen = null;
+  const look = () => {
+    if (seen !== null) found.push([seen, Date.now()]);
+    const mark = document.querySelector('#robots [data-id="robot/r1"]');
+    const at = mark ? mark.dataset.x : last;
+    seen = at !== last ? Number(at) : null;
+    last = at;
+    if (performance.now() < end) requestAnimationFrame(look);
+    else done(found);
+  };
+  requestAnimationFrame(look);
+})"""
+
+
+class _Paced(Truth):
+    def robot(self, index: int, time_s: float) -> tuple[float, float, float]:
+        return (time_s % _ROUND_M, 1.0, 0.0) if index == 0 else Truth.robot(self, index, time_s)
+
+
+def main(
+    seconds: Annotated[float, typer.Option(help="Of each measurement.", min=2.0)] = 30.0,
+    cameras: int = 100,
+    robots: int = 30,
+) -> None:
+    """Measure the page's transfer, its latency, and what its server takes."""
+    rows: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder, _site(Path(folder), cameras, robots) as path:
+        process, address = _board(path)
+        try:
+            time.sleep(_SETTLED_S)
+            rows |= _transfer(address, process.pid, seconds)
+            rows |= _to_the_page(address, seconds)
+            rows |= _to_pixels(address, seconds)
+            rows["server's memory, MB"] = _resident(process.pid)
+        finally:
+            process.terminate()
+            process.wait(20)
+    for what, value in rows.items():
+        typer.echo(f"{what:45s} {value:10.1f}")
+
+
+@contextmanager
+def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
+    """A site file, whose site is published until the end."""
+    path = folder / "site.toml"
+    name = f"board_bench_p{os.getpid()}"
+    path.write_text(site_text(name=name, cameras=cameras, robots=robots), encoding="utf-8")
+    context = multiprocessing.get_context("spawn")
+    over = context.Event()
+    publisher = context.Process(target=_publish, args=(path, cameras, robots, over))
+    publisher.start()
+    try:
+        yield path
+    finally:
+        over.set()
+        publisher.join(20)
+        publisher.kill()
+
+
+def _publish(path: Path, cameras: int, robots: int, over: Event) -> None:
+    site = load_site(path)
+    with open_bus(site) as bus:
+        published = BoardSite(bus, site, _Paced(cameras, robots))
+        published.cover()
+        turn, begin_s = 0, time.time()
+        while not over.is_set():
+            if turn % 10 == 0:
+                published.announce(time.time())
+            published.move(time.time())
+            turn += 1
+            over.wait(max(0.0, begin_s + 0.1 * turn - time.time()))
+
+
+def _board(site: Path) -> tuple[subprocess.Popen[str], str]:
+    words = [sys.executable, "-m", "trigpoint", "board", "--site", str(site), "--port", "0"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout is not None
+    return process, process.stdout.readline().rpartition(" ")[2].strip()
+
+
+def _transfer(address: str, pid: int, seconds: float) -> dict[str, float]:
+    """On the wire, as a browser takes it; one page is open."""
+    start = sum(_size(f"{address}{name}") for name in _FILES)
+    with socket.create_connection((urlsplit(address).hostname, urlsplit(address).port)) as page:
+        host = urlsplit(address).netloc
+        page.sendall(
+            f"GET /events HTTP/1.1\r\nHost: {host}\r\nAccept-Encoding: gzip\r\n\r\n".encode()
+        )
+        state = _taken(page, 0.5)
+        busy_s, begin_s = _busy_s(pid), time.monotonic()
+        steady = _taken(page, seconds)
+        share = (_busy_s(pid) - busy_s) / (time.monotonic() - begin_s)
+    return {
+        "transfer at start: files, kB": start / 1e3,
+        "transfer at start: first half second, kB": state / 1e3,
+        "transfer, steady, kB/s": steady / seconds / 1e3,
+        "server's share of a core, one page, %": 100 * share,
+    }
+
+
+def _size(address: str) -> int:
+    request = urllib.request.Request(address, headers={"Accept-Encoding": "gzip"})
+    with urllib.request.urlopen(request, timeout=20) as answer:
+        return len(answer.read()) + len(str(answer.headers))
+
+
+def _taken(page: socket.socket, seconds: float) -> int:
+    taken, end_s = 0, time.monotonic() + seconds
+    while (left_s := end_s - time.monotonic()) > 0:
+        page.settimeout(left_s)
+        try:
+            taken += len(page.recv(1 << 16))
+        except TimeoutError:
+            break
+    return taken
+
+
+def _to_the_page(address: str, seconds: float) -> dict[str, float]:
+    """Message to the bytes that tell a page."""
+    late_ms: list[float] = []
+    end_s = time.monotonic() + seconds
+    with urllib.request.urlopen(f"{address}events", timeout=20) as events:
+        while time.monotonic() < end_s:
+            line = events.readline()
+            if line.startswith(b"data: "):
+                robot = json.loads(line[6:]).get("set", {}).get("robot/r1", {})
+                if "at" in robot:
+                    late_ms.append(1e3 * ((time.time() - robot["at"][0]) % _ROUND_M))
+    return _quantiles("message to page", late_ms)
+
+
+def _quantiles(what: str, late_ms: list[float]) -> dict[str, float]:
+    return {
+        f"{what}: changes seen": len(late_ms),
+        f"{what}, median, ms": float(np.median(late_ms)),
+        f"{what}, 95 %, ms": float(np.quantile(late_ms, 0.95)),
+    }
+
+
+def _to_pixels(address: str, seconds: float) -> dict[str, float]:
+    """Message to pixels; nothing without Chromium."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        return {}
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(address)
+        page.wait_for_selector('#robots [data-id="robot/r1"]')
+        page.wait_for_timeout(2000)
+        found = page.evaluate(_WATCH, seconds)
+        browser.close()
+    late_ms = [1e3 * ((now_ms / 1e3 - at_m) % _ROUND_M) for at_m, now_ms in found]
+    return _quantiles("message to pixels", late_ms)
+
+
+def _busy_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def _resident(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+if __name__ == "__main__":
+    typer.run(main)

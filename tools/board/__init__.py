@@ -1,0 +1,1 @@
+"""`trigpoint board`: the live site as a web page, which only reads."""

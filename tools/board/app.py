@@ -1,0 +1,288 @@
+"""The page's addresses. Nothing that a request says becomes a path to a file."""
+
+import asyncio
+import math
+import zlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import resources
+from urllib.parse import parse_qs
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import MutableHeaders
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from trigpoint.base.errors import InputError, OperationError
+from trigpoint.contract.messages import FaceSighting
+
+from .access import DAY_S, Guard
+from .feed import Feed, Page, TooManyPagesError
+from .history import History
+from .operator import Commands
+from .pictures import Pictures
+
+ASSETS = {
+    "board.html": "text/html",
+    "login.html": "text/html",
+    "board.css": "text/css",
+    "board.js": "text/javascript",
+    "map.js": "text/javascript",
+    "tables.js": "text/javascript",
+    "looking.js": "text/javascript",
+    "mark.svg": "image/svg+xml",
+}
+SEND_S = 5.0
+"""A page that takes nothing for so long is hung up on."""
+_LOGIN_DELAY_S = 1.0
+_MOST_FORM = 4096
+
+
+def assets() -> dict[str, bytes]:
+    """The page's files, by name."""
+    folder = resources.files("trigpoint.tools.board").joinpath("page")
+    return {name: folder.joinpath(name).read_bytes() for name in ASSETS}
+
+
+def version_of(files: dict[str, bytes]) -> str:
+    """Another one where any file is another; an open page then loads itself anew."""
+    return f"{zlib.crc32(b''.join(files.values())):08x}"
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """What the addresses give. `picture`: PNG of the floor's «plan» or «grid»; `metrics`: those of
+    all nodes, as Prometheus reads them; `commands`: None where the page only reads."""
+
+    files: dict[str, bytes]
+    guard: Guard
+    feed: Feed
+    history: History
+    pictures: Pictures
+    picture: Callable[[str], bytes]
+    metrics: Callable[[], bytes]
+    commands: Commands | None = None
+
+
+def app_of(board: Board) -> Starlette:
+    """The application."""
+    pages = _Pages(board)
+    routes = [
+        Route("/", pages.front),
+        Route("/login", pages.login, methods=["GET", "POST"]),
+        Route("/events", pages.events),
+        Route("/past", pages.past),
+        Route("/plan.png", pages.laid),
+        Route("/grid.png", pages.laid),
+        Route("/metrics", pages.metrics),
+        Route("/camera/{name}/look", pages.look),
+        Route("/camera/{name}/picture/{stamp:int}", pages.picture),
+    ]
+    routes += [Route(f"/{name}", pages.asset) for name in ASSETS if not name.endswith(".html")]
+    if board.commands is not None:
+        routes.append(Route("/command/{name:path}", pages.command, methods=["POST"]))
+    guarded = [Middleware(_Guarded, guard=board.guard), Middleware(GZipMiddleware)]
+    return Starlette(routes=routes, middleware=guarded)
+
+
+class _Guarded:
+    """Refuses who may not come in, and gives every answer its headers."""
+
+    def __init__(self, app: ASGIApp, guard: Guard) -> None:
+        self._app, self._guard = app, guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.update(self._guard.headers)
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        refusal = self._guard.refusal(Request(scope))
+        await (refusal or self._app)(scope, receive, with_headers)
+
+
+class _Pages:
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    async def front(self, _: Request) -> Response:
+        response = Response(self._board.files["board.html"], media_type="text/html")
+        return self._board.guard.let_in(response)
+
+    async def asset(self, request: Request) -> Response:
+        name = request.url.path.lstrip("/")
+        body = self._board.files[name]
+        return _kept(request, body, ASSETS[name])
+
+    async def laid(self, request: Request) -> Response:
+        name = request.url.path.strip("/").partition(".")[0]
+        if not (data := self._board.picture(name)):
+            return PlainTextResponse(f"the site has no {name}", 404)
+        return _kept(request, data, "image/png")
+
+    async def login(self, request: Request) -> Response:
+        if request.method != "POST":
+            return Response(self._board.files["login.html"], media_type="text/html")
+        given = parse_qs(await _form(request)).get("token", [""])[0]
+        if not self._board.guard.is_token(given.strip()):
+            await asyncio.sleep(_LOGIN_DELAY_S)
+            return Response(self._board.files["login.html"], 401, media_type="text/html")
+        return self._board.guard.let_in(RedirectResponse("/", 303))
+
+    async def events(self, request: Request) -> Response:
+        feed, history = self._board.feed, self._board.history
+        ways = await run_in_threadpool(history.ways, feed.now_s)
+        try:
+            page = feed.join(ways)
+        except TooManyPagesError as reason:
+            return PlainTextResponse(str(reason), 503)
+        is_packed = "gzip" in request.headers.get("accept-encoding", "")
+        return self._board.guard.let_in(EventStream(feed, page, is_packed=is_packed))
+
+    async def past(self, request: Request) -> Response:
+        try:
+            at_s = float(request.query_params.get("at", ""))
+        except ValueError:
+            at_s = math.nan
+        if not math.isfinite(at_s):
+            return PlainTextResponse("`at` is a Unix time in seconds", 400)
+        whole = await run_in_threadpool(self._board.history.at, at_s)
+        if whole is None:
+            return PlainTextResponse("nothing is kept yet", 404)
+        return _json(whole)
+
+    async def metrics(self, _: Request) -> Response:
+        text = await run_in_threadpool(self._board.metrics)
+        return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
+
+    async def look(self, request: Request) -> Response:
+        after = request.query_params.get("after", "0")
+        if not after.isdecimal() or len(after) > 19:
+            return PlainTextResponse("`after` is a stamp in nanoseconds", 400)
+        newest = self._board.pictures.newest
+
+        async def found() -> Response:
+            picture, faces = await run_in_threadpool(
+                newest, request.path_params["name"], int(after)
+            )
+            return _json({"stamp": str(picture.stamp_ns), "faces": [_face(one) for one in faces]})
+
+        return await _told(found)
+
+    async def picture(self, request: Request) -> Response:
+        name, stamp_ns = request.path_params["name"], request.path_params["stamp"]
+        data = self._board.pictures.jpeg(name, stamp_ns)
+        if data is None:
+            return PlainTextResponse("that picture is not kept any more", 404)
+        return Response(data, media_type="image/jpeg")
+
+    async def command(self, request: Request) -> Response:
+        commands = self._board.commands
+        assert commands is not None  # else there is no such route
+
+        async def done() -> Response:
+            answer = await run_in_threadpool(commands.give, request.path_params["name"])
+            return Response(answer.data, media_type=answer.media_type)
+
+        return await _told(done)
+
+
+class EventStream(Response):
+    """Server-sent events until the page goes, or does not read; a day at most, so that the browser
+    comes again and its login is prolonged."""
+
+    def __init__(self, feed: Feed, page: Page, *, is_packed: bool) -> None:
+        self._feed, self._page = feed, page
+        packing = {"Content-Encoding": "gzip"} if is_packed else {}
+        headers = {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no", **packing}
+        super().__init__(headers=headers)
+        del self.headers["content-length"]
+        self._packer = zlib.compressobj(4, zlib.DEFLATED, 31) if is_packed else None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        del scope  # all that matters of it is in the page's queue
+        gone = asyncio.ensure_future(_disconnected(receive))
+        gone.add_done_callback(lambda _: self._page.end())
+        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
+        end = {"type": "http.response.body", "body": b"", "more_body": False}
+        try:
+            with suppress(TimeoutError):  # without its end the server hangs up
+                async with asyncio.timeout(DAY_S):
+                    await send(start)
+                    async for data in self._messages():
+                        body = {"type": "http.response.body", "body": data, "more_body": True}
+                        await asyncio.wait_for(send(body), SEND_S)
+                    if not gone.done():
+                        await asyncio.wait_for(send(end), SEND_S)
+        finally:
+            gone.cancel()
+            self._feed.leave(self._page)
+
+    async def _messages(self) -> AsyncIterator[bytes]:
+        yield self._pack(b"retry: 1000\n\n")
+        while message := await self._page.take():
+            yield self._pack(message)
+
+    def _pack(self, data: bytes) -> bytes:
+        if self._packer is None:
+            return data
+        return self._packer.compress(data) + self._packer.flush(zlib.Z_SYNC_FLUSH)
+
+
+async def _disconnected(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _form(request: Request) -> str:
+    """A short form that comes at once; else nothing."""
+    body = b""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(SEND_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > _MOST_FORM:
+                    return ""
+            return body.decode(errors="replace")
+    return ""
+
+
+async def _told(work: Callable[[], Awaitable[Response]]) -> Response:
+    """What is asked for, or in one line why not."""
+    try:
+        return await work()
+    except InputError as reason:
+        return PlainTextResponse(str(reason), 404)
+    except OperationError as reason:
+        return PlainTextResponse(str(reason), 503)
+
+
+def _kept(request: Request, body: bytes, media_type: str) -> Response:
+    """A file that the browser keeps, and asks about each time."""
+    tag = f'"{zlib.crc32(body):08x}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if tag in request.headers.get("if-none-match", ""):  # packed ones come back as W/"…"
+        return Response(status_code=304, headers=headers)
+    return Response(body, media_type=media_type, headers=headers)
+
+
+def _json(value: object) -> Response:
+    return Response(msgspec.json.encode(value), media_type="application/json")
+
+
+def _face(face: FaceSighting) -> dict[str, object]:
+    """`pixels`: columns and rows in turn, by tenths."""
+    pixels = [round(value, 1) for value in face.pixels.reshape(-1).tolist()]
+    return {"target": face.target, "face": face.face, "pixels": pixels}

@@ -1,0 +1,55 @@
+"""How well robots are corrected where, as a picture that lies over the page's floor."""
+
+import io
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.contract.topics import TOPICS
+from trigpoint.geometry import Pose
+
+from .entities import Fields
+from .floor import matrix
+
+GRID = next((one for one in TOPICS if one.type_name == "nav_msgs/msg/OccupancyGrid"), None)
+"""The key of that map, where this version's contract has it."""
+_BEST, _WORST = np.array([28, 122, 90]), np.array([179, 38, 30])
+_ALPHA = 120
+_MOST_CELLS = 16_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class GridPicture:
+    """`png`: green where robots are corrected best, red where not at all, clear where unknown;
+    `fields`: where it lies."""
+
+    png: bytes
+    fields: Fields
+
+
+def grid_picture(cell_m: float, map_from_grid: Pose, values: np.ndarray) -> GridPicture | None:
+    """Of `values` (rows, columns), 0 best to 100 worst, below 0 unknown, row by row from the corner
+    at `map_from_grid`; None of one that is empty or larger than any hall."""
+    from PIL import Image  # with this layer and the site's plan alone
+
+    rows, columns = values.shape
+    if not 0 < values.size <= _MOST_CELLS:
+        return None
+    share = np.clip(values[::-1, :, None] / 100, 0.0, 1.0)
+    colour = np.empty((rows, columns, 4), dtype=np.uint8)
+    colour[..., :3] = np.rint((1 - share) * _BEST + share * _WORST)
+    colour[..., 3] = np.where(values[::-1] < 0, 0, _ALPHA)
+    data = io.BytesIO()
+    Image.fromarray(colour).save(data, "png", optimize=True)
+    png = data.getvalue()
+    width, height = columns * cell_m, rows * cell_m
+    corners = map_from_grid @ np.array([[0.0, 0, 0], [width, 0, 0], [0, height, 0]])
+    return GridPicture(
+        png,
+        {
+            "matrix": matrix(corners[:, :2], columns, rows),
+            "size": [columns, rows],
+            "version": f"{zlib.crc32(png):08x}",
+        },
+    )

@@ -1,0 +1,224 @@
+"""Reads the site: ten times a second what is newest on the bus becomes what the pages show."""
+
+import logging
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from trigpoint import CONTRACT, __version__
+from trigpoint.base.clock import to_seconds
+from trigpoint.base.errors import BusError, MessageError
+from trigpoint.bus.bus import Bus, Sample, Subscription
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
+from trigpoint.contract.topics import Topic, alive_key, node_of
+from trigpoint.node.health import Health
+from trigpoint.recorder.writing.intake import sound_message
+from trigpoint.site.config import Site
+from trigpoint.tools.site.state import SiteStatus, summarise
+from trigpoint.tools.site.status import LISTEN_S, wanted_of
+
+from .alarms import Alarms
+from .entities import Fields
+from .feed import Feed
+from .floor import Floor
+from .grid import GRID, GridPicture, grid_picture
+from .history import History
+from .pictures import Pictures
+from .scene import Scene
+
+PERIOD_S = 0.1
+NAME = "board"
+_LOOK_S = 1.0
+_HEARD_S = 3.5
+"""Nodes send diagnostics once a second; three that are missing are a silence."""
+_QUEUE = 4096
+_READ = (
+    topics.CAMERA_POSE,
+    topics.COVERAGE,
+    topics.ROBOT_POSE,
+    topics.CORRECTION,
+    topics.SUGGESTION,
+    *((GRID,) if GRID is not None else ()),
+)
+
+_log = logging.getLogger(__name__)
+
+
+class Reader:
+    """Used on one thread, but for `heard`. Of a key's messages only the newest is decoded."""
+
+    def __init__(
+        self,
+        site: Site,
+        feed: Feed,
+        history: History,
+        pictures: Pictures,
+        *,
+        about: Fields,
+    ) -> None:
+        """`about`: what the pages should know of the program."""
+        self._site, self._feed, self._history, self._pictures = site, feed, history, pictures
+        self._scene = Scene(site.cameras, site.robots)
+        self._floor, self._alarms, self.health = Floor(site), Alarms(), Health()
+        self._about = {"name": site.name, "link": "the bus is being opened"} | about
+        self._grid: GridPicture | None = None
+        self._statuses: dict[str, tuple[float, int, DiagnosticStatus]] = {}
+        self._tokens: list[str] = []
+        self._started_s = self._apart_s = time.monotonic()
+        self._looked_s = 0.0
+        self._own = self._own_status()
+        self.health.gauge("pages", lambda: feed.pages)
+
+    def picture(self, name: str) -> bytes:
+        """The floor «plan» or the «grid» of corrections, PNG; empty without one. Any thread."""
+        if name == "plan":
+            return self._floor.picture
+        return b"" if self._grid is None else self._grid.png
+
+    def begin(self) -> None:
+        """Show the site as its file has it, before there is a bus."""
+        shown: dict[str, Fields | None] = {**self._scene.changed(time.time_ns())}
+        self._show(shown | {"site": self._about, "plan": self._floor.fields})
+
+    def run(self, bus: Bus, stopping: threading.Event) -> None:
+        """Read until it is to stop."""
+        subscriptions = [(topic, self._subscribe(bus, topic)) for topic in _READ]
+        heard = self._subscribe(bus, topics.DIAGNOSTICS)
+        asking = threading.Thread(target=self._ask, args=(bus, stopping), name="board alive")
+        asking.start()
+        due_s = self._apart_s = time.monotonic()
+        try:
+            while not stopping.is_set():
+                self._turn(bus, subscriptions, heard)
+                due_s = max(due_s + PERIOD_S, time.monotonic())
+                stopping.wait(due_s - time.monotonic())
+        finally:
+            stopping.set()
+            asking.join()
+
+    def heard(self) -> list[Diagnostics]:
+        """The newest diagnostics of every node, and the board's own. Any thread."""
+        own = Diagnostics(time.time_ns(), (self._own,))
+        since_s = time.monotonic() - _HEARD_S
+        found = [(ns, status) for s, ns, status in list(self._statuses.values()) if s > since_s]
+        return [own, *(Diagnostics(stamp_ns, (status,)) for stamp_ns, status in found)]
+
+    def _subscribe(self, bus: Bus, topic: Topic) -> Subscription:
+        wide = replace(topic, queue=_QUEUE)
+        expression = topic.expression(self._site.name)
+        subscription = bus.subscribe(wide, expression, in_turns=True)
+        self.health.watch(topic.name, subscription)
+        return subscription
+
+    def _turn(
+        self, bus: Bus, subscriptions: list[tuple[Topic, Subscription]], heard: Subscription
+    ) -> None:
+        for topic, subscription in subscriptions:
+            # Of each key only the last; the others are past already.
+            for sample in {sample.key: sample for sample in _waiting(subscription)}.values():
+                self._take(topic, sample)
+        for sample in _waiting(heard):
+            self._hear(sample)
+        entities: dict[str, Fields | None] = {**self._scene.changed(time.time_ns())}
+        if time.monotonic() - self._looked_s >= _LOOK_S:
+            self._looked_s = time.monotonic()
+            entities |= self._look(bus)
+            self._pictures.end_idle()
+        self._show(entities)
+
+    def _take(self, topic: Topic, sample: Sample) -> None:
+        name = node_of(sample.key)
+        if not self._scene.needs(topic, name, sample.received_ns):
+            return
+        message = self._sound(topic, sample)
+        if message is None:
+            return
+        if topic is GRID:
+            grid: Any = message
+            self._grid = grid_picture(grid.cell_m, grid.origin, grid.values)
+            return
+        self._scene.take(topic, name, message, sample.received_ns)
+        if isinstance(message, PoseEstimate) and topic is not topics.CORRECTION:
+            self._floor.take("camera" if topic is topics.CAMERA_POSE else "robot", name, message)
+
+    def _sound(self, topic: Topic, sample: Sample) -> Message | None:
+        try:
+            return sound_message(topic, sample, self._site)
+        except MessageError as reason:
+            self.health.reject(sample, reason)
+            return None
+
+    def _hear(self, sample: Sample) -> None:
+        message = self._sound(topics.DIAGNOSTICS, sample)
+        if isinstance(message, Diagnostics):
+            for status in message.statuses:
+                unique = f"{status.name} {status.values.get('node', '')}"
+                self._statuses[unique] = (time.monotonic(), message.stamp_ns, status)
+                kind, _, name = status.name.partition("/")
+                if kind == "edge":
+                    self._scene.report(name, status.values, sample.received_ns)
+
+    def _look(self, bus: Bus) -> dict[str, Fields | None]:
+        """The site in words; of its nodes only where these had time to speak."""
+        self._own = self._own_status()
+        unreached = ", ".join(bus.unreached)
+        link = f"nobody answers at {unreached}; trying again" if unreached else ""
+        about: Fields = self._about | {"peers": len(bus.peers), "link": link}
+        about["begin"] = round(self._history.begin_s or 0)
+        shown: dict[str, Fields | None] = {"site": about, "plan": self._floor.fields}
+        shown["grid"] = None if self._grid is None else self._grid.fields
+        now_s = time.monotonic()
+        if link:
+            self._apart_s = now_s
+        if now_s - self._apart_s > LISTEN_S:
+            shown |= self._alarms.look(self._status(len(bus.peers)), time.time())
+        return shown
+
+    def _status(self, peers: int) -> SiteStatus:
+        """What `status` would say."""
+        since_s = time.monotonic() - _HEARD_S
+        self._statuses = {n: one for n, one in self._statuses.items() if one[0] > since_s}
+        return summarise(
+            self._site.name,
+            peers=peers,
+            tokens=[*self._tokens, f"{self._site.name}/alive/{NAME}"],
+            statuses=[*(one for _, _, one in self._statuses.values()), self._own],
+            wanted=wanted_of(self._site),
+            expect=self._site.expect,
+        )
+
+    def _show(self, entities: Mapping[str, Fields | None]) -> None:
+        now_s = to_seconds(time.time_ns())
+        change = self._feed.update(entities, now_s)
+        self._history.keep(change, self._feed.whole(), now_s)
+
+    def _own_status(self) -> DiagnosticStatus:
+        if (more := self._feed.dropped - self.health.lost("slow pages")) > 0:
+            self.health.lose("slow pages", more)
+        report = self.health.report()
+        values = {
+            "version": __version__,
+            "contract": str(CONTRACT),
+            "node": NAME,
+            "uptime": f"{time.monotonic() - self._started_s:.1f}",
+        }
+        level = int(report.level)
+        return DiagnosticStatus(level, NAME, report.message, "", values | report.values)
+
+    def _ask(self, bus: Bus, stopping: threading.Event) -> None:
+        """Who is alive, once a second: the answer may take as long as a lost session's link."""
+        while not stopping.wait(_LOOK_S):
+            try:
+                self._tokens = bus.alive(alive_key(self._site.name, "*", "*"), timeout_s=_LOOK_S)
+            except BusError as reason:
+                _log.debug("%s", reason)
+
+
+def _waiting(subscription: Subscription) -> Iterator[Sample]:
+    """What waits now; what comes meanwhile has the next turn."""
+    for _ in range(subscription.depth):
+        if (sample := subscription.take(0.0)) is not None:
+            yield sample

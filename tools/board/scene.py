@@ -1,0 +1,182 @@
+"""Cameras and robots as the page shows them, from the messages of the bus. Pure: no bus, no clock.
+
+Lengths are rounded to millimetres, angles to milliradians, times to whole seconds, so that what
+cannot be seen is not sent.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from trigpoint.base.clock import to_ns, to_seconds
+from trigpoint.contract import topics
+from trigpoint.contract.messages import Message, Polygon, PoseEstimate, PoseStamped
+from trigpoint.contract.topics import Topic
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+
+from .entities import Entities, Fields
+
+LOCATED, UNDETERMINED, UNSEEN = "located", "undetermined", "unseen"
+STALE_NS = {"camera": to_ns(5.0), "robot": to_ns(2.0)}
+"""After so long without a pose an entity is stale: cameras are announced every second, robots with
+each of their odometry's messages."""
+_GIVEN_UP_NS = to_ns(10.0)
+"""A camera that is not announced for so long, while others are, is not located any more."""
+_GOAL_NS = to_ns(30.0)
+_SEEN_STEP_S = 2
+_ELLIPSE_95 = math.sqrt(-2 * math.log(0.05))
+"""Half-axes of the ellipse that holds a point of a plane with 95 %, in sigmas."""
+_OUTLINE_M = 0.05
+
+
+class Scene:
+    """What is known of each camera and robot. Times are when a message was received, ns."""
+
+    def __init__(self, cameras: Iterable[str], robots: Iterable[str]) -> None:
+        self._fields: Entities = {f"camera/{name}": {"state": UNSEEN} for name in cameras}
+        self._fields |= {
+            f"robot/{name}": {"stale": True, "index": i} for i, name in enumerate(robots)
+        }
+        self._posed_ns: dict[str, int] = {}
+        self._goal_ns: dict[str, int] = {}
+        self._dirty = set(self._fields)
+
+    def take(self, topic: Topic, name: str, message: Message, received_ns: int) -> None:
+        """Take in one message of a camera or robot of the site."""
+        kind = topic.path.partition("/")[0]
+        entity = f"{'robot' if kind == 'robot' else 'camera'}/{name}"
+        if topic is topics.CORRECTION:
+            self._set(entity, {"fixed": int(to_seconds(received_ns))})
+        elif isinstance(message, PoseEstimate):
+            self._posed_ns[entity] = received_ns
+            self._set(entity, (_robot if kind == "robot" else _camera)(message))
+        elif isinstance(message, PoseStamped):
+            self._goal_ns[entity] = received_ns
+            self._set(entity, {"goal": _plane(message.pose)})
+        elif isinstance(message, Polygon):
+            self._set(entity, {"floor": _outline(message.points[:, :2])})
+
+    def needs(self, topic: Topic, name: str, received_ns: int) -> bool:
+        """Whether a message says anything new: a correction does by its second."""
+        fixed = self._fields.get(f"robot/{name}", {}).get("fixed")
+        return topic is not topics.CORRECTION or fixed != int(to_seconds(received_ns))
+
+    def report(self, camera: str, values: Mapping[str, str], received_ns: int) -> None:
+        """Take what a camera's agent reports of the faces it found: that is enough to say whether
+        it sees a target, and its sightings, a thousand a second, need not come here."""
+        entity = f"camera/{camera}"
+        if entity not in self._fields or _count(values.get("faces.total")) <= 0:
+            return
+        if self._fields[entity]["state"] == UNSEEN:
+            self._set(entity, {"state": UNDETERMINED})
+        if _count(values.get("faces.rate")) > 0:
+            seen_s = round(to_seconds(received_ns))
+            self._set(entity, {"seen": seen_s // _SEEN_STEP_S * _SEEN_STEP_S})
+
+    def changed(self, now_ns: int) -> Entities:
+        """The entities that may have changed since the last call, with what time alone changed."""
+        self._age(now_ns)
+        found = {name: self._fields[name] for name in self._dirty}
+        self._dirty.clear()
+        return found
+
+    def _set(self, entity: str, fields: Fields) -> None:
+        self._fields[entity] = self._fields[entity] | fields
+        self._dirty.add(entity)
+
+    def _age(self, now_ns: int) -> None:
+        camera_ns = max((ns for n, ns in self._posed_ns.items() if n[0] == "c"), default=0)
+        for entity, posed_ns in self._posed_ns.items():
+            kind = entity.partition("/")[0]
+            is_stale = now_ns - posed_ns > STALE_NS[kind]
+            if is_stale != self._fields[entity].get("stale", False):
+                self._set(entity, {"stale": is_stale})
+            is_given_up = kind == "camera" and camera_ns - posed_ns > _GIVEN_UP_NS
+            if is_given_up and self._fields[entity]["state"] == LOCATED:
+                self._set(entity, {"state": UNDETERMINED})
+        for entity in [e for e, ns in self._goal_ns.items() if now_ns - ns > _GOAL_NS]:
+            del self._goal_ns[entity]
+            self._set(entity, {"goal": None})
+
+
+def _robot(message: PoseEstimate) -> Fields:
+    return {"at": _plane(message.pose), "stale": False} | _uncertainty(message.covariance)
+
+
+def _camera(message: PoseEstimate) -> Fields:
+    ahead = message.pose.rotation[:, 2]
+    azimuth, elevation = math.atan2(ahead[1], ahead[0]), math.asin(max(-1.0, min(1.0, ahead[2])))
+    place: Fields = {
+        "state": LOCATED,
+        "stale": False,
+        "at": [round(v, 3) for v in message.pose.translation.tolist()],
+        "look": [round(azimuth, 3), round(elevation, 3)],
+    }
+    return place | _uncertainty(message.covariance)
+
+
+def _plane(pose: Pose) -> list[float]:
+    """x, y, heading."""
+    x, y, _ = pose.translation.tolist()
+    heading = math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
+    return [round(x, 3), round(y, 3), round(heading, 3)]
+
+
+def _uncertainty(covariance: Array) -> Fields:
+    """`sigma`: root of the position's trace, m, as the viewer says it; `turn`: of the heading, rad;
+    `ellipse`: half-axes on the floor that hold 95 %, m, and the longer one's direction."""
+    a, b, c = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    middle, apart = (a + c) / 2, math.hypot((a - c) / 2, b)  # the eigenvalues, ± apart
+    long, short = (_ELLIPSE_95 * math.sqrt(max(0.0, v)) for v in (middle + apart, middle - apart))
+    direction = math.atan2(2 * b, a - c) / 2 % math.pi
+    height = float(covariance[2, 2])
+    return {
+        "sigma": _two_digits(math.sqrt(max(0.0, a + c + height))),
+        "turn": _two_digits(math.sqrt(max(0.0, float(covariance[5, 5])))),
+        "ellipse": [_two_digits(long), _two_digits(short), round(direction, 1)],
+    }
+
+
+def _count(text: str | None) -> float:
+    """A number that another node sent; 0 of what is none."""
+    try:
+        return float(text or 0)
+    except ValueError:
+        return 0.0
+
+
+def _two_digits(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _outline(points: Array) -> list[float]:
+    """x and y in turn, without the points that lie within 5 cm of a line between others."""
+    kept = _simplified(points) if len(points) > 2 else points
+    return [round(value, 2) for value in kept.reshape(-1).tolist()]
+
+
+def _simplified(points: Array) -> Array:
+    """The open line (n, 2) after Douglas and Peucker, without recursion: a bus's polygon may be
+    long."""
+    keep = np.zeros(len(points), dtype=bool)
+    keep[[0, -1]] = True
+    spans = [(0, len(points) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        along = points[last] - points[first]
+        off = points[first + 1 : last] - points[first]
+        length = float(np.hypot(*along))
+        if length > 0:
+            away = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]) / length
+        else:
+            away = np.hypot(off[:, 0], off[:, 1])
+        furthest = int(np.argmax(away))
+        if away[furthest] > _OUTLINE_M:
+            middle = first + 1 + furthest
+            keep[middle] = True
+            spans += [(first, middle), (middle, last)]
+    return points[keep]
