@@ -1,0 +1,209 @@
+"""How far off a robot's corrected position is expected to be, by the pictures of several cameras.
+
+A picture of camera i measures the disturbance δ of the robot's pose, as far as the camera stands
+where it is thought to stand: z_i = E δ - L_i c_i + n_i, with E the free components of δ, c_i the
+error of the camera's pose, L_i what that does at the robot (`geometry.uncertainty.lever`) and n_i
+the corners' noise, of the picture's inverse information. Least squares make of each z_i an estimate
+of the free components. These are correlated, as the c_i are by the network's joint covariance: with
+M the inverse of their joint covariance, the information in all of them is I = Σ M_ij, and without
+camera i it is I - T_iᵀ M_ii⁻¹ T_i, T_i = Σ_j M_ij (block elimination).
+
+That is what a filter that knows the network makes of pictures of a robot of which it knows nothing
+else, but that it would also learn of the cameras from what of a z_i is not free (a planar robot's
+height and tilt); what odometry knows is not counted.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.special import erf
+
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import lever, symmetric
+
+SHARE = 0.95
+"""Of the errors lie within the stated radius."""
+MOST_CAMERAS = 6
+"""So many cameras' pictures are combined, the best of those that see a robot."""
+_AT_ONCE = 4096
+# Of the information in its own direction, what is left to a component that the others leave open.
+_OPEN = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """Pictures (p,) of a robot at poses: which `pose` and which `camera` by number, in order of
+    the poses; their `information` (p, 6, 6) on the pose's disturbance; and the vector from the
+    camera to the robot's base, `arm` (p, 3), in the map."""
+
+    pose: np.ndarray
+    camera: np.ndarray
+    information: Array
+    arm: Array
+
+    def where(self, chosen: np.ndarray) -> "Pictures":
+        return Pictures(
+            self.pose[chosen], self.camera[chosen], self.information[chosen], self.arm[chosen]
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Radii within which 95 % of the errors of a position lie, metres; inf where nothing corrects.
+
+    `by_pose` (n,): by all pictures at a pose; `without` (p,): without a picture's camera.
+    """
+
+    by_pose: Array
+    without: Array
+
+
+def expected_errors(
+    pictures: Pictures, poses: int, covariance: Array, tangent: tuple[int, ...]
+) -> Errors:
+    """The errors at so many poses; `covariance` (6n, 6n): the joint one of all cameras."""
+    by_pose, without = np.full(poses, np.inf), np.full(len(pictures.pose), np.inf)
+    if not len(pictures.pose):
+        return Errors(by_pose, without)
+    single = _Singles.of(pictures, covariance, tangent)
+    used = _best(pictures.pose, radius(single.position))
+    counts = np.bincount(pictures.pose[used], minlength=poses)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    for count in range(1, int(counts.max(initial=0)) + 1):
+        alike = np.flatnonzero(counts == count)
+        for start in range(0, len(alike), _AT_ONCE):
+            some = alike[start : start + _AT_ONCE]
+            rows = used[starts[some, None] + np.arange(count)]
+            whole, parts = _combined(single, rows, covariance)
+            by_pose[some], without[rows] = radius(whole), radius(parts)
+    # A picture that is not used can be done without.
+    spare = np.ones(len(without), dtype=bool)
+    spare[used] = False
+    without[spare] = by_pose[pictures.pose[spare]]
+    return Errors(by_pose, without)
+
+
+def _best(pose: np.ndarray, alone_m: Array) -> np.ndarray:
+    """The pictures (p,) that are combined: of each pose at most so many, and none that says nothing
+    by itself; in order."""
+    order = np.lexsort([alone_m, pose])
+    is_first = np.concatenate([[True], np.diff(pose[order]) > 0])
+    here = np.arange(len(order))
+    rank = here - np.maximum.accumulate(np.where(is_first, here, 0))
+    kept = order[(rank < MOST_CAMERAS) & np.isfinite(alone_m[order])]
+    return np.sort(kept)
+
+
+def _combined(
+    single: "_Singles", rows: np.ndarray, covariance: Array
+) -> tuple[Array, Array]:
+    """The covariance of the position (g, 2, 2) by m pictures each, `rows` (g, m), and without each
+    of them (g, m, 2, 2)."""
+    groups, count = rows.shape
+    if count == 1:
+        return single.position[rows[:, 0]], np.full((groups, 1, 2, 2), np.inf)
+    inverse = np.linalg.inv(_together(single, rows, covariance))
+    size = single.own.shape[-1]
+    inverse = inverse.reshape(groups, count, size, count, size)
+    summed = inverse.sum(axis=3)  # T_i
+    information = summed.sum(axis=1)
+    own = np.einsum("gikil->gikl", inverse)
+    less = np.swapaxes(summed, 2, 3) @ np.linalg.solve(own, summed)
+    return _position(information), _position(information[:, None] - less)
+
+
+def _together(single: "_Singles", rows: np.ndarray, covariance: Array) -> Array:
+    """The joint covariance of what pictures `rows` (g, m) say each, (g, m k, m k)."""
+    groups, count = rows.shape
+    size = single.own.shape[-1]
+    joint = np.empty((groups, count, size, count, size))
+    for i in range(count):
+        joint[:, i, :, i] = single.own[rows[:, i]]
+        for j in range(i):
+            columns = 6 * single.camera[rows[:, [i, j]]][..., None] + np.arange(6)
+            between = covariance[columns[:, 0, :, None], columns[:, 1, None, :]]
+            across = single.by_camera[rows[:, i]] @ between
+            across = across @ np.swapaxes(single.by_camera[rows[:, j]], 1, 2)
+            joint[:, i, :, j] = across
+            joint[:, j, :, i] = np.swapaxes(across, 1, 2)
+    return joint.reshape(groups, count * size, count * size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Singles:
+    """What each picture (p,) says by itself: the covariance of the pose's free components `own`
+    (p, k, k), infinite where it does not say; the `position`'s (p, 2, 2); its error by that of the
+    camera, `by_camera` (p, k, 6)."""
+
+    camera: np.ndarray
+    own: Array
+    position: Array
+    by_camera: Array
+
+    @classmethod
+    def of(cls, pictures: Pictures, covariance: Array, tangent: tuple[int, ...]) -> "_Singles":
+        """By weighted least squares: with S = Q + A⁻¹ the covariance of z, Q = L P Lᵀ and A the
+        picture's information, the gain is (Eᵀ S⁻¹ E)⁻¹ Eᵀ S⁻¹, and S⁻¹ = (1 + A Q)⁻¹ A."""
+        columns = 6 * pictures.camera[:, None] + np.arange(6)
+        levers = lever(pictures.arm)
+        moved = levers @ covariance[columns[:, :, None], columns[:, None, :]]
+        moved = moved @ np.swapaxes(levers, 1, 2)
+        weight = np.linalg.solve(np.eye(6) + pictures.information @ moved, pictures.information)
+        free = list(tangent)
+        own = _inverse(weight[:, free][..., free])
+        gain = np.where(np.isfinite(own), own, 0.0) @ weight[:, free]
+        return cls(pictures.camera, own, own[:, :2, :2], gain @ levers)
+
+
+def _position(information: Array) -> Array:
+    """The covariance of x and y (…, 2, 2); infinite where the information does not give it."""
+    return _inverse(information)[..., :2, :2]
+
+
+def _inverse(information: Array) -> Array:
+    """The inverse of information matrices (…, k, k); infinite where there is none."""
+    diagonal = np.einsum("...ii->...i", information)
+    is_known = np.all(diagonal > 0, axis=-1)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = symmetric(information * scale[..., :, None] * scale[..., None, :])
+    lowest = np.linalg.eigvalsh(scaled)[..., 0]
+    is_known &= lowest > _OPEN
+    safe = np.where(is_known[..., None, None], scaled, np.eye(scaled.shape[-1]))
+    covariance = np.linalg.inv(safe) * scale[..., :, None] * scale[..., None, :]
+    return np.where(is_known[..., None, None], covariance, np.inf)
+
+
+def radius(covariance: Array) -> Array:
+    """The radius about a position in the plane within which its error lies with 95 %, by its
+    covariance (…, 2, 2); inf where that is not finite."""
+    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    is_known = np.isfinite(xx) & np.isfinite(yy) & np.isfinite(xy)
+    xx, yy, xy = (np.where(is_known, part, 1.0) for part in (xx, yy, xy))
+    middle, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    largest = np.sqrt(np.maximum(middle + apart, 0.0))
+    smallest = np.sqrt(np.maximum(middle - apart, 0.0))
+    shape = smallest / np.maximum(largest, 1e-300)
+    ratios, factors = _factors()
+    return np.where(is_known, largest * np.interp(shape, ratios, factors), np.inf)
+
+
+@cache
+def _factors() -> tuple[Array, Array]:
+    """The radius in units of the longer axis's sigma, by the ratio of the two sigmas: 1.960 on a
+    line to 2.448 in a circle.
+
+    P(|x| ≤ R) = ∫ φ(s) erf(√(R² - s²) / (q√2)) ds over |s| ≤ R, with s = R sin θ; by bisection.
+    """
+    ratios = np.linspace(0.0, 1.0, 201)
+    angles, weights = np.polynomial.legendre.leggauss(400)
+    angles, weights = 0.5 * np.pi * angles, 0.5 * np.pi * weights
+    low, high = np.full(len(ratios), 1.9), np.full(len(ratios), 2.5)
+    beside = np.sqrt(2) * np.maximum(ratios, 1e-9)[:, None]
+    for _ in range(40):
+        reach = (0.5 * (low + high))[:, None]
+        density = np.exp(-0.5 * (reach * np.sin(angles)) ** 2) / np.sqrt(2 * np.pi)
+        inside = density * erf(reach * np.cos(angles) / beside) * reach * np.cos(angles)
+        is_less = inside @ weights < SHARE
+        low, high = np.where(is_less, reach[:, 0], low), np.where(is_less, high, reach[:, 0])
+    return ratios, 0.5 * (low + high)
