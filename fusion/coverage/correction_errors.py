@@ -167,11 +167,27 @@ def _inverse(information: Array) -> Array:
     is_known = np.all(diagonal > 0, axis=-1)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = symmetric(information * scale[..., :, None] * scale[..., None, :])
-    lowest = np.linalg.eigvalsh(scaled)[..., 0]
-    is_known &= lowest > _OPEN
-    safe = np.where(is_known[..., None, None], scaled, np.eye(scaled.shape[-1]))
-    covariance = np.linalg.inv(safe) * scale[..., :, None] * scale[..., None, :]
+    inverse, determinant = _adjugate(scaled) if scaled.shape[-1] == 3 else _factored(scaled)
+    is_known &= determinant > _OPEN
+    covariance = inverse * scale[..., :, None] * scale[..., None, :]
     return np.where(is_known[..., None, None], covariance, np.inf)
+
+
+def _adjugate(matrix: Array) -> tuple[Array, Array]:
+    """The inverse of symmetric matrices (…, 3, 3) and their determinant, by cross products: many
+    small matrices at once are several times faster so."""
+    rows = [np.cross(matrix[..., i - 2, :], matrix[..., i - 1, :]) for i in range(3)]
+    determinant = np.sum(matrix[..., 0, :] * rows[0], axis=-1)
+    safe = np.where(determinant > _OPEN, determinant, 1.0)
+    return np.stack(rows, axis=-1) / safe[..., None, None], determinant
+
+
+def _factored(matrix: Array) -> tuple[Array, Array]:
+    """The inverse of symmetric matrices (…, k, k) and their determinant."""
+    determinant = np.linalg.det(matrix)
+    is_open = ~(determinant > _OPEN)
+    safe = np.where(is_open[..., None, None], np.eye(matrix.shape[-1]), matrix)
+    return np.linalg.inv(safe), determinant
 
 
 def radius(covariance: Array) -> Array:
