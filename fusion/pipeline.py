@@ -28,7 +28,7 @@ from .intake.standstills import Standstills
 from .live.follower import Follower
 from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
-from .live.solver_messages import Solver, Suggested
+from .live.solver_messages import Covered, Solver, Suggested
 from .model.dataset import DataSet, Event, KnownCameras
 from .model.observations import Observation
 from .model.odometry import Added
@@ -298,6 +298,8 @@ class Pipeline:
             if isinstance(news, Suggested):
                 message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
                 self._outputs.append(Output(topics.SUGGESTION, news.robot, message))
+            elif isinstance(news, Covered):
+                self._outputs.append(Output(topics.COVERAGE_GRID, "", news.grid))
             else:
                 self._note(news)
         if follower.take_new_camera():

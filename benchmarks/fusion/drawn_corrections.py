@@ -58,7 +58,10 @@ class Corrector:
         return self.data.targets[self.robot]
 
     def corrected(
-        self, map_from_base: Pose, sighted: dict[str, tuple[FaceSighting, ...]], random: np.random.Generator
+        self,
+        map_from_base: Pose,
+        sighted: dict[str, tuple[FaceSighting, ...]],
+        random: np.random.Generator,
     ) -> Pose | None:
         """Where the filter has the robot after these sightings; None where it uses none."""
         said = planar_covariance(np.diag(_ROUGHLY**2))
@@ -140,9 +143,7 @@ def _sighted(
     return FaceSighting("", number, seen.corners, pixels.astype(np.float32), sigma_px)
 
 
-def drawn_poses(
-    network: KnownNetwork, root: Array, random: np.random.Generator
-) -> Pose:
+def drawn_poses(network: KnownNetwork, root: Array, random: np.random.Generator) -> Pose:
     """Where the cameras truly are, (n), drawn from the network's joint covariance by its `root`."""
     errors = (root @ random.normal(size=len(root))).reshape(-1, 6)
     return Pose.stack([eye.map_from_camera for eye in network.eyes]).disturbed(errors)

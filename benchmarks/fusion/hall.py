@@ -3,9 +3,9 @@ drives through all of it; and its network as `calibrate` finds it."""
 
 from pathlib import Path
 
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.contract.messages import Odometry
 from trigpoint.site.config import (
     BusConfig,
     CameraConfig,
@@ -52,9 +52,7 @@ def hall(seed: int, target: TargetChoice) -> World:
         )
         for number, (place, yaw) in enumerate(_PLACES, start=1)
     }
-    robot = RobotSpec(
-        waypoints=_DRIVE, speed=0.5, target=target, odometry_start=(1.0, 1.0, 0.0)
-    )
+    robot = RobotSpec(waypoints=_DRIVE, speed=0.5, target=target, odometry_start=(1.0, 1.0, 0.0))
     file = WorldFile("hall", cameras=cameras, robots={"r1": robot}, hold_first=1.0, hold_last=0.5)
     return World("hall", file, seed=seed, target=target)
 

@@ -135,9 +135,7 @@ def accuracy_map(
     if is_floor is None:
         is_floor = np.isfinite(by_heading).any(axis=1) | floor.near(driven, DRIVEN_M)
     names = network.names
-    return AccuracyMap(
-        carried.robots, floor, names, by_heading, cameras, sees, without, is_floor
-    )
+    return AccuracyMap(carried.robots, floor, names, by_heading, cameras, sees, without, is_floor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

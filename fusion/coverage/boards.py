@@ -99,7 +99,12 @@ class Carried:
         face, corners = self.target.faces[index], self.target.faces[index].corners
         across = corners[:, 0] - corners[:, 1]
         along = corners[:, 0] + corners[:, 1]
-        ends = [int(along.argmin()), int(across.argmax()), int(along.argmax()), int(across.argmin())]
+        ends = [
+            int(along.argmin()),
+            int(across.argmax()),
+            int(along.argmax()),
+            int(across.argmin()),
+        ]
         is_whole = face.pattern is Pattern.CHECKERBOARD
         middle, spread = corners.mean(axis=0), corners.std(axis=0)
         signs = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])

@@ -95,9 +95,7 @@ def _best(pose: np.ndarray, alone_m: Array) -> np.ndarray:
     return np.sort(kept)
 
 
-def _combined(
-    single: "_Singles", rows: np.ndarray, covariance: Array
-) -> tuple[Array, Array]:
+def _combined(single: "_Singles", rows: np.ndarray, covariance: Array) -> tuple[Array, Array]:
     """The covariance of the position (g, 2, 2) by m pictures each, `rows` (g, m), and without each
     of them (g, m, 2, 2)."""
     groups, count = rows.shape

@@ -51,7 +51,9 @@ class Eye:
     def scale_px(self) -> tuple[float, float]:
         """How large a metre across the line of sight, at a metre's distance, is in the picture at
         least and at most, pixels."""
-        u, v = (np.linspace(0, side - 1.0, _SAMPLES) for side in (self.lens.width, self.lens.height))
+        u, v = (
+            np.linspace(0, side - 1.0, _SAMPLES) for side in (self.lens.width, self.lens.height)
+        )
         ways = self.lens.directions(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
         ways = ways[np.all(np.isfinite(ways), axis=1)]
         rays = np.column_stack([ways, np.ones(len(ways))])

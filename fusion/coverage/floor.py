@@ -13,7 +13,6 @@ from .boards import Carried
 from .known_network import KnownNetwork
 from .sight import headings_rad, seen_by
 
-
 CELL_M = 0.1
 DRIVEN_M = 0.5
 """Floor is where a robot drove, and so far about it; and where a camera would see one."""

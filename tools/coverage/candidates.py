@@ -51,7 +51,7 @@ class CandidateSpec(Struct, frozen=True, forbid_unknown_fields=True):
         ways = (self.like is not None, self.intrinsics is not None, is_described)
         if sum(ways) != 1:
             raise ValueError(
-                "a place needs one lens: like = \"c1\", or intrinsics = \"lens.yaml\", or width, "
+                'a place needs one lens: like = "c1", or intrinsics = "lens.yaml", or width, '
                 "height and horizontal_fov"
             )
 

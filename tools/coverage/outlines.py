@@ -48,7 +48,9 @@ def _sides(cells: np.ndarray) -> dict[Corner, list[Corner]]:
     padded = np.pad(cells, 1)
     onwards: dict[Corner, list[Corner]] = defaultdict(list)
     for (down, right), (x0, y0), (x1, y1) in _SIDES:
-        beyond = padded[1 + down : 1 + down + cells.shape[0], 1 + right : 1 + right + cells.shape[1]]
+        beyond = padded[
+            1 + down : 1 + down + cells.shape[0], 1 + right : 1 + right + cells.shape[1]
+        ]
         for row, column in np.argwhere(cells & ~beyond).tolist():
             onwards[column + x0, row + y0].append((column + x1, row + y1))
     return onwards

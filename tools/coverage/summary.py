@@ -67,9 +67,7 @@ def ranked(gains: Sequence[Gain], within_m: float) -> list[Gain]:
     return sorted(gains, key=worth, reverse=True)
 
 
-def summary_json(
-    maps: Sequence[AccuracyMap], gains: Sequence[Gain], within_m: float
-) -> str:
+def summary_json(maps: Sequence[AccuracyMap], gains: Sequence[Gain], within_m: float) -> str:
     """All of it; areas in m², bounds in m, and no bound as null."""
     floor = maps[0].floor
     found: dict[str, Any] = {
@@ -109,9 +107,7 @@ def _map(each: AccuracyMap) -> dict[str, Any]:
 def _gain(gain: Gain, within_m: float) -> dict[str, Any]:
     return {
         "camera": gain.candidate.name,
-        "gained": [
-            {"within_m": _bound(w), "area_m2": round(gain.area_m2(w), 2)} for w in WITHIN_M
-        ],
+        "gained": [{"within_m": _bound(w), "area_m2": round(gain.area_m2(w), 2)} for w in WITHIN_M],
         "where_one_fails": {
             "within_m": within_m,
             "area_m2": round(gain.area_m2(within_m, failing=True), 2),

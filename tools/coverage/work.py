@@ -60,7 +60,9 @@ def known_of(path: Path, *, site: Path | None, robots: Sequence[str]) -> Known:
         network = load_network(path)
         targets = {n: load_target(loaded.path(loaded.target_name(n))) for n in loaded.robots}
         driven = _driven_beside(path, network)
-        return _known(path, loaded, targets, network, load_covariance(path, network), driven, robots)
+        return _known(
+            path, loaded, targets, network, load_covariance(path, network), driven, robots
+        )
     task = task_of(path, site=site)
     pipeline = fed(task.messages(), task.inputs, source=path)
     pipeline.finish()
