@@ -25,9 +25,9 @@ class AccuracyMap:
     """Of the robots that carry one target, by cell (n) of the floor: radii within which 95 % of
     the errors of a corrected position lie, metres, inf where nothing corrects.
 
-    `by_heading` (n, h); `cameras` (n, h): how many see a robot; `sees` (c, n): whether camera c does
-    in some heading; `without` (c, n): in the middle heading, where camera c fails; `is_floor` (n):
-    whether the cell is known to be floor.
+    `by_heading` (n, h); `cameras` (n, h): how many see a robot; `sees` (c, n): whether camera c
+    does in some heading; `without` (c, n): in the middle heading, where camera c fails; `is_floor`
+    (n): whether the cell is known to be floor.
     """
 
     robots: tuple[str, ...]

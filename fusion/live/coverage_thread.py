@@ -4,6 +4,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 from trigpoint.bus.bus import Bus, Publisher
 from trigpoint.contract import cdr
@@ -29,10 +30,8 @@ class CoverageWork:
 
     def take(self, results: Results) -> None:
         """Take results in place of those that wait still; never waits. Called by one thread."""
-        try:
+        with suppress(queue.Empty):
             self._newest.get_nowait()
-        except queue.Empty:
-            pass
         self._newest.put_nowait(results)
 
     def _run(self) -> None:

@@ -1,1 +1,1 @@
-"""`trigpoint coverage`: how well robots are corrected where, and where another camera would help."""
+"""`trigpoint coverage`: how well robots are corrected where."""

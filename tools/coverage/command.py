@@ -1,4 +1,4 @@
-"""The command `coverage`: how well robots are corrected where, and what each camera's failure costs."""
+"""The command `coverage`: how well robots are corrected where, and by which cameras."""
 
 from contextlib import closing
 from pathlib import Path

@@ -244,7 +244,8 @@ def _camera(
 
 
 def looking(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
-    """Axes (3, 3) of a camera that looks to azimuth `yaw`, `pitch` below the horizon, then rolls."""
+    """Axes (3, 3) of a camera that looks to azimuth `yaw`, `pitch` below the horizon, then
+    rolls."""
     yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
     level = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     forward = np.cos(pitch) * level - np.sin(pitch) * np.array([0.0, 0.0, 1.0])
