@@ -72,7 +72,7 @@ class Pipeline:
         self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
     ) -> None:
         self._is_live = is_live
-        self.site, self._inputs = inputs.site, inputs
+        self.site, self.inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
         if solver is not None:
             self._follower = self._estimator = self.reports = Follower(data, solver)
@@ -199,7 +199,7 @@ class Pipeline:
         return True
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
-        if camera in self._inputs.lenses:
+        if camera in self.inputs.lenses:
             return False  # a file gives it
         if camera in self._data.lenses:
             if self._data.lenses[camera] != message.camera:

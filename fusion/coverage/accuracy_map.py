@@ -4,6 +4,7 @@ A robot stands in a cell; every camera that sees it takes one picture. What is s
 for the middle heading: in more than half of the headings it is so good or better.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +19,13 @@ from .known_network import KnownNetwork
 from .sight import HEADINGS, headings_rad, seen_by
 
 NOBODY = -1
+WITHIN_M = (0.01, 0.02, 0.05, 0.10, math.inf)
+"""Classes of accuracy; the last: corrected at all."""
+
+
+def class_name(within_m: float) -> str:
+    """«within 5 cm», «at all»."""
+    return f"within {100 * within_m:g} cm" if math.isfinite(within_m) else "at all"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

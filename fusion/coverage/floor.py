@@ -72,14 +72,18 @@ def floor_of(
 
     With `most_cells` the cells are larger, by a whole number, where there would be more.
     """
-    parts = [driven - DRIVEN_M, driven + DRIVEN_M] if len(driven) else []
+    parts = [driven]
     for each in carried:
-        for seen in _seen_coarsely(network, each):
-            parts += [seen - _COARSE_M, seen + _COARSE_M]
-    if not parts:
+        parts += _seen_coarsely(network, each)
+    return floor_about(np.concatenate(parts), cell_m=cell_m, most_cells=most_cells)
+
+
+def floor_about(places: Array, *, cell_m: float = CELL_M, most_cells: int | None = None) -> Floor:
+    """The floor about places (n, 2), to half a metre beyond them; no cells where there is none.
+    `most_cells`: as above."""
+    if not len(places):
         return Floor((0.0, 0.0), cell_m, 0, 0)
-    every = np.concatenate(parts)
-    low, high = every.min(axis=0), every.max(axis=0)
+    low, high = places.min(axis=0) - DRIVEN_M, places.max(axis=0) + DRIVEN_M
     size = np.minimum(high - low, _LARGEST_M)
     if most_cells is not None:
         cell_m *= max(1, math.ceil(math.sqrt(float(size.prod()) / cell_m**2 / most_cells)))

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 
 from trigpoint.base.errors import OperationError, writing
-from trigpoint.fusion.coverage.accuracy_map import NOBODY, AccuracyMap
+from trigpoint.fusion.coverage.accuracy_map import NOBODY, WITHIN_M, AccuracyMap, class_name
 from trigpoint.fusion.coverage.floor import Floor
 from trigpoint.fusion.coverage.grid import UNKNOWN, grid_values
 
 from .outlines import outlines
-from .summary import WITHIN_M, class_name
 
 NAME = "coverage"
 _CSV = (

@@ -6,18 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from trigpoint.base.terminal import table
-from trigpoint.fusion.coverage.accuracy_map import AccuracyMap
+from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
 from trigpoint.fusion.coverage.sight import HEADINGS
 
 from .work import Gain
 
-WITHIN_M = (0.01, 0.02, 0.05, 0.10, math.inf)
 _BY_FAILURE_M = (0.05, math.inf)
-
-
-def class_name(within_m: float) -> str:
-    """«within 5 cm», «at all»."""
-    return f"within {100 * within_m:g} cm" if math.isfinite(within_m) else "at all"
 
 
 def summary_text(maps: Sequence[AccuracyMap]) -> str:
