@@ -28,7 +28,7 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.tools.simulation.world import World
 from trigpoint.tools.simulation.world_file import TargetChoice
 
-from .drawn_corrections import Corrector, drawn_poses, sightings
+from .drawn_corrections import Corrector, sightings
 from .hall import calibrated, hall
 
 _SIGMA_PX = 0.15
@@ -78,18 +78,30 @@ def drawn(
     places, headings = _drawn_places(network, carried, cells, random)
     stated, needs, cameras = _stated(network, carried, places, headings)
     corrector = Corrector.of(inputs, network, carried.robots[0])
-    root = _root(network.covariance)
+    base = Pose.planar(*places.T, headings_rad()[headings])
+    off = _errors(network, cells, true_poses, random)
+    shown = sightings(carried.target, base, network.eyes, off, _SIGMA_PX, random)
     error, needed = np.full(cells, np.inf), np.full(cells, -1)
     for row in range(cells):
-        base = Pose.planar(*places[row], headings_rad()[headings[row]])
-        poses = true_poses if true_poses is not None else drawn_poses(network, root, random)
-        shown = sightings(carried.target, base, network.eyes, poses, _SIGMA_PX, random)
-        if len(shown) == 1:
-            needed[row] = network.names.index(next(iter(shown)))
-        found = corrector.corrected(base, shown, random)
+        if len(shown[row]) == 1:
+            needed[row] = network.names.index(next(iter(shown[row])))
+        found = corrector.corrected(base[row], shown[row], random)
         if found is not None:
-            error[row] = np.linalg.norm(found.translation[:2] - base.translation[:2])
+            error[row] = np.linalg.norm(found.translation[:2] - base[row].translation[:2])
     return Drawn(stated, error, needs, needed, cameras)
+
+
+def _errors(
+    network: KnownNetwork, cells: int, true_poses: Pose | None, random: np.random.Generator
+) -> Array:
+    """By how much each camera is off, (cells, cameras, 6): by the network's joint covariance, or by
+    where they truly are."""
+    if true_poses is None:
+        values, vectors = np.linalg.eigh(network.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return (random.normal(size=(cells, len(root))) @ root.T).reshape(cells, -1, 6)
+    thought = Pose.stack([eye.map_from_camera for eye in network.eyes])
+    return np.broadcast_to(true_poses.difference(thought), (cells, len(network.eyes), 6))
 
 
 def _drawn_places(
@@ -123,12 +135,6 @@ def _stated(
     alone = counts[pictures.pose] == 1
     needs[pictures.pose[alone]] = pictures.camera[alone]
     return errors.by_pose, needs, counts
-
-
-def _root(covariance: Array) -> Array:
-    """A matrix whose square is a covariance that may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def true_cameras(world: World, results: Results) -> Pose:

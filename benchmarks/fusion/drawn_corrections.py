@@ -32,7 +32,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import planar_covariance
 from trigpoint.site.target import Pattern, Target
-from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
 from trigpoint.tools.simulation.world import FEWEST_CORNERS
 
 SMALLEST_SQUARE_PX = 7.0  # of a world file
@@ -110,20 +110,22 @@ def sightings(
     target: Target,
     map_from_base: Pose,
     eyes: tuple[Eye, ...],
-    true_poses: Pose,
+    errors: Array,
     sigma_px: float,
     random: np.random.Generator,
-) -> dict[str, tuple[FaceSighting, ...]]:
-    """What a good detector finds in one picture of each camera, truly at `true_poses` (n)."""
-    found = {}
+) -> list[dict[str, tuple[FaceSighting, ...]]]:
+    """What a good detector finds of a robot at poses (n) in one picture of each camera, where each
+    of the m cameras truly stands off by `errors` (n, m, 6) from where it is thought to be."""
+    found: list[dict[str, tuple[FaceSighting, ...]]] = [{} for _ in range(len(map_from_base))]
     for number, eye in enumerate(eyes):
-        faces = [
-            _sighted(target, seen, sigma_px, random)
-            for seen in seen_faces(target, map_from_base, true_poses[number], eye.lens, ())
-            if _is_found(seen)
-        ]
-        if faces:
-            found[eye.name] = tuple(faces)
+        true_poses = eye.map_from_camera.repeated(len(errors)).disturbed(errors[:, number])
+        # What a camera sees depends on where the robot is before it, so that is what is moved.
+        seen_from_there = eye.map_from_camera @ (true_poses.inverse() @ map_from_base)
+        each = seen_faces_each(target, seen_from_there, eye.map_from_camera, eye.lens, ())
+        for row, faces in enumerate(each):
+            shown = tuple(_sighted(target, f, sigma_px, random) for f in faces if _is_found(f))
+            if shown:
+                found[row][eye.name] = shown
     return found
 
 
@@ -141,9 +143,3 @@ def _sighted(
     pixels = seen.pixels + random.normal(0.0, sigma_px, seen.pixels.shape)
     number = seen.face.id if len(target.look_alikes(seen.face.appearance)) == 1 else -1
     return FaceSighting("", number, seen.corners, pixels.astype(np.float32), sigma_px)
-
-
-def drawn_poses(network: KnownNetwork, root: Array, random: np.random.Generator) -> Pose:
-    """Where the cameras truly are, (n), drawn from the network's joint covariance by its `root`."""
-    errors = (root @ random.normal(size=len(root))).reshape(-1, 6)
-    return Pose.stack([eye.map_from_camera for eye in network.eyes]).disturbed(errors)

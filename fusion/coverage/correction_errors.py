@@ -3,14 +3,11 @@
 A picture of camera i measures the disturbance δ of the robot's pose, as far as the camera stands
 where it is thought to stand: z_i = E δ - L_i c_i + n_i, with E the free components of δ, c_i the
 error of the camera's pose, L_i what that does at the robot (`geometry.uncertainty.lever`) and n_i
-the corners' noise, of the picture's inverse information. Least squares make of each z_i an estimate
-of the free components. These are correlated, as the c_i are by the network's joint covariance: with
-M the inverse of their joint covariance, the information in all of them is I = Σ M_ij, and without
-camera i it is I - T_iᵀ M_ii⁻¹ T_i, T_i = Σ_j M_ij (block elimination).
-
-That is what a filter that knows the network makes of pictures of a robot of which it knows nothing
-else, but that it would also learn of the cameras from what of a z_i is not free (a planar robot's
-height and tilt); what odometry knows is not counted.
+the corners' noise, of the picture's inverse information. The c_i are correlated, by the network's
+joint covariance. With Σ the covariance of all z_i together and M its inverse, the information on δ
+is I = Σ_ij Eᵀ M_ij E, and without camera i it is I - T_iᵀ M_ii⁻¹ T_i, T_i = Σ_j M_ij E (block
+elimination). That is what a filter that knows the network makes of pictures of a robot of which it
+knows nothing else; what odometry knows is not counted.
 """
 
 from dataclasses import dataclass
@@ -28,7 +25,7 @@ MOST_CAMERAS = 6
 """So many cameras' pictures are combined, the best of those that see a robot."""
 _AT_ONCE = 4096
 # Of the information in its own direction, what is left to a component that the others leave open.
-_OPEN = 1e-12
+_OPEN = 1e-11
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,56 +99,62 @@ def _combined(single: "_Singles", rows: np.ndarray, covariance: Array) -> tuple[
     if count == 1:
         return single.position[rows[:, 0]], np.full((groups, 1, 2, 2), np.inf)
     inverse = np.linalg.inv(_together(single, rows, covariance))
-    size = single.own.shape[-1]
-    inverse = inverse.reshape(groups, count, size, count, size)
-    summed = inverse.sum(axis=3)  # T_i
-    information = summed.sum(axis=1)
+    inverse = inverse.reshape(groups, count, 6, count, 6)
+    free = list(single.tangent)
+    summed = inverse[..., free].sum(axis=3)  # T_i, (g, m, 6, k)
+    information = summed[:, :, free].sum(axis=1)
     own = np.einsum("gikil->gikl", inverse)
     less = np.swapaxes(summed, 2, 3) @ np.linalg.solve(own, summed)
     return _position(information), _position(information[:, None] - less)
 
 
 def _together(single: "_Singles", rows: np.ndarray, covariance: Array) -> Array:
-    """The joint covariance of what pictures `rows` (g, m) say each, (g, m k, m k)."""
+    """Σ of pictures `rows` (g, m), (g, 6 m, 6 m)."""
     groups, count = rows.shape
-    size = single.own.shape[-1]
-    joint = np.empty((groups, count, size, count, size))
+    joint = np.empty((groups, count, 6, count, 6))
     for i in range(count):
         joint[:, i, :, i] = single.own[rows[:, i]]
         for j in range(i):
             columns = 6 * single.camera[rows[:, [i, j]]][..., None] + np.arange(6)
             between = covariance[columns[:, 0, :, None], columns[:, 1, None, :]]
-            across = single.by_camera[rows[:, i]] @ between
-            across = across @ np.swapaxes(single.by_camera[rows[:, j]], 1, 2)
+            across = single.levers[rows[:, i]] @ between
+            across = across @ np.swapaxes(single.levers[rows[:, j]], 1, 2)
             joint[:, i, :, j] = across
             joint[:, j, :, i] = np.swapaxes(across, 1, 2)
-    return joint.reshape(groups, count * size, count * size)
+    return joint.reshape(groups, 6 * count, 6 * count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Singles:
-    """What each picture (p,) says by itself: the covariance of the pose's free components `own`
-    (p, k, k), infinite where it does not say; the `position`'s (p, 2, 2); its error by that of the
-    camera, `by_camera` (p, k, 6)."""
+    """What each picture (p,) says by itself: the covariance of its z, `own` (p, 6, 6); by it the
+    `position`'s (p, 2, 2); `levers` (p, 6, 6): L. `tangent`: the free components."""
 
     camera: np.ndarray
+    tangent: tuple[int, ...]
     own: Array
     position: Array
-    by_camera: Array
+    levers: Array
 
     @classmethod
     def of(cls, pictures: Pictures, covariance: Array, tangent: tuple[int, ...]) -> "_Singles":
-        """By weighted least squares: with S = Q + A⁻¹ the covariance of z, Q = L P Lᵀ and A the
-        picture's information, the gain is (Eᵀ S⁻¹ E)⁻¹ Eᵀ S⁻¹, and S⁻¹ = (1 + A Q)⁻¹ A."""
+        """With Q = L P Lᵀ and A the picture's information, the covariance of z is Q + A⁻¹, and its
+        inverse (1 + A Q)⁻¹ A, also where A leaves something open."""
         columns = 6 * pictures.camera[:, None] + np.arange(6)
         levers = lever(pictures.arm)
         moved = levers @ covariance[columns[:, :, None], columns[:, None, :]]
         moved = moved @ np.swapaxes(levers, 1, 2)
         weight = np.linalg.solve(np.eye(6) + pictures.information @ moved, pictures.information)
         free = list(tangent)
-        own = _inverse(weight[:, free][..., free])
-        gain = np.where(np.isfinite(own), own, 0.0) @ weight[:, free]
-        return cls(pictures.camera, own, own[:, :2, :2], gain @ levers)
+        own = symmetric(moved + _noise(pictures.information))
+        return cls(pictures.camera, tangent, own, _position(weight[:, free][..., free]), levers)
+
+
+def _noise(information: Array) -> Array:
+    """The covariance (p, 6, 6) of what pictures measure; very large where one leaves a direction
+    open."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("pii->pi", information), 1e-30))
+    scaled = information * scale[:, :, None] * scale[:, None, :] + _OPEN * np.eye(6)
+    return np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
 
 
 def _position(information: Array) -> Array:
