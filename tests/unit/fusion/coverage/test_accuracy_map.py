@@ -1,4 +1,4 @@
-"""The map over a floor: what its figures mean, what planners get of it, and when it is made anew."""
+"""The map over a floor: what its figures mean, what planners get of it, when it is new."""
 
 from dataclasses import replace
 
@@ -171,7 +171,7 @@ def moved(network: Network, by_m: float) -> Network:
     [(name, record)] = network.cameras.items()
     assert record.map_from_camera is not None
     pose = record.map_from_camera.pose
-    there = PoseRecord.of(Pose(pose.rotation, pose.translation + [by_m, 0.0, 0.0]))
+    there = PoseRecord.of(Pose(pose.rotation, pose.translation + np.array([by_m, 0.0, 0.0])))
     other = msgspec.structs.replace(record, map_from_camera=there)
     return msgspec.structs.replace(network, cameras={name: other})
 
