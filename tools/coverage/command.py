@@ -21,7 +21,6 @@ def main(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="NETWORK|SESSION",
             help="A network.json, or its folder; or a recorded session, which is calibrated.",
         ),
     ],

@@ -19,7 +19,14 @@ from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Reply, Subscription
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.correction import decode_mark
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Message,
+    OccupancyGrid,
+    Odometry,
+    PoseEstimate,
+    Sightings,
+)
 from trigpoint.contract.topics import Topic
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
@@ -153,6 +160,7 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         assert_same_place(network.cameras[name], record)
     assert {key for key, *_ in said["camera_pose"]} == {f"lab/camera/c{i}/pose" for i in (1, 2, 3)}
     assert covered == {f"lab/coverage/c{i}" for i in (1, 2, 3)}
+    assert isinstance(grid, OccupancyGrid)
     assert (key, grid.frame_id) == ("lab/coverage", "map")
     assert np.any((grid.values >= 0) & (grid.values < 99))
     assert len(said["tf"]) > 100

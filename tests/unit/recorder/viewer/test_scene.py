@@ -213,6 +213,8 @@ def test_the_floor_is_coloured_by_how_well_a_robot_is_corrected_there() -> None:
     grid = OccupancyGrid(1, "map", 0.5, Pose.planar(3.0, -2.0, 0.0), values)
     scene.add(COVERAGE_GRID, "", grid)
     [mesh] = rows.meshes[style.CORRECTED]
+    assert mesh.vertex_positions is not None
+    assert mesh.albedo_texture_buffer is not None
     corners = mesh.vertex_positions.as_arrow_array().to_pylist()
     np.testing.assert_allclose(np.array(corners)[[0, 2], :2], [[3.0, -2.0], [4.0, -1.0]])
     texture = np.frombuffer(
