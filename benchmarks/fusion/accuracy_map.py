@@ -78,7 +78,7 @@ def drawn(
     places, headings = _drawn_places(network, carried, cells, random)
     stated, needs, cameras = _stated(network, carried, places, headings)
     corrector = Corrector.of(inputs, network, carried.robots[0])
-    base = Pose.planar(*places.T, headings_rad()[headings])
+    base = Pose.planar(places[:, 0], places[:, 1], headings_rad()[headings])
     off = _errors(network, cells, true_poses, random)
     shown = sightings(carried.target, base, network.eyes, off, _SIGMA_PX, random)
     error, needed = np.full(cells, np.inf), np.full(cells, -1)
