@@ -15,7 +15,7 @@ from trigpoint.contract.messages import Polygon, PoseEstimate, Transform, Transf
 from trigpoint.geometry import Pose
 from trigpoint.site.target import Target
 
-from .coverage import coverage
+from .coverage.camera_floor import coverage
 from .estimators.interface import CameraEstimate
 from .output import Output
 

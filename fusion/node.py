@@ -19,10 +19,13 @@ from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
+from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
+from .estimators.results import Results
 from .fair_lock import FairLock
 from .inbox import Inbox
 from .intake.admission import Admission
+from .live.coverage_thread import CoverageThread
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage
@@ -106,9 +109,12 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        if self._solver is None:  # the solver also makes the suggestions
+        if self._solver is None:  # the solver also makes the suggestions and the map
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
+            announced = AnnouncedMap(self._site, self._inputs.targets)
+            cover = CoverageThread(self._bus, self._node, name, announced, self._results)
+            self._node.work("covers", cover.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
         """Write the results, solved to the end where that is quick enough for a stop.
@@ -242,6 +248,10 @@ class FusionNode:
     def _guidance_world(self) -> GuidanceWorld | None:
         with self._lock:
             return self._pipeline.guidance_world()
+
+    def _results(self) -> Results | None:
+        with self._lock:
+            return self._pipeline.results() if self._pipeline.located_count else None
 
     def _report(self) -> None:
         """Put what was left out, and what is wrong or went wrong, into the diagnostics."""

@@ -4,8 +4,10 @@ import math
 from dataclasses import dataclass
 
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Message, PoseEstimate, Transforms
+from trigpoint.contract.messages import Message, PoseEstimate, PoseStamped, Transforms
 from trigpoint.contract.topics import Topic
+
+from .live.solver_messages import Covered, Suggested
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +18,14 @@ class Output:
     node: str
     message: Message
     attachment: bytes = b""
+
+
+def output_of(news: Suggested | Covered) -> Output:
+    """What a solver found that is to be sent as it is."""
+    if isinstance(news, Covered):
+        return Output(topics.COVERAGE_GRID, "", news.grid)
+    message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
+    return Output(topics.SUGGESTION, news.robot, message)
 
 
 class CameraAccuracy:

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
-from trigpoint.contract import topics
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
+from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target
@@ -28,11 +27,11 @@ from .intake.standstills import Standstills
 from .live.follower import Follower
 from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
-from .live.solver_messages import Solver, Suggested
+from .live.solver_messages import Solver
 from .model.dataset import DataSet, Event, KnownCameras
 from .model.observations import Observation
 from .model.odometry import Added
-from .output import Output
+from .output import Output, output_of
 from .robot_announcements import RobotAnnouncements
 from .solver.filter import RobotEstimate
 from .solver.snapshot import GuidanceWorld
@@ -73,7 +72,7 @@ class Pipeline:
         self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
     ) -> None:
         self._is_live = is_live
-        self.site, self._inputs = inputs.site, inputs
+        self.site, self.inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
         if solver is not None:
             self._follower = self._estimator = self.reports = Follower(data, solver)
@@ -200,7 +199,7 @@ class Pipeline:
         return True
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
-        if camera in self._inputs.lenses:
+        if camera in self.inputs.lenses:
             return False  # a file gives it
         if camera in self._data.lenses:
             if self._data.lenses[camera] != message.camera:
@@ -295,11 +294,10 @@ class Pipeline:
 
     def _attend(self, follower: Follower) -> None:
         for news in follower.attend():
-            if isinstance(news, Suggested):
-                message = PoseStamped(news.stamp_ns, "map", news.map_from_base)
-                self._outputs.append(Output(topics.SUGGESTION, news.robot, message))
-            else:
+            if isinstance(news, Event):
                 self._note(news)
+            else:
+                self._outputs.append(output_of(news))
         if follower.take_new_camera():
             self._take_cameras(self._data.last_ns, is_urgent=True)
 

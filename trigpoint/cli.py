@@ -104,6 +104,11 @@ COMMANDS: dict[str, Command] = {
         "trigpoint.tools.networks.distances:main",
         "Distances between cameras, beside a tape measure's.",
     ),
+    "coverage": Command(
+        "trigpoint.tools.coverage.command:main",
+        "How well robots are corrected where.",
+        "fusion,recorder",
+    ),
     "detect": Command("trigpoint.tools.pictures.detect:main", "The sightings in pictures.", "edge"),
     "intrinsics": Command(
         "trigpoint.tools.pictures.intrinsics:main", "One camera's intrinsics from pictures.", "edge"

@@ -27,6 +27,7 @@ from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.geometry import Pose
 
 from .solver_messages import (
+    Covered,
     Finish,
     LeaveOpen,
     News,
@@ -111,7 +112,7 @@ class Follower:
 
     # -- the solver -------------------------------------------------------------------------------
 
-    def attend(self) -> Iterator[Suggested | Event]:
+    def attend(self) -> Iterator[Suggested | Event | Covered]:
         """Take the solver's news and pass on the orders to it; yields what there is to report.
 
         Called at every turn.
@@ -121,7 +122,7 @@ class Follower:
         self._catch_up()
         self._hand_over(is_all=False)
 
-    def _take(self, news: News) -> Iterator[Suggested | Event]:
+    def _take(self, news: News) -> Iterator[Suggested | Event | Covered]:
         if isinstance(news, Solved):
             self._take_over(news)
         elif isinstance(news, Reported):

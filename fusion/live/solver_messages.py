@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.model.dataset import Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
@@ -96,7 +97,14 @@ class Suggested:
     map_from_base: Pose
 
 
-News = Solved | Event | Reported | Suggested
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """How well a robot is corrected where, where that changed."""
+
+    grid: OccupancyGrid
+
+
+News = Solved | Event | Reported | Suggested | Covered
 
 
 class Solver(Protocol):

@@ -20,13 +20,15 @@ from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
 from trigpoint.base.errors import OperationError
+from trigpoint.fusion.coverage.announced import AnnouncedMap
 from trigpoint.fusion.guidance.suggestions import suggestions
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
 from trigpoint.node.watchdog import Pulse
 
+from .coverage_thread import CoverageWork
 from .memory import return_large_arrays
-from .solver_messages import News, Order, Suggested
+from .solver_messages import Covered, News, Order, Reported, Suggested
 from .solver_worker import SolverWorker
 
 START_S = 60.0
@@ -171,6 +173,8 @@ def _serve(orders: Connection, news: Connection) -> None:
             return worker.guidance_world()
 
     threading.Thread(target=_guide, args=(world, say), daemon=True).start()
+    announced = AnnouncedMap(data.site, data.targets)
+    coverage = CoverageWork(announced, lambda grid: say(Covered(grid)))
     sign = Heartbeat(say, time.monotonic)
     while True:
         try:
@@ -184,6 +188,8 @@ def _serve(orders: Connection, news: Connection) -> None:
             # While more orders wait, what they bring is to be explained with the rest.
             for item in worker.rest() if backlog.empty() else ():
                 say(item)
+                if isinstance(item, Reported):
+                    coverage.take(item.results)
 
 
 def _listen(orders: Connection, backlog: "queue.SimpleQueue[Order]") -> None:

@@ -4,6 +4,7 @@ A face shows its pattern on its front alone, and no corner is visible through an
 reading that would need either is impossible, however well its corners fit.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -110,6 +111,30 @@ def are_seen(
     through &= (np.arange(len(through))[:, None] != faces)[..., None]
     hidden = np.sum(through.any(axis=0) & is_counted, axis=1) / np.sum(is_counted, axis=1)
     return in_front & (hidden <= _HIDDEN_SHARE)
+
+
+def corners_hidden(body: Body, face: int, eyes: Array, others: Sequence[int]) -> np.ndarray:
+    """Which corners of a face other faces hide from eyes (v, 3) in the base frame, (v, corners)."""
+    corners = body.table[face, : body.counts[face]]
+    start = _in_faces(body, eyes)[..., None]
+    end = _in_faces(body, corners)[:, :, None]
+    hidden = np.zeros((len(eyes), len(corners)), dtype=bool)
+    for other in others:
+        one = slice(other, other + 1)
+        hidden |= _go_through(_only(body, one), start[one], end[one])[0]
+    return hidden
+
+
+def _only(body: Body, faces: slice) -> Body:
+    """A body of some of its faces."""
+    return Body(
+        body.table[faces],
+        body.counts[faces],
+        body.base_from_face[faces],
+        body.face_from_base[faces],
+        body.low[faces],
+        body.high[faces],
+    )
 
 
 def _from_in_front(body: Body, faces: np.ndarray, eyes: Array) -> np.ndarray:

@@ -168,7 +168,7 @@ def foxglove_layout(site: str, cameras: list[str], robots: list[str]) -> str:
 def _map_panel(site: str, cameras: list[str], robots: list[str]) -> dict[str, object]:
     shown = ["tf", "tf_static"]
     shown += [f"camera/{camera}/camera_info" for camera in cameras]  # drawn as a frustum
-    shown += [f"coverage/{camera}" for camera in cameras]
+    shown += ["coverage", *(f"coverage/{camera}" for camera in cameras)]
     shown += [f"robot/{robot}/{what}" for robot in robots for what in ("pose", "odom")]
     return {
         "followTf": "map",

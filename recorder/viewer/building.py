@@ -1,10 +1,12 @@
-"""The floor plan under the cameras in rerun, where what is surveyed says that it lies."""
+"""The floor under the cameras in rerun: its plan, where what is surveyed says that it lies, and how
+well a robot is corrected where."""
 
 import numpy as np
 import rerun as rr
 
 from trigpoint.base.errors import InputError
-from trigpoint.contract.messages import PoseEstimate
+from trigpoint.contract.messages import OccupancyGrid, PoseEstimate
+from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import Building
 from trigpoint.map.floor_plan import FloorPlan
 from trigpoint.map.live_laying import LiveLaying
@@ -18,6 +20,9 @@ _MOST_PIXELS = 4096
 """A side: what every graphics card takes as one texture."""
 _BELOW_M = 0.02
 """Below the paths, so that the two do not flicker through each other."""
+_CORRECTED_BELOW_M = 0.04
+"""Below the plan too, which hides it: either can be switched off."""
+_NEVER = 100
 
 
 class BuildingScene:
@@ -34,6 +39,11 @@ class BuildingScene:
             self._columns.fixed(f"{style.PLAN}/picture", _mesh(self._plan.reduced(_MOST_PIXELS)))
         if (building := self._laying.given()) is not None:
             self._send(building, None)
+
+    def add_grid(self, grid: OccupancyGrid) -> None:
+        """Show how well a robot is corrected where; the newest holds at every time."""
+        if grid.values.size:
+            self._columns.fixed(style.CORRECTED, _corrected(grid))
 
     def add_camera(self, camera: str, estimate: PoseEstimate) -> None:
         """Take a camera's pose, where it is one of the surveyed points."""
@@ -91,14 +101,36 @@ class BuildingScene:
 
 def _mesh(plan: FloorPlan) -> rr.Mesh3D:
     """The picture on a rectangle in the plan's own frame: ink light on the dark floor."""
-    width, height = plan.size_m
     ink = 255 - plan.pixels
     floor = np.array(style.FLOOR, dtype=float)
     shade = ink[..., None] / 255 * (np.array(style.WALL, dtype=float) - floor) + floor
+    width, height = plan.size_m
+    corners = np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
+    return _sheet(corners, shade.astype(np.uint8))
+
+
+def _corrected(grid: OccupancyGrid) -> rr.Mesh3D:
+    """From green, where a robot is corrected best, to brown, and red where it is not at all; what
+    is not known to be floor has the background's colour."""
+    rows, columns = grid.values.shape
+    values = grid.values[::-1, :, None].astype(float)
+    best, worst = np.array(style.BEST, dtype=float), np.array(style.WORST, dtype=float)
+    shade = best + values / (_NEVER - 1) * (worst - best)
+    shade = np.where(values == _NEVER, style.NEVER, shade)
+    shade = np.where(values < 0, style.FLOOR, shade)
+    width, height = columns * grid.cell_m, rows * grid.cell_m
+    own = np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
+    corners = grid.origin @ own - [0.0, 0.0, _CORRECTED_BELOW_M]
+    step = -(-max(rows, columns) // _MOST_PIXELS)
+    return _sheet(corners, shade[::step, ::step].astype(np.uint8))
+
+
+def _sheet(corners: Array, texture: np.ndarray) -> rr.Mesh3D:
+    """A picture (rows, columns, 3) on a rectangle (4, 3), counter-clockwise from its lower left."""
     return rr.Mesh3D(
-        vertex_positions=[[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]],
+        vertex_positions=corners,
         vertex_texcoords=[[0, 1], [1, 1], [1, 0], [0, 0]],
         triangle_indices=[[0, 1, 2], [0, 2, 3]],
-        albedo_texture=shade.astype(np.uint8),
+        albedo_texture=texture,
         vertex_normals=[[0, 0, 1]] * 4,
     )

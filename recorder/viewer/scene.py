@@ -11,6 +11,7 @@ from trigpoint.contract.messages import (
     Diagnostics,
     DiagnosticStatus,
     Message,
+    OccupancyGrid,
     Odometry,
     Picture,
     Polygon,
@@ -92,6 +93,8 @@ class Scene:
             self._add_diagnostics(message)
         elif isinstance(message, Transforms):
             self._add_transforms(message)
+        elif isinstance(message, OccupancyGrid):
+            self._building.add_grid(message)
         elif node in self.cameras and isinstance(message, Polygon):
             self._add_coverage(node, message)
         elif node in self.cameras and topic.path.startswith("camera/"):
@@ -257,5 +260,8 @@ def _legend(site: Site) -> str:
         f"robot and camera, {style.RESIDUALS_DRAWN:.0f} times larger  \n"
         "**Red in the pictures**: a sighting that is off by more than these explain, and where it "
         "should be  \n"
-        "**Under the map**: the floor plan, where the site file has one\n"
+        "**Floor, green to brown**: how well a robot is corrected there, to 0 … 99 mm and more; "
+        "red: not at all  \n"
+        "**Under the map**: the floor plan, where the site file has one; it hides the coloured "
+        "floor\n"
     )

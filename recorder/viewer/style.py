@@ -43,7 +43,9 @@ FLOOR: Colour = (24, 27, 33)
 """The map's background, and the paper of a floor plan in it."""
 WALL: Colour = (150, 160, 178)
 LEGEND, LOG = "/legend", "/log"
-PLAN = "/map/plan"
+PLAN, CORRECTED = "/map/plan", "/map/corrected"
+BEST, WORST, NEVER = (20, 92, 68), (120, 84, 22), (92, 34, 34)
+"""Of the floor: where robots are corrected best, to 99 mm or worse, and not at all."""
 CAMERA_SIGMAS, ROBOT_SIGMAS, DRIFT = "/sigma/cameras", "/sigma/robots", "/drift"
 HEADING_SIGMAS, LATENCY = "/sigma/headings", "/latency"
 RESIDUALS, RATES = "/residuals", "/rates"

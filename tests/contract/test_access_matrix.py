@@ -27,7 +27,7 @@ ROBOTS_OWN = ("odom", "corrected", "tf")
 KEYS = (
     *(f"camera/{camera}/{key}" for camera in ("c1", "c2") for key in CAMERA_KEYS),
     *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS),
-    *("coverage/c1", "coverage/c2", "tf", "diagnostics", "clock"),
+    *("coverage", "coverage/c1", "coverage/c2", "tf", "diagnostics", "clock"),
     *("fusion/network", "fusion/map", "fusion/reset", "recorder/stop"),
     "alive/edge/c1",
     "alive/robot/r1",
@@ -50,7 +50,7 @@ ESTIMATES = (
         for key in ROBOT_KEYS
         if key not in ROBOTS_OWN
     ),
-    *("coverage/c1", "coverage/c2", "tf"),
+    *("coverage", "coverage/c1", "coverage/c2", "tf"),
 )
 CAMERA_COMMANDS = tuple(
     f"camera/{c}/{key}" for c in ("c1", "c2") for key in ("snapshot", "calibrate")

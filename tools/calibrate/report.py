@@ -2,7 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from trigpoint.base.errors import writing
+from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
+from trigpoint.fusion.coverage.announced import MOST_CELLS
+from trigpoint.fusion.coverage.floor import DRIVEN_M, floor_about
+from trigpoint.fusion.coverage.known_network import carried_by, known_network
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.guidance.suggestions import Suggestion, next_poses
 from trigpoint.fusion.pipeline import Pipeline
@@ -34,6 +40,7 @@ def write_report(
             left_out=pipeline.messages_left_out,
             notes=pipeline.notes,
             suggestions=_next_poses(pipeline),
+            corrected=_corrected(pipeline, results),
             error=error,
             noise=results.noise,
             building=alignment.building,
@@ -44,6 +51,22 @@ def write_report(
     )
     with writing(folder / REPORT):
         (folder / REPORT).write_text(page, encoding="utf-8")
+
+
+def _corrected(pipeline: Pipeline, results: Results) -> tuple[AccuracyMap, ...]:
+    """How well robots would be corrected on the floor where they drove."""
+    if not results.network.located or not results.trajectories:
+        return ()
+    known = known_network(results.network, results.covariance)
+    ways = [poses.translation[:, :2] for _, poses in results.trajectories.values()]
+    driven = np.unique(np.round(np.concatenate(ways), 1), axis=0)
+    floor = floor_about(driven, most_cells=MOST_CELLS)
+    wanted = floor.near(driven, DRIVEN_M)
+    site = pipeline.site
+    return tuple(
+        accuracy_map(known, carried, floor, driven, wanted=wanted)
+        for carried in carried_by(site.robots, pipeline.inputs.targets, results.network)
+    )
 
 
 def _next_poses(pipeline: Pipeline) -> tuple[Suggestion, ...]:

@@ -228,7 +228,7 @@ def _robot(
 def _camera(
     name: str, spec: CameraSpec, map_from_plan: Pose, picture_rate: float | None
 ) -> SimulatedCamera:
-    plan_from_camera = Pose(_looking(spec.yaw, spec.pitch, spec.roll), np.array(spec.position))
+    plan_from_camera = Pose(looking(spec.yaw, spec.pitch, spec.roll), np.array(spec.position))
     return SimulatedCamera(
         name=name,
         map_from_camera=map_from_plan @ plan_from_camera,
@@ -243,8 +243,9 @@ def _camera(
     )
 
 
-def _looking(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
-    """Axes of a camera that looks to azimuth `yaw`, `pitch` below the horizon, then rolls."""
+def looking(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
+    """Axes (3, 3) of a camera that looks to azimuth `yaw`, `pitch` below the horizon, then
+    rolls."""
     yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
     level = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     forward = np.cos(pitch) * level - np.sin(pitch) * np.array([0.0, 0.0, 1.0])

@@ -103,6 +103,7 @@ GRANTS: dict[Kind, Grants] = {
             topics.TF,
             topics.TF_STATIC,
             topics.COVERAGE,
+            topics.COVERAGE_GRID,
             topics.DIAGNOSTICS,
         ),
         subscribes=(topics.CAMERA_INFO, topics.SIGHTINGS, topics.ODOMETRY, topics.DIAGNOSTICS),

@@ -26,6 +26,7 @@ from .messages import (
     DiagnosticStatus,
     FaceSighting,
     Message,
+    OccupancyGrid,
     Odometry,
     Picture,
     Polygon,
@@ -136,6 +137,7 @@ def warm_up() -> None:
         CameraInfo(0, "", camera),
         Transforms((Transform(0, "", "", pose),)),
         Polygon(0, "", np.zeros((1, 3))),
+        OccupancyGrid(0, "", 0.1, pose, np.zeros((1, 1), np.int8)),
         Diagnostics(0, (status,)),
     ):
         decode(type_name(message), encode(message))

@@ -25,6 +25,7 @@ from .cdr_ros import Builder, finite, normalised_pose_of, pose_of, stamp_of
 from .messages import (
     CAMERA_INFO,
     DIAGNOSTICS,
+    OCCUPANCY_GRID,
     ODOMETRY,
     PICTURE,
     POLYGON,
@@ -38,6 +39,7 @@ from .messages import (
     DiagnosticStatus,
     FaceSighting,
     Mended,
+    OccupancyGrid,
     Odometry,
     Picture,
     Polygon,
@@ -301,6 +303,34 @@ def _polygon_from_ros(ros: Any) -> Polygon:
     return Polygon(stamp_of(ros.header), ros.header.frame_id, array)
 
 
+def _grid_to_ros(ros: Builder, m: OccupancyGrid) -> Any:
+    header = ros.header(m.stamp_ns, m.frame_id)
+    rows, columns = m.values.shape
+    info = ros(
+        "nav_msgs/MapMetaData",
+        map_load_time=header.stamp,
+        resolution=m.cell_m,
+        width=columns,
+        height=rows,
+        origin=ros.pose(m.origin),
+    )
+    data = np.ascontiguousarray(m.values, np.int8).reshape(-1)
+    return ros("nav_msgs/OccupancyGrid", header=header, info=info, data=data)
+
+
+def _grid_from_ros(ros: Any) -> OccupancyGrid:
+    rows, columns, cell_m = ros.info.height, ros.info.width, float(ros.info.resolution)
+    if len(ros.data) != rows * columns:
+        raise MessageError(f"a grid of {rows} × {columns} cells has {len(ros.data)} values")
+    if not 0 < cell_m < np.inf:
+        raise MessageError(f"a grid has cells of {cell_m} m")
+    if len(ros.data) and not (ros.data.min() >= -1 and ros.data.max() <= 100):
+        raise MessageError("a grid has a value that is not from -1 to 100")
+    values = ros.data.reshape(rows, columns)
+    origin = pose_of(ros.info.origin)
+    return OccupancyGrid(stamp_of(ros.header), ros.header.frame_id, cell_m, origin, values)
+
+
 def _diagnostics_to_ros(ros: Builder, m: Diagnostics) -> Any:
     statuses = [
         ros(
@@ -347,5 +377,6 @@ CODECS = (
     Codec(CameraInfo, CAMERA_INFO, _camera_info_to_ros, _camera_info_from_ros),
     Codec(Transforms, TRANSFORMS, _transforms_to_ros, _transforms_from_ros),
     Codec(Polygon, POLYGON, _polygon_to_ros, _polygon_from_ros),
+    Codec(OccupancyGrid, OCCUPANCY_GRID, _grid_to_ros, _grid_from_ros),
     Codec(Diagnostics, DIAGNOSTICS, _diagnostics_to_ros, _diagnostics_from_ros),
 )

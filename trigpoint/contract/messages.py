@@ -22,6 +22,7 @@ RAW_IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 POLYGON = "geometry_msgs/msg/PolygonStamped"
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -161,6 +162,18 @@ class Polygon:
 
 
 @dataclass(frozen=True, slots=True)
+class OccupancyGrid:
+    """A grid of cells in `frame_id`: `values` (rows, columns) int8, 0 to 100, -1 unknown, row by
+    row from the corner at `origin`, which the rows run along x from; a cell's side `cell_m`."""
+
+    stamp_ns: int
+    frame_id: str
+    cell_m: float
+    origin: Pose
+    values: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
 class DiagnosticStatus:
     """One component's state; `level` is 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
 
@@ -189,5 +202,6 @@ Message = (
     | CameraInfo
     | Transforms
     | Polygon
+    | OccupancyGrid
     | Diagnostics
 )

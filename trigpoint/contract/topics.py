@@ -143,6 +143,15 @@ COVERAGE = Topic(
     queue=256,
     cache=1,
 )
+COVERAGE_GRID = Topic(
+    "coverage_grid",
+    "coverage",
+    messages.OCCUPANCY_GRID,
+    Delivery.LAST_VALUE,
+    queue=4,
+    cache=1,
+)
+"""How well a robot is corrected where, for planners."""
 DIAGNOSTICS = Topic(
     "diagnostics", "diagnostics", messages.DIAGNOSTICS, Delivery.BEST_EFFORT, queue=256
 )
@@ -162,6 +171,7 @@ TOPICS = (
     TF,
     TF_STATIC,
     COVERAGE,
+    COVERAGE_GRID,
     DIAGNOSTICS,
 )
 

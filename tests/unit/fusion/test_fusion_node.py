@@ -19,7 +19,14 @@ from trigpoint.base.errors import OperationError
 from trigpoint.bus.bus import Reply, Subscription
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.correction import decode_mark
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Message,
+    OccupancyGrid,
+    Odometry,
+    PoseEstimate,
+    Sightings,
+)
 from trigpoint.contract.topics import Topic
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
@@ -124,6 +131,7 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
             topics.COVERAGE,
         )
         heard = {topic.name: run.listen(topic) for topic in wanted}
+        grids = run.listen(topics.COVERAGE_GRID)
         run.feed(charuco.messages)
         odometry = sum(isinstance(m, Odometry) for _, m in charuco.messages)
         assert eventually(lambda: heard["robot_pose"].depth == odometry)
@@ -134,6 +142,8 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         )
         said = {name: received(subscription) for name, subscription in heard.items()}
         map_id = run.ask("fusion/map")["map_id"]
+        assert eventually(lambda: grids.depth > 0)
+        key, grid, _ = received(grids)[-1]
         assert run.node.health.total("rejected") == 0
         assert eventually(lambda: run.node.health.report().values["cameras_located"] == "3")
         values = run.node.health.report().values
@@ -150,6 +160,9 @@ def test_drive_over_the_bus_ends_in_the_network_of_the_session(
         assert_same_place(network.cameras[name], record)
     assert {key for key, *_ in said["camera_pose"]} == {f"lab/camera/c{i}/pose" for i in (1, 2, 3)}
     assert covered == {f"lab/coverage/c{i}" for i in (1, 2, 3)}
+    assert isinstance(grid, OccupancyGrid)
+    assert (key, grid.frame_id) == ("lab/coverage", "map")
+    assert np.any((grid.values >= 0) & (grid.values < 99))
     assert len(said["tf"]) > 100
     marks = [decode_mark(attachment) for *_, attachment in said["correction"]]
     assert {str(mark.map_id) for mark in marks} == {map_id}

@@ -16,6 +16,7 @@ from trigpoint.contract.messages import (
     DiagnosticStatus,
     FaceSighting,
     Message,
+    OccupancyGrid,
     Odometry,
     Picture,
     Polygon,
@@ -170,6 +171,9 @@ class Story:
             yield self._sent(topics.CAMERA_POSE, camera, t, pose)
             polygon = Polygon(stamp_ns, "map", self.floor_seen(camera))
             yield self._sent(topics.COVERAGE, camera, t, polygon)
+        values = np.arange(-1, 101, dtype=np.int8).reshape(6, 17)
+        grid = OccupancyGrid(stamp_ns, "map", 0.5, Pose.planar(-1.0, -1.0, 0.0), values)
+        yield self._sent(topics.COVERAGE_GRID, "", t, grid)
         level, text = (1, "2 samples lost") if index == 200 else (0, "ok")
         status = DiagnosticStatus(level, "edge/c1", text, "machine", {"rate": "10.0"})
         yield self._sent(topics.DIAGNOSTICS, "", t, Diagnostics(stamp_ns, (status,)))

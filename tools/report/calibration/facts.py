@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trigpoint.fusion.coverage.accuracy_map import AccuracyMap
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.guidance.suggestions import Suggestion
 from trigpoint.geometry import Pose
@@ -25,7 +26,7 @@ class CalibrationResults:
     `left_out` of the session by reason, `notes` on it in words, the next poses to visit, the
     `error` against the truth where that is known, and which `noise` is not as stated, in words.
     `building`: where the map lies in it, None where that is not asked for, or cannot be told for
-    the `building_problem`.
+    the `building_problem`. `corrected`: how well robots would be corrected where they drove.
 
     `session`, `folder`: the recording and where the results are, as the reader may type them.
     """
@@ -42,6 +43,7 @@ class CalibrationResults:
     folder: str
     building: Building | None = None
     building_problem: str = ""
+    corrected: tuple[AccuracyMap, ...] = ()
     noise: tuple[str, ...] = ()
 
     @property

@@ -10,6 +10,7 @@ from trigpoint.tools.report.drawing.style import PALETTE
 from trigpoint.tools.report.drawing.svg import element
 
 from .building import building_section
+from .corrected import corrected_section
 from .facts import CalibrationResults
 from .map import has_map, legend, magnification, map_drawing, plan_of
 from .tables import (
@@ -38,6 +39,7 @@ def calibration_page(results: CalibrationResults) -> str:
         tiles(results),
         _map(results),
         building_section(results),
+        corrected_section(results),
         _guidance(results),
         _cameras(results),
         _distances(results),
@@ -266,6 +268,7 @@ def _further(results: CalibrationResults) -> str:
     commands = [
         (f"trigpoint review {results.session}", "the drive in 3D"),
         (f"trigpoint distances {results.folder}", "distances with sigmas"),
+        (f"trigpoint coverage {results.session}", "where robots are corrected how well"),
         (f"trigpoint calibrate {results.session}", "this page again"),
     ]
     width = max(len(command) for command, _ in commands)

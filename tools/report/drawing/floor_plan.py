@@ -1,4 +1,4 @@
-"""A floor plan as a picture under a map, within the page itself."""
+"""Pictures under a map, within the page itself: a floor plan, and what is known of its cells."""
 
 import base64
 import io
@@ -6,6 +6,7 @@ import io
 import numpy as np
 from PIL import Image
 
+from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import Building
 
 from .plan import Plan
@@ -20,19 +21,25 @@ def floor_plan_image(building: Building, plan: Plan) -> str:
     if building.plan is None:
         return ""
     floor = building.plan.reduced(_MOST_PIXELS)
-    rows, columns = floor.pixels.shape
     corners = building.frame_from_map.inverse() @ floor.corners
-    low, right, _, top = plan(corners[:, :2])
+    return picture_on_map(floor.pixels, corners[:, :2], plan, class_="floor-plan")
+
+
+def picture_on_map(pixels: np.ndarray, corners: Array, plan: Plan, *, class_: str) -> str:
+    """A picture, grey (rows, columns) or with colours and opacity (rows, columns, 4), uint8, where
+    its corners (4, 2) lie in the map: counter-clockwise from the lower left one."""
+    rows, columns = pixels.shape[:2]
+    low, right, _, top = plan(corners)
     across, down = (right - low) / columns, (low - top) / rows
     matrix = " ".join(f"{value:.6g}" for value in (*across, *down, *top))
     return element(
         "image",
-        href=f"data:image/png;base64,{_png(floor.pixels)}",
+        href=f"data:image/png;base64,{_png(pixels)}",
         width=columns,
         height=rows,
         transform=f"matrix({matrix})",
         preserveAspectRatio="none",
-        class_="floor-plan",
+        class_=class_,
     )
 
 

@@ -69,6 +69,9 @@ svg text {{ fill:var(--soft); font-size:13px }}
 .upright {{ display:none }}
 .walls line {{ stroke:var(--wall); stroke-width:3; stroke-linecap:round }}
 .floor-plan {{ opacity:.55; mix-blend-mode:multiply }}
+.corrected-floor {{ opacity:.75; image-rendering:pixelated }}
+.c0 {{ fill:#1a7f5a }} .c1 {{ fill:#63b179 }} .c2 {{ fill:#d9c45b }} .c3 {{ fill:#e39a4b }}
+.c4 {{ fill:#c96f4a }} .c5 {{ fill:#a2313a }}
 .view {{ fill:var(--k); fill-opacity:.13; stroke:none }}
 svg .name {{ fill:var(--k); font-weight:650; font-size:16px; text-anchor:middle }}
 .way {{ fill:none; stroke-linejoin:round; stroke-linecap:round }}

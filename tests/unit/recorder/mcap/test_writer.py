@@ -83,7 +83,7 @@ def test_delivery_is_written_as_rosbag2_reads_it(topic) -> None:
     text = quality_of_service(topic)
     wanted = "reliable" if topic.delivery.is_reliable else "best_effort"
     assert f"  reliability: {wanted}\n" in text
-    keeps = ("camera_info", "camera_pose", "coverage", "tf_static")
+    keeps = ("camera_info", "camera_pose", "coverage", "coverage_grid", "tf_static")
     assert ("transient_local" in text) == (topic.name in keeps)
 
 

@@ -16,6 +16,7 @@ from trigpoint.base.errors import OperationError, RecordingError
 from trigpoint.contract.messages import (
     CameraInfo,
     FaceSighting,
+    OccupancyGrid,
     Odometry,
     Picture,
     PoseEstimate,
@@ -26,6 +27,7 @@ from trigpoint.contract.messages import (
 from trigpoint.contract.topics import (
     CAMERA_INFO,
     CAMERA_POSE,
+    COVERAGE_GRID,
     IMAGE,
     ODOMETRY,
     ROBOT_POSE,
@@ -50,6 +52,17 @@ from trigpoint.recorder.viewer.review import write_rrd
 from trigpoint.recorder.viewer.scene import Scene
 
 SECOND = 1_000_000_000
+
+
+class FixedRows(Columns):
+    """Keeps what holds at every time in place of sending it."""
+
+    def __init__(self) -> None:
+        self.meshes: dict[str, list[rr.Mesh3D]] = {}
+
+    def fixed(self, entity: str, archetype: rr.AsComponents) -> None:
+        if isinstance(archetype, rr.Mesh3D):
+            self.meshes.setdefault(entity, []).append(archetype)
 
 
 class Rows(Columns):
@@ -193,6 +206,27 @@ def test_an_outline_goes_around_every_corner() -> None:
     assert {tuple(p) for p in around.round(9)} == {tuple(p) for p in ring.round(9)}
 
 
+def test_the_floor_is_coloured_by_how_well_a_robot_is_corrected_there() -> None:
+    rows = FixedRows()
+    scene = Scene(make_site(), {}, rows)
+    values = np.array([[-1, 0], [99, 100]], np.int8)
+    grid = OccupancyGrid(1, "map", 0.5, Pose.planar(3.0, -2.0, 0.0), values)
+    scene.add(COVERAGE_GRID, "", grid)
+    [mesh] = rows.meshes[style.CORRECTED]
+    assert mesh.vertex_positions is not None
+    assert mesh.albedo_texture_buffer is not None
+    corners = mesh.vertex_positions.as_arrow_array().to_pylist()
+    np.testing.assert_allclose(np.array(corners)[[0, 2], :2], [[3.0, -2.0], [4.0, -1.0]])
+    texture = np.frombuffer(
+        bytes(mesh.albedo_texture_buffer.as_arrow_array().to_pylist()[0]), np.uint8
+    ).reshape(2, 2, 3)
+    # The picture's first row is the floor's farthest.
+    assert texture.tolist() == [
+        [list(style.WORST), list(style.NEVER)],
+        [list(style.FLOOR), list(style.BEST)],
+    ]
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_an_outline_of_few_corners_is_a_line(count: int) -> None:
     points = np.arange(2.0 * count).reshape(count, 2)
@@ -212,7 +246,7 @@ def test_a_whole_session_becomes_a_rerun_file(
     for entity in (
         "/map/cameras/c1/frustum", "/map/uncertainty/c1", "/map/coverage/c1", "/pictures/c4/seen",
         "/map/robots/r1/corrected", "/map/robots/r1/dead_reckoning", "/map/robots/r1/particles",
-        "/sigma/cameras/c1", "/drift/r1", "/log", "/legend",
+        "/sigma/cameras/c1", "/drift/r1", "/log", "/legend", "/map/corrected",
     ):  # fmt: skip
         assert entity in found
     assert "/map/cameras/c4" not in found  # was never located

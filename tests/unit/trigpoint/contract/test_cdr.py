@@ -17,6 +17,7 @@ from trigpoint.contract.messages import (
     DiagnosticStatus,
     FaceSighting,
     Message,
+    OccupancyGrid,
     Odometry,
     Picture,
     Polygon,
@@ -103,6 +104,16 @@ every_message = st.one_of(
             elements=st.floats(-9, 9, width=32),
         ),
     ),
+    st.builds(
+        OccupancyGrid,
+        stamps,
+        names,
+        st.floats(0.0625, 4.0, width=32),
+        poses(),
+        arrays(
+            np.int8, st.tuples(st.integers(0, 5), st.integers(0, 5)), elements=st.integers(-1, 100)
+        ),
+    ),
     st.builds(Diagnostics, stamps, st.lists(statuses, max_size=3).map(tuple)),
 )
 
@@ -187,6 +198,30 @@ def sightings(**changes: object) -> Sightings:
     return Sightings(1, "c1/optical", 640, 480, (FaceSighting(**values | changes),))  # pyright: ignore[reportArgumentType]
 
 
+def grid(values: np.ndarray, *, cell_m: float = 0.1) -> OccupancyGrid:
+    return OccupancyGrid(1, "map", cell_m, Pose.planar(-1.0, 2.0, 0.0), values)
+
+
+def test_a_grid_has_the_bytes_that_rosbags_gives_the_ros_message() -> None:
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    stamp = types["builtin_interfaces/msg/Time"](sec=1, nanosec=5)
+    position = types["geometry_msgs/msg/Point"](x=-1.0, y=2.0, z=0.0)
+    level = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    info = types["nav_msgs/msg/MapMetaData"](
+        map_load_time=stamp,
+        resolution=0.1,
+        width=3,
+        height=2,
+        origin=types["geometry_msgs/msg/Pose"](position=position, orientation=level),
+    )
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
+    data = np.array([-1, 0, 1, 2, 99, 100], np.int8)
+    ros = types["nav_msgs/msg/OccupancyGrid"](header=header, info=info, data=data)
+    ours = OccupancyGrid(1_000_000_005, "map", 0.1, Pose.planar(-1.0, 2.0, 0.0), data.reshape(2, 3))
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert encode(ours) == bytes(store.serialize_cdr(ros, messages.OCCUPANCY_GRID))
+
+
 def odometry(pose: Pose) -> Odometry:
     return Odometry(1, "r1/odom", "r1/base", pose)
 
@@ -206,6 +241,8 @@ def odometry(pose: Pose) -> Odometry:
         (lambda: odometry(Pose(np.eye(3), np.array([np.inf, 0, 0]))), "a position holds"),
         (lambda: PoseEstimate(1, "map", Pose.identity(), np.full((6, 6), np.nan)), "covariance"),
         (lambda: Polygon(1, "map", np.full((3, 3), np.nan)), "a polygon holds"),
+        (lambda: grid(np.full((2, 3), 101, np.int8)), "a value that is not from -1 to 100"),
+        (lambda: grid(np.zeros((2, 3), np.int8), cell_m=np.nan), "has cells of nan m"),
     ],
 )
 def test_unsound_message_is_refused_on_arrival(make: Callable[[], Message], complaint: str) -> None:

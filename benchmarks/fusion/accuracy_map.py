@@ -1,0 +1,203 @@
+"""Whether robots are corrected as well as the map of that says.
+
+`python -m benchmarks.fusion.accuracy_map [--cells N] [--sessions N] [--target T]` calibrates a
+simulated hall of eight cameras; then it draws cells and headings, and for each of them where the
+cameras truly are, from the network's own joint covariance; shows the robot to them by the simulated
+lab's rules; and lets fusion's alignment and filter correct it by those sightings and the network.
+Errors are held against the radius that the map states for the cell, and the cameras that see the
+robot against those that it says can't be done without. With `--sessions` the cameras' errors are
+not drawn but those that calibrations of so many drives truly made.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.machine import machine
+from trigpoint.fusion.coverage.boards import Carried
+from trigpoint.fusion.coverage.correction_errors import Pictures, expected_errors
+from trigpoint.fusion.coverage.floor import floor_of
+from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
+from trigpoint.fusion.coverage.sight import headings_rad, seen_by
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.tools.simulation.world import World
+from trigpoint.tools.simulation.world_file import TargetChoice
+
+from .drawn_corrections import Corrector, sightings
+from .hall import calibrated, hall
+
+_SIGMA_PX = 0.15
+_BINS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Cells (n). `stated_m`: the radius by the map, `error_m`: the error made, both inf where there
+    is no correction; `needs`, `needed`: the number of the camera without which there is none, by
+    the map and in the simulation, -1 where none is; `cameras`: how many see the robot."""
+
+    stated_m: Array
+    error_m: Array
+    needs: np.ndarray
+    needed: np.ndarray
+    cameras: np.ndarray
+
+    @property
+    def ratios(self) -> Array:
+        """Error over stated radius, of those that are corrected, (k,)."""
+        both = np.isfinite(self.stated_m) & np.isfinite(self.error_m)
+        return self.error_m[both] / self.stated_m[both]
+
+    @property
+    def losses_right(self) -> float:
+        """The share of cells for which the map names the camera, or none, that is needed."""
+        return float(np.mean(self.needs == self.needed))
+
+    def by_class(self, bins: int = _BINS) -> Array:
+        """The 95 % quantile of error over stated radius, in classes of equal size of that radius;
+        (bins,)."""
+        both = np.isfinite(self.stated_m) & np.isfinite(self.error_m)
+        order = np.argsort(self.stated_m[both], kind="stable")
+        parts = np.array_split(self.ratios[order], bins)
+        return np.array([np.quantile(part, 0.95) for part in parts])
+
+
+def drawn(
+    inputs: Inputs, results: Results, cells: int, seed: int, *, true_poses: Pose | None = None
+) -> Drawn:
+    """Draw cells of the network's floor. `true_poses`: of the located cameras, drawn anew for each
+    cell where None."""
+    random = np.random.default_rng(seed)
+    network = known_network(results.network, results.covariance)
+    [carried] = carried_by(inputs.site.robots, inputs.targets, results.network)
+    places, headings = _drawn_places(network, carried, cells, random)
+    stated, needs, cameras = _stated(network, carried, places, headings)
+    corrector = Corrector.of(inputs, network, carried.robots[0])
+    base = Pose.planar(places[:, 0], places[:, 1], headings_rad()[headings])
+    off = _errors(network, cells, true_poses, random)
+    shown = sightings(carried.target, base, network.eyes, off, _SIGMA_PX, random)
+    error, needed = np.full(cells, np.inf), np.full(cells, -1)
+    for row in range(cells):
+        if len(shown[row]) == 1:
+            needed[row] = network.names.index(next(iter(shown[row])))
+        found = corrector.corrected(base[row], shown[row], random)
+        if found is not None:
+            error[row] = np.linalg.norm(found.translation[:2] - base[row].translation[:2])
+    return Drawn(stated, error, needs, needed, cameras)
+
+
+def _errors(
+    network: KnownNetwork, cells: int, true_poses: Pose | None, random: np.random.Generator
+) -> Array:
+    """By how much each camera is off, (cells, cameras, 6): by the network's joint covariance, or by
+    where they truly are."""
+    if true_poses is None:
+        values, vectors = np.linalg.eigh(network.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return (random.normal(size=(cells, len(root))) @ root.T).reshape(cells, -1, 6)
+    thought = Pose.stack([eye.map_from_camera for eye in network.eyes])
+    return np.broadcast_to(true_poses.difference(thought), (cells, len(network.eyes), 6))
+
+
+def _drawn_places(
+    network: KnownNetwork, carried: Carried, cells: int, random: np.random.Generator
+) -> tuple[Array, np.ndarray]:
+    """Middles of cells (n, 2) of the floor that some camera may see, and headings by number."""
+    floor = floor_of(network, (carried,), np.zeros((0, 2)))
+    near = np.stack([eye.may_see(carried, floor.centres) for eye in network.eyes]).any(axis=0)
+    chosen = random.choice(np.flatnonzero(near), cells)
+    return floor.centres[chosen], random.integers(len(headings_rad()), size=cells)
+
+
+def _stated(
+    network: KnownNetwork, carried: Carried, places: Array, headings: np.ndarray
+) -> tuple[Array, np.ndarray, np.ndarray]:
+    """What the map says: the radius, the one camera that is needed, and how many see the robot."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    for number, eye in enumerate(network.eyes):
+        for heading, turn in enumerate(headings_rad()):
+            rows = np.flatnonzero(headings == heading)
+            seen = seen_by(eye, carried, places[rows], np.array([turn]))
+            rows = rows[seen.rows]
+            arm = np.column_stack([places[rows], np.zeros(len(rows))])
+            arm -= eye.map_from_camera.translation
+            parts.append((rows, np.full(len(rows), number), seen.information, arm))
+    pictures = Pictures(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    pictures = pictures.where(np.argsort(pictures.pose, kind="stable"))
+    errors = expected_errors(pictures, len(places), network.covariance, carried.tangent)
+    counts = np.bincount(pictures.pose, minlength=len(places))
+    needs = np.full(len(places), -1)
+    alone = counts[pictures.pose] == 1
+    needs[pictures.pose[alone]] = pictures.camera[alone]
+    return errors.by_pose, needs, counts
+
+
+def true_cameras(world: World, results: Results) -> Pose:
+    """Where the located cameras truly hang."""
+    return Pose.stack([world.cameras[name].map_from_camera for name in results.network.located])
+
+
+def summary(found: Drawn) -> list[str]:
+    """What came out, as lines."""
+    classes = found.by_class()
+    within = np.mean((classes >= 0.9) & (classes <= 1.1))
+    seen = np.isfinite(found.stated_m) == np.isfinite(found.error_m)
+    lines = [
+        f"cells drawn: {len(found.stated_m)}; corrected: {int(np.isfinite(found.error_m).sum())}; "
+        f"corrected or not as the map says: {100 * seen.mean():.2f} %",
+        f"95 % of the errors over the stated radius: {np.quantile(found.ratios, 0.95):.3f}",
+        f"in {len(classes)} classes by that radius: {classes.min():.3f} to {classes.max():.3f}, "
+        f"within 0.9 to 1.1 in {100 * within:.0f} %: "
+        + " ".join(f"{value:.2f}" for value in classes),
+        f"the camera that is needed, or none, is the one that the map names: "
+        f"{100 * found.losses_right:.2f} %",
+    ]
+    for count in range(1, int(found.cameras.max()) + 1):
+        mine = (found.cameras == count) & np.isfinite(found.error_m) & np.isfinite(found.stated_m)
+        if mine.sum() >= 100:
+            ratio = np.quantile(found.error_m[mine] / found.stated_m[mine], 0.95)
+            median = 1000 * np.median(found.stated_m[mine])
+            lines.append(
+                f"  seen by {count}: {int(mine.sum())} cells, ratio {ratio:.3f}, "
+                f"stated radius {median:.2f} mm in the middle"
+            )
+    return lines
+
+
+def joined(parts: Sequence[Drawn]) -> Drawn:
+    """All of them as one."""
+    fields = ("stated_m", "error_m", "needs", "needed", "cameras")
+    return Drawn(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+
+
+def main() -> None:
+    """Measure, and print the lines."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sessions", type=int, default=0)
+    parser.add_argument("--target", choices=("charuco", "checkerboard"), default="charuco")
+    chosen = parser.parse_args()
+    target: TargetChoice = chosen.target
+    if not chosen.sessions:
+        inputs, results = calibrated(hall(1, target))
+        print("\n".join(summary(drawn(inputs, results, chosen.cells, chosen.seed))))
+    else:
+        parts = []
+        for seed in range(1, chosen.sessions + 1):
+            world = hall(seed, target)
+            inputs, results = calibrated(world)
+            poses = true_cameras(world, results)
+            some = chosen.cells // chosen.sessions
+            parts.append(drawn(inputs, results, some, seed, true_poses=poses))
+        print("\n".join(summary(joined(parts))))
+    print(machine().summary)
+
+
+if __name__ == "__main__":
+    main()

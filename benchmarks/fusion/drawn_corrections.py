@@ -1,0 +1,145 @@
+"""A robot at a place of a known network, seen by its cameras once: what fusion's filter makes of
+that, where the cameras stand a little otherwise than the network says."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.contract.messages import FaceSighting
+from trigpoint.fusion.coverage.eye import Eye
+from trigpoint.fusion.coverage.known_network import KnownNetwork
+from trigpoint.fusion.estimators.robot_alignment import align_to
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.observations import (
+    Observation,
+    View,
+    base_from_faces,
+    observation_of,
+    view_of,
+)
+from trigpoint.fusion.model.problem import (
+    CameraState,
+    Chain,
+    Priors,
+    RobotState,
+    State,
+    layout_of,
+)
+from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.solver.filter import Filter, RobotEstimate
+from trigpoint.fusion.solver.gaussian import Gaussian
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.geometry.uncertainty import planar_covariance
+from trigpoint.site.target import Pattern, Target
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
+from trigpoint.tools.simulation.world import FEWEST_CORNERS
+
+SMALLEST_SQUARE_PX = 7.0  # of a world file
+_ROUGHLY = np.array([0.1, 0.1, 0.05])  # what odometry knows beforehand, m and rad
+_NOTHING_M2 = 1e4
+_STAMP_NS = 1_700_000_000_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrector:
+    """Fusion's filter with a network that is known. `robot`: the one that is corrected."""
+
+    data: DataSet
+    network: KnownNetwork
+    robot: str
+
+    @classmethod
+    def of(cls, inputs: Inputs, network: KnownNetwork, robot: str) -> "Corrector":
+        return cls(inputs.data_set(), network, robot)
+
+    @property
+    def target(self) -> Target:
+        return self.data.targets[self.robot]
+
+    def corrected(
+        self,
+        map_from_base: Pose,
+        sighted: dict[str, tuple[FaceSighting, ...]],
+        random: np.random.Generator,
+    ) -> Pose | None:
+        """Where the filter has the robot after these sightings; None where it uses none."""
+        said = planar_covariance(np.diag(_ROUGHLY**2))
+        about = np.zeros(6)
+        about[[0, 1, 5]] = random.normal(0.0, _ROUGHLY)
+        predicted = RobotEstimate(_STAMP_NS, map_from_base.disturbed(about), said)
+        current: Filter | None = None
+        for number, eye in enumerate(self.network.eyes):
+            observation = self._observation(eye, sighted.get(eye.name, ()))
+            if observation is None:
+                continue
+            own = self.network.covariance[6 * number : 6 * number + 6, 6 * number : 6 * number + 6]
+            aligned = align_to(
+                self.data, observation, eye.lens, eye.map_from_camera, own, predicted
+            )
+            if aligned is None:
+                continue
+            if current is None:
+                current = self._before(aligned.map_from_base)
+            current, _ = current.updated(self.data, aligned.read(observation))
+        return None if current is None else current.robot(self.data, self.robot).map_from_base
+
+    def _observation(self, eye: Eye, faces: tuple[FaceSighting, ...]) -> Observation | None:
+        config = self.data.site.cameras[eye.name]
+        views = [view_of(self.target, face, config) for face in faces]
+        kept: tuple[View, ...] = tuple(view for view in views if view is not None)
+        return observation_of(eye.name, self.robot, _STAMP_NS, kept) if kept else None
+
+    def _before(self, guess: Pose) -> Filter:
+        """The filter of a robot that may be anywhere."""
+        names = list(self.network.names)
+        cameras = {e.name: CameraState(e.map_from_camera, e.lens) for e in self.network.eyes}
+        robot = RobotState(Pose.stack([guess]), np.zeros(2), base_from_faces(self.target))
+        state = State(cameras, {self.robot: robot})
+        track = self.data.tracks[self.robot]
+        chains = {self.robot: Chain.unlinked(self.robot, np.array([_STAMP_NS]), track)}
+        layout = layout_of(names, chains, Priors.none(), state)
+        covariance = _NOTHING_M2 * np.eye(layout.size)
+        size = len(self.network.covariance)
+        covariance[:size, :size] = self.network.covariance
+        known = Gaussian.of(np.zeros(layout.size), covariance)
+        return Filter(state, {self.robot: _STAMP_NS}, layout, known)
+
+
+def sightings(
+    target: Target,
+    map_from_base: Pose,
+    eyes: tuple[Eye, ...],
+    errors: Array,
+    sigma_px: float,
+    random: np.random.Generator,
+) -> list[dict[str, tuple[FaceSighting, ...]]]:
+    """What a good detector finds of a robot at poses (n) in one picture of each camera, where each
+    of the m cameras truly stands off by `errors` (n, m, 6) from where it is thought to be."""
+    found: list[dict[str, tuple[FaceSighting, ...]]] = [{} for _ in range(len(map_from_base))]
+    for number, eye in enumerate(eyes):
+        true_poses = eye.map_from_camera.repeated(len(errors)).disturbed(errors[:, number])
+        # What a camera sees depends on where the robot is before it, so that is what is moved.
+        seen_from_there = eye.map_from_camera @ (true_poses.inverse() @ map_from_base)
+        each = seen_faces_each(target, seen_from_there, eye.map_from_camera, eye.lens, ())
+        for row, faces in enumerate(each):
+            shown = tuple(_sighted(target, f, sigma_px, random) for f in faces if _is_found(f))
+            if shown:
+                found[row][eye.name] = shown
+    return found
+
+
+def _is_found(seen: SeenFace) -> bool:
+    """The rule of the simulated lab (`World.shown`)."""
+    face = seen.face
+    is_whole = face.pattern is Pattern.CHECKERBOARD
+    needed = face.corner_count if is_whole else min(FEWEST_CORNERS, face.corner_count)
+    return len(seen.corners) >= needed and seen.smallest_square_px >= SMALLEST_SQUARE_PX
+
+
+def _sighted(
+    target: Target, seen: SeenFace, sigma_px: float, random: np.random.Generator
+) -> FaceSighting:
+    pixels = seen.pixels + random.normal(0.0, sigma_px, seen.pixels.shape)
+    number = seen.face.id if len(target.look_alikes(seen.face.appearance)) == 1 else -1
+    return FaceSighting("", number, seen.corners, pixels.astype(np.float32), sigma_px)

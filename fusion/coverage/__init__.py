@@ -1,0 +1,1 @@
+"""How well a robot would be corrected where, by the cameras that see it there."""

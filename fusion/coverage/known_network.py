@@ -1,0 +1,114 @@
+"""What the map of corrections is worked out from: located cameras, and what robots carry."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trigpoint.fusion.model.observations import LEAST_SIGMA_PX
+from trigpoint.fusion.model.odometry import PLANAR, SPATIAL
+from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.map.network import CameraRecord, Network, RobotRecord
+from trigpoint.site.config import RobotConfig
+from trigpoint.site.target import Target
+
+from .boards import Carried
+from .eye import Eye
+
+USUAL_SIGMA_PX = 0.15
+"""Of a corner where no camera of a network has seen one: the simulated lab's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownNetwork:
+    """Located cameras, and the joint covariance (6n, 6n) of their poses."""
+
+    eyes: tuple[Eye, ...]
+    covariance: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(eye.name for eye in self.eyes)
+
+    def with_camera(self, eye: Eye, covariance: Array) -> "KnownNetwork":
+        """And one more, whose error (6, 6) is independent of the others'."""
+        size = len(self.covariance)
+        joint = np.zeros((size + 6, size + 6))
+        joint[:size, :size], joint[size:, size:] = self.covariance, covariance
+        return KnownNetwork((*self.eyes, eye), joint)
+
+    @property
+    def usual_covariance(self) -> Array:
+        """The covariance (6, 6) of a camera that is known as well as the middle one of these, alike
+        in all directions."""
+        blocks = np.stack(
+            [self.covariance[i : i + 6, i : i + 6] for i in range(0, len(self.covariance), 6)]
+        )
+        shift = float(np.median(np.trace(blocks[:, :3, :3], axis1=1, axis2=2))) / 3
+        turn = float(np.median(np.trace(blocks[:, 3:, 3:], axis1=1, axis2=2))) / 3
+        return np.diag([shift] * 3 + [turn] * 3)
+
+    @property
+    def usual_sigma_px(self) -> float:
+        """The middle one of the cameras' sigmas of a corner."""
+        return float(np.median([eye.sigma_px for eye in self.eyes]))
+
+
+def known_network(network: Network, covariance: Array) -> KnownNetwork:
+    """The located cameras of a network; `covariance`: joint, in their order.
+
+    A corner's noise is the RMS residual of the camera's own pictures; a camera without any (known
+    from an earlier run, and not seen yet) has the others' median.
+    """
+    records = [network.cameras[name] for name in network.located]
+    measured = [r.reprojection_rms for r in records if r.reprojection_rms]
+    usual = float(np.median(measured)) if measured else USUAL_SIGMA_PX
+    eyes = (_eye(n, r, usual) for n, r in zip(network.located, records, strict=True))
+    return KnownNetwork(tuple(eyes), covariance)
+
+
+def _eye(name: str, record: CameraRecord, usual_px: float) -> Eye:
+    assert record.map_from_camera is not None  # it is located
+    assert record.intrinsics is not None
+    sigma_px = max(record.reprojection_rms or usual_px, LEAST_SIGMA_PX)
+    return Eye(name, record.map_from_camera.pose, record.intrinsics.camera, sigma_px)
+
+
+def carried_by(
+    robots: Mapping[str, RobotConfig], targets: Mapping[str, Target], network: Network
+) -> tuple[Carried, ...]:
+    """What the robots carry, each with the faces where the network found them; robots that carry
+    the same in the same way are together."""
+    found: list[Carried] = []
+    for name, config in robots.items():
+        target = targets[name]
+        faces = _faces(target, network.robots.get(name))
+        tangent = tuple(PLANAR if config.planar else SPATIAL)
+        for index, other in enumerate(found):
+            if _is_alike(other, target, faces, tangent):
+                found[index] = Carried((*other.robots, name), target, faces, tangent)
+                break
+        else:
+            found.append(Carried((name,), target, faces, tangent))
+    return tuple(found)
+
+
+def _faces(target: Target, record: RobotRecord | None) -> Pose:
+    said = {face.id: face for face in record.target.faces} if record is not None else {}
+    poses = [
+        Pose.from_quaternion(said[face.id].translation, said[face.id].quaternion)
+        if face.id in said
+        else face.base_from_face
+        for face in target.faces
+    ]
+    return Pose.stack(poses)
+
+
+def _is_alike(one: Carried, target: Target, faces: Pose, tangent: Sequence[int]) -> bool:
+    return (
+        one.target.faces == target.faces
+        and one.tangent == tuple(tangent)
+        and bool(np.allclose(one.base_from_face.translation, faces.translation, atol=1e-4))
+        and bool(np.allclose(one.base_from_face.rotation, faces.rotation, atol=1e-4))
+    )

@@ -1,0 +1,117 @@
+"""What the map says a camera sees, against the simulated lab's cameras, corner by corner."""
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from trigpoint.fusion.coverage.boards import Carried
+from trigpoint.fusion.coverage.eye import Eye
+from trigpoint.fusion.coverage.sight import headings_rad, seen_by
+from trigpoint.fusion.model.observations import base_from_faces
+from trigpoint.fusion.model.projection import projected
+from trigpoint.geometry import CameraModel, Pose
+from trigpoint.geometry.camera import LensModel
+from trigpoint.geometry.rotation import Array
+from trigpoint.site.target import Numbering, Pattern, Target
+from trigpoint.tools.simulation.sight.seen_corners import SeenFace, seen_faces_each
+from trigpoint.tools.simulation.sight.targets import target_of
+from trigpoint.tools.simulation.world import FEWEST_CORNERS, looking
+
+LEAST_SIDE_PX = 7.0
+WIDE = CameraModel(
+    1920, 1440, 1100.0, 1105.0, 958.0, 723.0, (0.02, -0.01, 0.002, 0.0), LensModel.EQUIDISTANT
+)
+BARREL = CameraModel(1280, 960, 1000.0, 1002.0, 642.0, 478.0, (-0.21, 0.06, 8e-4, -4e-4, -0.007))
+
+
+def grid_target() -> Target:
+    """A single AprilGrid, as Kalibr counts it."""
+    [face, *_] = target_of("charuco").faces
+    plain = structs.replace(
+        face,
+        pattern=Pattern.APRILGRID,
+        columns=4,
+        rows=3,
+        square=0.08,
+        marker=0.06,
+        dictionary="DICT_APRILTAG_36h11",
+        numbering=Numbering.KALIBR,
+        first_marker=0,
+    )
+    return Target("grid", (plain,))
+
+
+def carried(target: Target) -> Carried:
+    return Carried(("r1",), target, base_from_faces(target), (0, 1, 5))
+
+
+def eye(lens: CameraModel) -> Eye:
+    pose = Pose(looking(20.0, 30.0, 4.0), np.array([0.3, -0.2, 2.1]))
+    return Eye("c1", pose, lens, 0.2)
+
+
+def is_found(seen: SeenFace) -> bool:
+    """Whether the lab's detector finds a face."""
+    whole = seen.face.pattern is Pattern.CHECKERBOARD
+    needed = seen.face.corner_count if whole else min(FEWEST_CORNERS, seen.face.corner_count)
+    return len(seen.corners) >= needed and seen.smallest_square_px >= LEAST_SIDE_PX
+
+
+@pytest.mark.parametrize("lens", [BARREL, WIDE], ids=["barrel", "fisheye"])
+@pytest.mark.parametrize(
+    "target",
+    [target_of("charuco"), target_of("checkerboard"), grid_target()],
+    ids=["charuco", "checkerboard", "aprilgrid"],
+)
+def test_a_robot_is_seen_where_the_labs_detector_finds_a_face(
+    target: Target, lens: CameraModel
+) -> None:
+    camera, body = eye(lens), carried(target)
+    places = np.random.default_rng(5).uniform([0.5, -1.5], [4.5, 2.5], (80, 2))
+    turns = headings_rad()
+    seen = seen_by(camera, body, places, turns)
+    found = np.zeros(len(places) * len(turns), dtype=bool)
+    found[seen.rows] = True
+    x, y = np.repeat(places, len(turns), axis=0).T
+    bases = Pose.planar(x, y, np.tile(turns, len(places)))
+    each = seen_faces_each(target, bases, camera.map_from_camera, camera.lens, ())
+    shown = [[face for face in faces if is_found(face)] for faces in each]
+    truth = np.array([bool(faces) for faces in shown])
+    assert 40 < truth.sum() < len(truth) - 40
+    # Sheets have a white edge beyond the pattern, which hides a corner or two more.
+    assert np.mean(found == truth) > 0.995
+    logs = []
+    for row, information in zip(seen.rows.tolist(), seen.information, strict=True):
+        if truth[row]:
+            told = sum(information_of(face, bases[row], camera) for face in shown[row])
+            logs.append(np.log(np.linalg.det(information) / np.linalg.det(told)) / 12)
+    # The quadrature's standard deviations, on average over all six directions.
+    assert abs(np.median(logs)) < 0.01
+    assert np.quantile(np.abs(logs), 0.95) < 0.06
+
+
+def information_of(seen: SeenFace, base: Pose, camera: Eye) -> Array:
+    """The information in the corners of one face, one by one."""
+    points = seen.face.base_from_face @ seen.face.corners[seen.corners]
+    [jacobian] = projected(
+        camera.lens, Pose.stack([base]), points[None], camera.map_from_camera
+    ).by_body
+    flat = jacobian.reshape(-1, 6) / camera.sigma_px
+    return flat.T @ flat
+
+
+def test_what_may_be_seen_leaves_out_nothing_that_is() -> None:
+    camera, body = eye(BARREL), carried(target_of("charuco"))
+    places = np.random.default_rng(6).uniform(-9.0, 9.0, (2000, 2))
+    seen = seen_by(camera, body, places, headings_rad(4))
+    may = camera.may_see(body, places)
+    assert may[np.unique(seen.rows // 4)].all()
+    assert may.mean() < 0.6
+
+
+def test_a_board_that_turns_its_back_is_not_seen() -> None:
+    target = grid_target()
+    camera, body = eye(BARREL), carried(target)
+    places = np.array([[3.0, 1.0]])
+    seen = seen_by(camera, body, places, headings_rad(36))
+    assert 3 <= len(seen.rows) <= 16

@@ -1,0 +1,1 @@
+"""`trigpoint coverage`: how well robots are corrected where."""

@@ -1,0 +1,124 @@
+"""The page's section on how well robots would be corrected where they drove."""
+
+import math
+from html import escape
+
+import numpy as np
+
+from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
+from trigpoint.geometry.rotation import Array
+from trigpoint.tools.report.drawing.floor_plan import picture_on_map
+from trigpoint.tools.report.drawing.plan import Plan
+from trigpoint.tools.report.drawing.style import PALETTE
+from trigpoint.tools.report.drawing.svg import circle, drawing, element, group, text
+
+from .facts import CalibrationResults
+from .tables import table
+
+_WIDE, _UPRIGHT = 1000.0, 420.0
+_COLOURS = np.array(
+    [
+        *((26, 127, 90), (99, 177, 121), (217, 196, 91), (227, 154, 75)),
+        *((201, 111, 74), (162, 49, 58)),
+    ],
+    dtype=np.uint8,
+)
+"""Of the classes, and of where a robot is not corrected; the page's style has the same."""
+_BY_FAILURE_M = (0.05, math.inf)
+
+
+def corrected_section(results: CalibrationResults) -> str:
+    """Maps and tables; "" where nothing is known."""
+    parts = [_of(results, each) for each in results.corrected if each.is_floor.any()]
+    if not parts:
+        return ""
+    words = (
+        "On the floor within half a metre of where robots drove: the radius within which 95 % of "
+        "the errors of a robot's position lie after one picture by every camera that sees it, by "
+        "the joint covariance, in more than half of eight headings. Walls are not known."
+    )
+    return element(
+        "section",
+        element("h2", "How well a robot is corrected"),
+        element("p", escape(words), class_="note"),
+        *parts,
+    )
+
+
+def _of(results: CalibrationResults, each: AccuracyMap) -> str:
+    who = [element("h3", escape(", ".join(each.robots)))] if len(results.corrected) > 1 else []
+    drawings = [
+        element("div", _drawing(results, each, _WIDE, upright=False), class_="wide"),
+        element("div", _drawing(results, each, _UPRIGHT, upright=True), class_="upright"),
+    ]
+    figure = element("figure", *drawings, _legend(each), class_="card")
+    return element("div", *who, figure, element("div", _losses(each), class_="scroll"))
+
+
+def _drawing(results: CalibrationResults, each: AccuracyMap, width: float, *, upright: bool) -> str:
+    floor = each.floor
+    x, y = floor.origin
+    right, top = x + floor.columns * floor.cell_m, y + floor.rows * floor.cell_m
+    corners = np.array([[x, y], [right, y], [right, top], [x, top]])
+    places = {
+        name: record.pose.translation[:2]
+        for name in each.names
+        if (record := results.network.cameras[name].map_from_camera) is not None
+    }
+    plan = Plan(np.vstack([corners, *places.values()]), width, upright=upright)
+    numbers = {name: index for index, name in enumerate(results.network.cameras)}
+    marks = [_camera(name, plan(place), numbers[name]) for name, place in places.items()]
+    picture = picture_on_map(_pixels(each), corners, plan, class_="corrected-floor")
+    label = "Map from above of how well a robot would be corrected where"
+    return drawing(plan.width, plan.height, picture, *marks, label=label, class_="map")
+
+
+def _camera(name: str, place: Array, index: int) -> str:
+    x, y = (float(value) for value in place)
+    mark = circle(x, y, 4.0, class_="found")
+    return group(mark, text(x, y - 8, name, class_="name"), class_=f"k{index % PALETTE}")
+
+
+def _classes(each: AccuracyMap) -> np.ndarray:
+    """The class of each cell: an index into WITHIN_M, or one beyond where it is not corrected."""
+    errors = each.error_m
+    finite = np.searchsorted(np.array(WITHIN_M[:-1]), errors, side="left")
+    return np.where(np.isfinite(errors), finite, len(WITHIN_M))
+
+
+def _pixels(each: AccuracyMap) -> np.ndarray:
+    floor = each.floor
+    pixels = np.zeros((floor.rows * floor.columns, 4), dtype=np.uint8)
+    pixels[:, :3] = _COLOURS[_classes(each)]
+    pixels[:, 3] = np.where(each.is_floor, 255, 0)
+    return pixels.reshape(floor.rows, floor.columns, 4)[::-1]
+
+
+def _legend(each: AccuracyMap) -> str:
+    sizes = [each.area_m2(within_m) for within_m in WITHIN_M]
+    names = [class_name(w) for w in WITHIN_M[:-1]]
+    names += [f"beyond {100 * WITHIN_M[-2]:g} cm", "not corrected"]
+    shown = np.diff([0.0, *sizes, each.floor_m2])
+    entries = [
+        _entry(index, f"{name}: {area:.1f} m²")
+        for index, (name, area) in enumerate(zip(names, shown, strict=True))
+    ]
+    return element("ul", *entries, class_="legend")
+
+
+def _entry(index: int, words: str) -> str:
+    box = element("rect", x=4, y=1, width=26, height=12, class_=f"c{index}")
+    sample = element("svg", box, viewBox="0 0 34 14", aria_hidden="true")
+    return element("li", sample, element("span", escape(words)))
+
+
+def _losses(each: AccuracyMap) -> str:
+    """What each camera's failure costs."""
+    head = ["camera", "sees m²"]
+    head += [f"lost without it,<br>{class_name(w)}, m²" for w in _BY_FAILURE_M]
+    rows = []
+    for index, name in enumerate(each.names):
+        lost = [f"{each.lost_m2(index, w):.1f}" for w in _BY_FAILURE_M]
+        cells = [escape(name), f"{each.seen_m2(index):.1f}", *lost]
+        rows.append(element("tr", *(element("td", cell) for cell in cells)))
+    return table(head, rows)
