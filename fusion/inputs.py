@@ -10,7 +10,7 @@ from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
 
 from .estimators.registry import check_estimator
-from .model.dataset import KnownCameras, known_cameras
+from .model.known_cameras import Creep, KnownCameras, known_cameras
 from .pipeline import Inputs
 
 
@@ -59,7 +59,8 @@ def load_known(path: Path, site: Site) -> KnownCameras:
     if network.map != "map":
         raise InputError(f"{path}: is in the frame «{network.map}»; give the one in the map")
     joint = load_covariance(path, network)
-    known = known_cameras(network, joint, site.cameras)
+    creep = {name: Creep.of(camera) for name, camera in site.cameras.items()}
+    known = known_cameras(network, joint, site.cameras, creep=creep)
     if not known.poses:
         raise InputError(f"{path}: locates none of this site's cameras; check the names")
     return known

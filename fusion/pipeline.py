@@ -29,7 +29,8 @@ from .live.follower import Follower
 from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver, Suggested
-from .model.dataset import DataSet, Event, KnownCameras
+from .model.dataset import DataSet, Event
+from .model.known_cameras import KnownCameras
 from .model.observations import Observation
 from .model.odometry import Added
 from .output import Output
