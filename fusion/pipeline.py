@@ -5,21 +5,20 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
-from trigpoint.geometry import CameraModel
-from trigpoint.site.config import Site
-from trigpoint.site.target import Target
 
 from .camera_announcements import CameraAnnouncements
 from .estimators.interface import Live
 from .estimators.registry import make_estimator
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
+from .fixed.map import FixedMap
+from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
@@ -29,8 +28,8 @@ from .live.follower import Follower
 from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver, Suggested
-from .model.dataset import DataSet, Event
-from .model.known_cameras import KnownCameras
+from .model.dataset import Event
+from .model.inputs import Inputs
 from .model.observations import Observation
 from .model.odometry import Added
 from .output import Output
@@ -44,26 +43,12 @@ _MOST_EARLY = 4096
 _MOST_EVENTS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """What a pipeline is made from. `lenses`: those known beforehand; the others are announced."""
-
-    site: Site
-    targets: dict[str, Target]
-    lenses: dict[str, CameraModel] = field(default_factory=dict)
-    known: KnownCameras = field(default_factory=KnownCameras.none)
-
-    def data_set(self) -> DataSet:
-        """What is known beforehand, and nothing else yet."""
-        return DataSet(self.site, self.targets, dict(self.lenses), self.known)
-
-
 class Pipeline:
     """One map from its first message to its last. Not thread-safe.
 
     `is_live`: whether anyone listens to its outputs on the way; `solver`: solves, so that no turn
-    takes long; None: the estimator that the site file names does, within its turn. `reports`: the
-    results.
+    takes long; None: the estimator that the site file names does, within its turn. `fixed`: the
+    network that is held, so that nothing is solved at all. `reports`: the results.
     """
 
     reports: Reports
@@ -71,12 +56,22 @@ class Pipeline:
     _follower: Follower | None
 
     def __init__(
-        self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
+        self,
+        inputs: Inputs,
+        *,
+        is_live: bool = True,
+        solver: Solver | None = None,
+        fixed: FixedNetwork | None = None,
     ) -> None:
-        self._is_live = is_live
+        self._is_live, self._fixed = is_live, fixed
+        inputs = inputs if fixed is None else fixed.inputs(inputs)
         self.site, self._inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
-        if solver is not None:
+        shared = RobotIdentification(data)
+        if fixed is not None:
+            self._follower = None
+            self._estimator = self.reports = FixedMap(data, fixed, shared.forget)
+        elif solver is not None:
             self._follower = self._estimator = self.reports = Follower(data, solver)
         else:
             self._estimator = estimator = make_estimator(data)
@@ -84,7 +79,7 @@ class Pipeline:
         self._intake = Intake(
             inputs.site,
             inputs.targets,
-            shared=RobotIdentification(data),
+            shared=shared,
             standstills=Standstills(data.tracks),
         )
         self.arrivals = Arrivals(inputs.site, data.tracks)
@@ -102,7 +97,8 @@ class Pipeline:
     @property
     def map_id(self) -> UUID | None:
         """The map's identity; None before the first robot's first odometry message."""
-        return map_id_of(self._data)
+        held = self._fixed.map_id if self._fixed is not None else None
+        return held or map_id_of(self._data)
 
     @property
     def last_problem(self) -> str:
@@ -223,6 +219,9 @@ class Pipeline:
         return True
 
     def _push_sightings(self, camera: str, message: Sightings) -> bool:
+        if self._fixed is not None and camera not in self._fixed.states:
+            self._left_out.add("not_in_the_map")
+            return False
         config = self.site.cameras[camera]
         if camera not in self._data.lenses and config.estimates_intrinsics:
             self._data.lenses[camera] = config.nominal()
@@ -326,6 +325,8 @@ class Pipeline:
         update = self._estimator.add_observation(observation)
         if update.problem:
             self._left_out.add("unusable", update.problem)
+        if update.contradiction is not None:
+            self._left_out.add("against_the_map", update.contradiction)
         self._note_events()
         if update.correction is not None and not is_late:
             self._correct(observation, update.correction)
@@ -390,6 +391,8 @@ class Pipeline:
     def results(self) -> Results:
         """The results as they are known now; see `reports`."""
         results = self.reports.results()
+        if self._fixed is not None:
+            return results
         return replace(results, network=self.arrivals.explained(results.network))
 
     def guidance_world(self) -> GuidanceWorld | None:
