@@ -13,11 +13,9 @@ from trigpoint.contract import topics
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseStamped, Sightings
 
 from .camera_announcements import CameraAnnouncements
-from .estimators.interface import Live
-from .estimators.registry import make_estimator
+from .estimating import estimating
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
-from .fixed.map import FixedMap
 from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
 from .intake.left_out import LeftOut
@@ -25,10 +23,9 @@ from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
-from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver, Suggested
-from .model.dataset import Event
+from .model.dataset import Conclusions, Event
 from .model.inputs import Inputs
 from .model.observations import Observation
 from .model.odometry import Added
@@ -51,10 +48,6 @@ class Pipeline:
     network that is held, so that nothing is solved at all. `reports`: the results.
     """
 
-    reports: Reports
-    _estimator: Live
-    _follower: Follower | None
-
     def __init__(
         self,
         inputs: Inputs,
@@ -68,14 +61,9 @@ class Pipeline:
         self.site, self._inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
         shared = RobotIdentification(data)
-        if fixed is not None:
-            self._follower = None
-            self._estimator = self.reports = FixedMap(data, fixed, shared.forget)
-        elif solver is not None:
-            self._follower = self._estimator = self.reports = Follower(data, solver)
-        else:
-            self._estimator = estimator = make_estimator(data)
-            self._follower, self.reports = None, Immediate(data, estimator)
+        found = estimating(data, solver, fixed, shared.forget)
+        self._estimator, self._follower = found.estimator, found.follower
+        self.reports = found.reports
         self._intake = Intake(
             inputs.site,
             inputs.targets,
@@ -99,6 +87,11 @@ class Pipeline:
         """The map's identity; None before the first robot's first odometry message."""
         held = self._fixed.map_id if self._fixed is not None else None
         return held or map_id_of(self._data)
+
+    @property
+    def conclusions(self) -> Conclusions:
+        """What was concluded so far."""
+        return self._data.conclusions()
 
     @property
     def last_problem(self) -> str:
