@@ -83,7 +83,6 @@ def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
     if inputs.site.fusion.estimator != "smoother":
         return None
 
-
     def solver() -> Solver:
         pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
         return SolverProcess(inputs.data_set(), pulse, node.watchdog.forget)

@@ -119,7 +119,8 @@ def test_lifted_robot_is_corrected_again_once_two_cameras_agree(
     session = make_session(replace(plan, seconds=32.0))
     cut, elsewhere = round(13.0 / 0.025), Pose.planar(0.3, 0.1, 0.3)
     before = truth_of(session)
-    truth = Pose.stack([p if i < cut else elsewhere @ p for i, p in enumerate(before)])
+    poses = [before[index] for index in range(len(before))]
+    truth = Pose.stack([*poses[:cut], *(elsewhere @ pose for pose in poses[cut:])])
     seen = [(m.stamp_ns, 1, n, m) for n, m in pictures_of(session.plan, {"r1": truth})]
     drove = [(m.stamp_ns, 0, n, m) for n, m in session.messages if n == "r1"]
     ordered = sorted([*drove, *seen], key=lambda item: item[:3])
