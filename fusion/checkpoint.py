@@ -22,6 +22,8 @@ import msgspec
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import OperationError
 
+CHECKPOINT = "checkpoint.bin"
+"""Its name in the folder of a map."""
 _MAGIC = b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
@@ -133,6 +135,11 @@ class Checkpoint:
                 f"{self._path}: the checkpoint cannot be written now ({why}); fusion goes on, "
                 "but after a restart it will know only what came before; make room"
             )
+
+
+def has_messages(path: Path) -> bool:
+    """Whether a file is a checkpoint with anything in it."""
+    return next(read_checkpoint(path), None) is not None
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:

@@ -18,7 +18,7 @@ from trigpoint.site.config import load_site
 from trigpoint.site.option import SITE_FILE, MetricsAt, SiteFile
 from trigpoint.zenoh import open_bus
 
-from .inputs import load_inputs
+from .inputs import load_fixed, load_inputs
 from .live.memory import return_large_arrays
 from .live.solver_messages import Solver
 from .live.solver_process import START_S, SolverProcess
@@ -45,18 +45,20 @@ def main(
     """The live estimator: odometry and sightings in, the network and corrections out.
 
     Writes network.json when it stops and on demand. Killed and started again with the same --out it
-    resumes its map.
+    resumes its map. With [fusion] learn = false the network is fixed: corrections only.
     """
     loaded = load_site(site)
     inputs = load_inputs(loaded, network=network)
     folder = out if out is not None else loaded.path("network")
+    fixed = load_fixed(inputs, network=network, folder=folder)
     clock = SteadyClock()
     cdr.warm_up()
     return_large_arrays()
     with open_bus(loaded, (Kind.FUSION, NAME)) as bus, ExitStack() as stack:
         node = Node(bus, site=loaded.name, kind=KIND, name=NAME, clock=clock)
         with metrics_served(loaded, metrics, [node]), stopped_by_signals(node):
-            fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver_for(inputs, node))
+            solver = solver_for(inputs, node)
+            fusion = FusionNode(bus, node, inputs, folder, clock, solver=solver, fixed=fixed)
             stack.push(_finishing(fusion))
             fusion.start()
             node.wait()
@@ -80,5 +82,9 @@ def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
     """The factory of the solver beside the corrections; None for estimators that need none."""
     if inputs.site.fusion.estimator != "smoother":
         return None
-    pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
-    return lambda: SolverProcess(inputs.data_set(), pulse)
+
+    def solver() -> Solver:
+        pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
+        return SolverProcess(inputs.data_set(), pulse, node.watchdog.forget)
+
+    return solver

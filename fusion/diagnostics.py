@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from trigpoint.base.clock import to_ns, to_seconds
 from trigpoint.contract import topics
+from trigpoint.node.health import Health
 from trigpoint.site.config import Site
 
 from .intake.admission import Admission
@@ -32,6 +33,7 @@ class Diagnostics:
         self._stale_since_ns: dict[str, int] = {}
         self._heard_ns: dict[str, int] = {}
         self._seen: dict[str, tuple[Span, int]] = {}
+        self._problem = ""
 
     def heard(self, key: str, now_ns: int) -> None:
         """Note that a message of a key was accepted."""
@@ -43,6 +45,21 @@ class Diagnostics:
         self._reported.update(self._admission.counts)
         self._stale_since_ns.clear()
         self._seen.clear()
+
+    def report(self, pipeline: Pipeline, health: Health, now_ns: int, *, checkpoint: str) -> None:
+        """Put what was left out, and what is wrong or went wrong, into a node's health;
+        `checkpoint`: why the map is not stored, "" where it is."""
+        for reason, more in self.left_out(pipeline, now_ns):
+            health.count(f"left_out.{reason}", more)
+        troubles = self.now(pipeline, now_ns)
+        if checkpoint:
+            troubles["checkpoint"] = checkpoint
+        health.hold_only("input", troubles)
+        problem = pipeline.last_problem
+        if problem != self._problem:
+            self._problem = problem
+            if problem and problem not in troubles.values():
+                health.fail(problem)
 
     def left_out(self, pipeline: Pipeline, now_ns: int) -> Iterator[tuple[str, int]]:
         """(reason, how many more were left out since the last call)."""

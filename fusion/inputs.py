@@ -9,8 +9,10 @@ from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
 
+from .checkpoint import CHECKPOINT, has_messages
 from .estimators.registry import check_estimator
-from .model.dataset import KnownCameras, known_cameras
+from .fixed.network import FixedNetwork
+from .model.known_cameras import Creep, KnownCameras, known_cameras
 from .pipeline import Inputs
 
 
@@ -59,10 +61,32 @@ def load_known(path: Path, site: Site) -> KnownCameras:
     if network.map != "map":
         raise InputError(f"{path}: is in the frame «{network.map}»; give the one in the map")
     joint = load_covariance(path, network)
-    known = known_cameras(network, joint, site.cameras)
+    creep = {name: Creep.of(camera) for name, camera in site.cameras.items()}
+    known = known_cameras(network, joint, site.cameras, creep=creep)
     if not known.poses:
         raise InputError(f"{path}: locates none of this site's cameras; check the names")
     return known
+
+
+def load_fixed(inputs: Inputs, *, network: Path | None, folder: Path) -> FixedNetwork | None:
+    """The network that is held from the beginning, where the site learns nothing; None where it
+    does, or where the map in the folder of a checkpoint is to be held.
+
+    Raises InputError where there is neither.
+    """
+    site = inputs.site
+    if site.fusion.learn:
+        return None
+    if network is not None:
+        document = load_network(network)
+        return FixedNetwork(document, load_covariance(network, document), inputs.known)
+    if not has_messages(folder / CHECKPOINT):
+        raise InputError(
+            "[fusion] learn = false, but there is no network to hold fixed: give "
+            f"--network network.json, or the --out of a map that was learnt ({folder} has no "
+            f"{CHECKPOINT}), or write learn = true"
+        )
+    return None
 
 
 def _lens_in(network: Path | None, camera: str) -> CameraModel:

@@ -3,14 +3,13 @@
 import json
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from trigpoint.base.clock import Clock, to_ns, to_seconds
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
-from trigpoint.bus.bus import Bus, Publisher, Sample
+from trigpoint.bus.bus import Bus, Sample
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Message, Odometry
 from trigpoint.contract.topics import command_key
@@ -19,18 +18,24 @@ from trigpoint.node.node import Node
 from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
+from .answers import ANSWER_S, map_answer, solved
+from .checkpoint import CHECKPOINT
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
 from .estimators.results import Results
 from .fair_lock import FairLock
+from .fixed.network import FixedNetwork
+from .holding import Holding, MapState, wish_of
 from .inbox import Inbox
 from .intake.admission import Admission
+from .last_solution import WRITING_S, save_last
 from .live.coverage_thread import CoverageThread
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage
-from .output import CameraAccuracy
-from .pipeline import Inputs, Output, Pipeline
+from .output import Output
+from .pipeline import Inputs, Pipeline
+from .publishing import Publishing
 from .solver.snapshot import GuidanceWorld
 
 KIND = "fusion"
@@ -44,17 +49,10 @@ _MOST_USED = 16
 _LAST_TAKING_NS = to_ns(0.25)
 # While a checkpoint is read, what comes is taken in every so many records.
 _RECORDS_AT_ONCE = 256
-# A stop may take two seconds in all (`base.ending`), of which files and the bus need some.
-_LAST_SOLUTION_S = 1.2
-_WRITING_S = 0.5
-# Where the estimator solves within its turn: the last solution takes several times the longest one.
-_LONG_TURN_S = 0.25
-_ANSWER_S = 2.0
 # A turn of a filter that has fallen behind on a small machine; beyond it the thread is hung.
 _TURN_MOST_S = 60.0
 # One robot's suggestions among a hundred cameras, on a small machine.
 _GUIDE_S = 120.0
-_LOOK_S = 0.01
 
 _log = logging.getLogger(__name__)
 
@@ -71,24 +69,25 @@ class FusionNode:
         clock: Clock,
         *,
         solver: Callable[[], Solver] | None = None,
+        fixed: FixedNetwork | None = None,
     ) -> None:
-        """`solver`: makes the solver of one map, so that no turn takes long."""
+        """`solver`: makes the solver of one map, so that no turn takes long; `fixed`: the network
+        that is held from the beginning."""
         self._bus, self._node, self._inputs, self._clock = bus, node, inputs, clock
         self._site, self._out = inputs.site, out
-        self._signer = correction_signer(inputs.site, clock)
-        self._make_solver, self._solver = solver, solver() if solver is not None else None
+        self._holding = Holding(fixed, learns=fixed is None and inputs.site.fusion.learn)
+        self._make_solver, self._solver = solver, None
         self._lock = FairLock()
         self._admission = Admission(inputs.site)
-        self._pipeline = Pipeline(inputs, is_live=False, solver=self._solver)
+        self._pipeline = self._new_pipeline(is_live=False)
         self._announced: dict[str, bytes] = {}
         self._located_count = 0
-        self._accuracy = CameraAccuracy(list(inputs.site.cameras))
+        signer = correction_signer(inputs.site, clock)
+        self._publishing = Publishing(bus, inputs.site, node.health, signer)
         self._longest_s = 0.0
-        self._path = out / "checkpoint.bin"
+        self._path = out / CHECKPOINT
         self._storage: MapStorage | None = None
-        self._publishers: dict[str, Publisher] = {}
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
-        self._problem = ""
         self._diagnostics = Diagnostics(inputs.site, self._admission)
         self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
 
@@ -100,16 +99,17 @@ class FusionNode:
         self._node.health.gauge("cameras_located", lambda: self._located_count)
         cameras = len(self._site.cameras)
         self._node.health.gauge("cameras_undetermined", lambda: cameras - self._located_count)
-        self._node.health.gauge("worst_sigma_m", lambda: self._accuracy.worst_sigma_m)
+        self._node.health.gauge("worst_sigma_m", lambda: self._publishing.accuracy.worst_sigma_m)
         for path, answer in (
             ("fusion/network", self._answer_network),
             ("fusion/map", self._answer_map),
             ("fusion/reset", self._answer_reset),
+            ("fusion/learn", self._answer_learn),
             ("clock", self._answer_clock),
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        if self._solver is None:  # the solver also makes the suggestions and the map
+        if self._make_solver is None:  # the solver also makes the suggestions and the map
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
             announced = AnnouncedMap(self._site, self._inputs.targets)
@@ -122,7 +122,7 @@ class FusionNode:
         Called after the working thread ended. Raises OperationError where what should be written is
         not.
         """
-        if not self._lock.acquire(ENDING.left_s(_WRITING_S) if ENDING.is_asked else -1.0):
+        if not self._lock.acquire(ENDING.left_s(WRITING_S) if ENDING.is_asked else -1.0):
             raise OperationError(
                 f"no network is written: the estimator is still at work; all that came in is in "
                 f"{self._path}, and `trigpoint fusion` started again goes on from there"
@@ -131,8 +131,11 @@ class FusionNode:
             if self._storage is not None:
                 with ENDING.writing():
                     self._storage.close()
-            if self.is_resumed:
-                self._save_last()
+            if self._holding.fixed is not None:
+                _log.info("the map is fixed: its network stays as it is, and nothing is written")
+            elif self.is_resumed:
+                turn_s = self._longest_s if self._solver is None else None
+                save_last(self._pipeline, self._out, self._clock, turn_s=turn_s)
             else:
                 _log.info("stopped before %s was read; all of it is still there", self._path)
             if self._storage is not None and self._storage.trouble:
@@ -142,54 +145,20 @@ class FusionNode:
             if self._solver is not None:
                 self._solver.close()
 
-    def _save_last(self) -> None:
-        if self._solver is not None:
-            is_final = self._is_solved_in_time()
-        else:
-            # What is known now is kept first: whoever stops us may not wait for the last solution.
-            with ENDING.writing():
-                self._pipeline.results().save(self._out)
-            if is_final := self._longest_s < _LONG_TURN_S:
-                self._pipeline.finish()
-        if not is_final:
-            _log.warning(
-                "the last solution would take longer than a stop may; the previous one is kept; "
-                "run `trigpoint calibrate` over the recording for the last one"
-            )
-        if not self._pipeline.reports.has_results:
-            _log.warning("no network is written: there is no solution yet")
-            return
-        with ENDING.writing():
-            self._pipeline.results().save(self._out)
-        _log.info("the network is in %s", self._out / "network.json")
-
-    def _is_solved_in_time(self) -> bool:
-        """Have the solver solve to the end; whether it did within the time that a stop may take."""
-        within_s = min(_LAST_SOLUTION_S, ENDING.left_s(_WRITING_S))
-        until_ns = self._clock.elapsed_ns() + to_ns(within_s)
-        try:
-            self._pipeline.finish()
-            while not self._pipeline.reports.is_answered and self._clock.elapsed_ns() < until_ns:
-                time.sleep(_LOOK_S)
-                self._pipeline.advance()
-        except OperationError as reason:
-            _log.error("%s", reason)
-        return self._pipeline.reports.is_answered and self._pipeline.reports.is_final
-
     # -- the working thread -----------------------------------------------------------------------
 
     def _run(self, pulse: Pulse) -> None:
-        if not self._resume(pulse):
+        if self._holding.fixed is None and not self._resume(pulse):
             return
         self._is_read.set()
         while not self._node.stopping.is_set():
             pulse.beat()
+            if not self._switch(pulse):
+                return
             self._inbox.wait(0.0 if self._pipeline.is_behind else _TURN_S)
             with self._lock:
                 outputs = self._turn()
-            # A robot waits for its correction, nobody for the rest.
-            for output in sorted(outputs, key=lambda o: o.topic is not topics.CORRECTION):
-                self._publish(output)
+            self._publishing.send_all(outputs)
             self._report()
         with self._lock:
             self._take_last()
@@ -219,7 +188,8 @@ class FusionNode:
         outputs = self._pipeline.advance(self._clock.now_ns(), most=_MOST_USED)
         took_s = to_seconds(self._clock.elapsed_ns() - began_ns)
         self._longest_s = max(self._longest_s, took_s)
-        self._open_storage.flush()
+        if self._storage is not None:
+            self._storage.flush()
         self._located_count = self._pipeline.located_count
         return outputs
 
@@ -229,21 +199,11 @@ class FusionNode:
             self._store(sample, message)
 
     def _store(self, sample: Sample, message: Message) -> None:
+        if self._holding.fixed is not None:
+            return
         lost = self._open_storage.store(sample.key, sample.payload, message)
         if lost:
             self._node.health.lose("checkpoint", lost)
-
-    def _publish(self, output: Output) -> None:
-        key = output.topic.key(self._site.name, output.node)
-        if key not in self._publishers:
-            self._publishers[key] = self._bus.publisher(output.topic, key)
-        payload, attachment = cdr.encode(output.message), output.attachment
-        if output.topic is topics.CORRECTION:
-            attachment = self._signer.sign(key, payload, attachment)
-        self._publishers[key].put(payload, attachment=attachment)
-        self._node.health.count(f"sent {key}")
-        if words := self._accuracy.words_after(output):
-            self._node.health.describe("cameras", words)
 
     def _guidance_world(self) -> GuidanceWorld | None:
         with self._lock:
@@ -255,18 +215,11 @@ class FusionNode:
 
     def _report(self) -> None:
         """Put what was left out, and what is wrong or went wrong, into the diagnostics."""
-        now_ns, health = self._clock.elapsed_ns(), self._node.health
-        for reason, more in self._diagnostics.left_out(self._pipeline, now_ns):
-            health.count(f"left_out.{reason}", more)
-        troubles = self._diagnostics.now(self._pipeline, now_ns)
-        if trouble := self._open_storage.trouble:
-            troubles["checkpoint"] = trouble
-        health.hold_only("input", troubles)
-        problem = self._pipeline.last_problem
-        if problem != self._problem:
-            self._problem = problem
-            if problem and problem not in troubles.values():
-                health.fail(problem)
+        health, storage = self._node.health, self._storage
+        health.describe("map", "" if self._holding.learns else self._holding.state)
+        trouble = storage.trouble if storage is not None else ""
+        now_ns = self._clock.elapsed_ns()
+        self._diagnostics.report(self._pipeline, health, now_ns, checkpoint=trouble)
 
     def _doubted(self) -> frozenset[str]:
         """The cameras and robots whose clocks were set and are not followed yet; all cameras where
@@ -274,6 +227,70 @@ class FusionNode:
         if self._node.clock_set_by_ns:
             return frozenset(self._site.cameras)
         return self._node.doubted_names
+
+    # -- learning, or not -------------------------------------------------------------------------
+
+    def _new_pipeline(self, *, is_live: bool = True) -> Pipeline:
+        """The pipeline of a map that begins now; a solver of it runs beside it."""
+        if self._solver is not None:
+            self._solver.close()
+        fixed, self._solver = self._holding.fixed, None
+        if fixed is None and self._make_solver is not None:
+            self._solver = self._make_solver()
+        return Pipeline(
+            self._inputs, is_live=is_live or fixed is not None, solver=self._solver, fixed=fixed
+        )
+
+    def _switch(self, pulse: Pulse) -> bool:
+        """Hold the map, or learn it again, where that is wanted; False where a stop came first."""
+        holding = self._holding
+        if holding.is_to_learn_again:
+            with self._lock:
+                self._is_read.clear()
+                holding.hold(None)
+                self._pipeline = self._new_pipeline(is_live=False)
+            if not self._resume(pulse):
+                return False
+            with self._lock:
+                self._announce_again()
+            self._is_read.set()
+        elif holding.is_to_be_held:
+            with self._lock:
+                self._hold()
+        return True
+
+    def _hold(self) -> None:
+        """Have what came solved to the end; once it is, hold that."""
+        holding, pipeline = self._holding, self._pipeline
+        if not holding.is_asked:
+            pipeline.finish()
+            holding.is_asked = True
+        if not pipeline.reports.is_answered:
+            return
+        results = pipeline.results()
+        try:
+            fixed = FixedNetwork.of(results, self._site, pipeline.conclusions)
+        except OperationError as reason:
+            if not self._site.fusion.learn:
+                raise
+            holding.want(learns=True)
+            self._node.health.fail(str(reason))
+            return
+        results.save(self._out)
+        self._open_storage.close()
+        self._storage = None
+        holding.hold(fixed)
+        self._pipeline = self._new_pipeline()
+        self._diagnostics.restart()
+        self._announce_again()
+        _log.info("the map is fixed, as it is in %s", self._out / "network.json")
+
+    def _announce_again(self) -> None:
+        """Tell a new pipeline the intrinsics, which a camera says once."""
+        for key, payload in self._announced.items():
+            message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
+            if self._pipeline.push(topics.node_of(key), message) and self._storage is not None:
+                self._storage.store(key, payload, message)
 
     # -- the checkpoint ---------------------------------------------------------------------------
 
@@ -347,48 +364,45 @@ class FusionNode:
 
     def _wait_for_the_checkpoint(self) -> None:
         """Refuse commands until the checkpoint is read, since the map is incomplete."""
-        if not self._is_read.wait(_ANSWER_S):
+        if not self._is_read.wait(ANSWER_S):
             raise OperationError(f"fusion is still reading {self._path}; ask again in a moment")
 
     def _answer_network(self, _request: bytes) -> bytes:
         self._wait_for_the_checkpoint()
-        with self._lock:
-            pipeline = self._pipeline
-            pipeline.reports.ask()
-        # A solver answers once its current work is done; until then the last answer holds.
-        until_ns = self._clock.elapsed_ns() + to_ns(_ANSWER_S)
-        while not pipeline.reports.is_answered and self._clock.elapsed_ns() < until_ns:
-            if self._node.stopping.wait(_LOOK_S):
-                break
-        with self._lock:
-            results = pipeline.results()
-        results.save(self._out)
+        results = solved(lambda: self._pipeline, self._lock, self._clock, self._node.stopping)
+        if self._holding.fixed is None:
+            results.save(self._out)
         return encode_network(results.network)
 
     def _answer_map(self, _request: bytes) -> bytes:
         self._wait_for_the_checkpoint()
         with self._lock:
-            map_id = self._pipeline.map_id
-        if map_id is None:
-            raise OperationError("there is no map yet: no odometry of the first robot has come")
-        return json.dumps({"map_id": str(map_id)}).encode()
+            return map_answer(self._pipeline.map_id)
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
+            if self._holding.state is not MapState.LEARNT:
+                raise OperationError(
+                    f"the map is {self._holding.state} (learn = false) and is not given up; send "
+                    f'{{"learn": true}} to {command_key(self._site.name, "fusion/learn")} first'
+                )
             self._open_storage.restart()
-            if self._solver is not None:
-                self._solver.close()
-            if self._make_solver is not None:
-                self._solver = self._make_solver()
-            self._pipeline = Pipeline(self._inputs, solver=self._solver)
+            self._pipeline = self._new_pipeline()
             self._diagnostics.restart()
             self._node.health.describe("cameras", "")
-            for key, payload in self._announced.items():  # a camera says it once
-                message = cdr.decode(topics.CAMERA_INFO.type_name, payload)
-                self._open_storage.store(key, payload, message)
-                self._pipeline.push(topics.node_of(key), message)
+            self._announce_again()
         _log.info("reset: a new map begins with the next odometry message")
         return b"{}"
+
+    def _answer_learn(self, request: bytes) -> bytes:
+        wish = wish_of(request)
+        self._wait_for_the_checkpoint()
+        with self._lock:
+            if wish is False and self._holding.learns and not self._pipeline.located_count:
+                raise OperationError("no camera is located yet; there is no map to hold fixed")
+            if wish is not None and wish != self._holding.learns:
+                self._holding.want(learns=wish)
+            return self._holding.answer
 
     def _answer_clock(self, _request: bytes) -> bytes:
         return json.dumps({"now_ns": self._clock.now_ns()}).encode()

@@ -5,30 +5,27 @@ node feeds it from the bus, `calibrate` from a recording.
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
-from trigpoint.geometry import CameraModel
-from trigpoint.site.config import Site
-from trigpoint.site.target import Target
 
 from .camera_announcements import CameraAnnouncements
-from .estimators.interface import Live
-from .estimators.registry import make_estimator
+from .estimating import estimating
 from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
+from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
-from .live.reports import Immediate, Reports
 from .live.settling import SettlingSchedule
 from .live.solver_messages import Solver
-from .model.dataset import DataSet, Event, KnownCameras
+from .model.dataset import Conclusions, Event
+from .model.inputs import Inputs
 from .model.observations import Observation
 from .model.odometry import Added
 from .output import Output, output_of
@@ -42,47 +39,34 @@ _MOST_EARLY = 4096
 _MOST_EVENTS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """What a pipeline is made from. `lenses`: those known beforehand; the others are announced."""
-
-    site: Site
-    targets: dict[str, Target]
-    lenses: dict[str, CameraModel] = field(default_factory=dict)
-    known: KnownCameras = field(default_factory=KnownCameras.none)
-
-    def data_set(self) -> DataSet:
-        """What is known beforehand, and nothing else yet."""
-        return DataSet(self.site, self.targets, dict(self.lenses), self.known)
-
-
 class Pipeline:
     """One map from its first message to its last. Not thread-safe.
 
     `is_live`: whether anyone listens to its outputs on the way; `solver`: solves, so that no turn
-    takes long; None: the estimator that the site file names does, within its turn. `reports`: the
-    results.
+    takes long; None: the estimator that the site file names does, within its turn. `fixed`: the
+    network that is held, so that nothing is solved at all. `reports`: the results.
     """
 
-    reports: Reports
-    _estimator: Live
-    _follower: Follower | None
-
     def __init__(
-        self, inputs: Inputs, *, is_live: bool = True, solver: Solver | None = None
+        self,
+        inputs: Inputs,
+        *,
+        is_live: bool = True,
+        solver: Solver | None = None,
+        fixed: FixedNetwork | None = None,
     ) -> None:
-        self._is_live = is_live
+        self._is_live, self._fixed = is_live, fixed
+        inputs = inputs if fixed is None else fixed.inputs(inputs)
         self.site, self.inputs = inputs.site, inputs
         data = self._data = inputs.data_set()
-        if solver is not None:
-            self._follower = self._estimator = self.reports = Follower(data, solver)
-        else:
-            self._estimator = estimator = make_estimator(data)
-            self._follower, self.reports = None, Immediate(data, estimator)
+        shared = RobotIdentification(data)
+        found = estimating(data, solver, fixed, shared.forget)
+        self._estimator, self._follower = found.estimator, found.follower
+        self.reports = found.reports
         self._intake = Intake(
             inputs.site,
             inputs.targets,
-            shared=RobotIdentification(data),
+            shared=shared,
             standstills=Standstills(data.tracks),
         )
         self.arrivals = Arrivals(inputs.site, data.tracks)
@@ -100,7 +84,13 @@ class Pipeline:
     @property
     def map_id(self) -> UUID | None:
         """The map's identity; None before the first robot's first odometry message."""
-        return map_id_of(self._data)
+        held = self._fixed.map_id if self._fixed is not None else None
+        return held or map_id_of(self._data)
+
+    @property
+    def conclusions(self) -> Conclusions:
+        """What was concluded so far."""
+        return self._data.conclusions()
 
     @property
     def last_problem(self) -> str:
@@ -221,6 +211,9 @@ class Pipeline:
         return True
 
     def _push_sightings(self, camera: str, message: Sightings) -> bool:
+        if self._fixed is not None and camera not in self._fixed.states:
+            self._left_out.add("not_in_the_map")
+            return False
         config = self.site.cameras[camera]
         if camera not in self._data.lenses and config.estimates_intrinsics:
             self._data.lenses[camera] = config.nominal()
@@ -323,6 +316,8 @@ class Pipeline:
         update = self._estimator.add_observation(observation)
         if update.problem:
             self._left_out.add("unusable", update.problem)
+        if update.contradiction is not None:
+            self._left_out.add("against_the_map", update.contradiction)
         self._note_events()
         if update.correction is not None and not is_late:
             self._correct(observation, update.correction)
@@ -387,6 +382,8 @@ class Pipeline:
     def results(self) -> Results:
         """The results as they are known now; see `reports`."""
         results = self.reports.results()
+        if self._fixed is not None:
+            return results
         return replace(results, network=self.arrivals.explained(results.network))
 
     def guidance_world(self) -> GuidanceWorld | None:

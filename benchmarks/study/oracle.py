@@ -7,7 +7,8 @@ import numpy as np
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
-from trigpoint.fusion.model.dataset import DataSet, KnownCameras
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from trigpoint.contract.messages import Message, Odometry, Sightings
-from trigpoint.fusion.model.dataset import KnownCameras
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.pipeline import Inputs, Pipeline
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import (

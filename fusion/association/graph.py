@@ -103,7 +103,7 @@ class Graph:
         self._begin_at: dict[tuple[str, int], list[int]] = {}
         for number, (found, node) in enumerate(zip(visits, self.node_of, strict=True)):
             self._begin_at.setdefault((found.visit.robot, node), []).append(number)
-        self._known_covariance = np.linalg.inv(data.known.information)
+        self._known_covariance = data.known_at_start.covariance
         self._across: dict[Break, list[VisualStep]] = {}
         self._clocks = [_clock(data, v) for v in visits]
         self._visual = self._visual_steps()

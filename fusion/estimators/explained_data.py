@@ -2,13 +2,14 @@
 which the solution adds."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
 from trigpoint.fusion.association.session_noise import with_noise
-from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras, Move
+from trigpoint.fusion.model.dataset import DataSet, Entry, Move
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
@@ -82,7 +83,7 @@ def _take_moves(data: DataSet, explanation: Explanation) -> dict[tuple[str, int]
             data.changes.append((move,))
     data.moves.sort(key=lambda move: move.since_ns)
     poses = {names[camera, 0]: pose for camera, pose in data.known.poses.items()}
-    data.known = KnownCameras(poses, data.known.information)
+    data.known = replace(data.known_at_start, poses=poses)
     return names
 
 

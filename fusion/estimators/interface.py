@@ -46,11 +46,13 @@ class CameraCount:
 @dataclass(frozen=True, slots=True)
 class Update:
     """The effect of an observation: `correction`, where it was one of a camera located before;
-    `problem`: why it could not be used at all, "" where it could."""
+    `problem`: why it could not be used at all, "" where it could; `contradiction`: what it says
+    against a map that does not change, "" where that may be chance; None: it does not."""
 
     correction: RobotEstimate | None = None
     located: tuple[str, ...] = ()
     problem: str = ""
+    contradiction: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

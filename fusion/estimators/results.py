@@ -24,6 +24,7 @@ from trigpoint.map.network import (
     save_network,
 )
 
+from .crept import newest_ns
 from .interface import CameraEstimate, Estimator
 from .noise_lines import noise_lines
 
@@ -69,6 +70,7 @@ def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Resu
     robots = {
         name: _robot(data, estimator, name, trajectories.get(name)) for name in data.site.robots
     }
+    until_ns = newest_ns(data)
     network = Network(
         site=data.site.name,
         map_id=str(map_id) if map_id is not None else "",
@@ -76,6 +78,7 @@ def results_of(data: DataSet, estimator: Estimator, map_id: UUID | None) -> Resu
         cameras=cameras,
         robots=robots,
         statistics=Statistics(estimator.chi2_per_dof, estimator.iterations),
+        until=str(until_ns) if until_ns is not None else None,
     )
     return Results(network, estimator.joint_covariance(), trajectories, noise_lines(data))
 

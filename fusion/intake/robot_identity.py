@@ -70,6 +70,14 @@ class RobotIdentification:
         self._late_ns: dict[str, int] = {}
         self.problem = ""
 
+    def forget(self) -> None:
+        """Begin anew, but for the counts, with a budget of its own."""
+        self._memory = Memory()
+        self._budget = self._memory.budget
+        self._left.clear()
+        self._told_ns.clear()
+        self._late_ns.clear()
+
     def add(self, camera: str, stamp_ns: int, faces: tuple[dict[str, View], ...]) -> None:
         """Take one picture, each face as a view of every robot that may carry it; a late picture
         joins the visit that goes on."""

@@ -52,10 +52,15 @@ class Alive:
 
 class SolverProcess:
     """See `Solver`. `data`: empty but for what is known beforehand; not used by anyone else.
-    `pulse` is beaten by the work in the process."""
+    `pulse` is beaten by the work in the process; `forget`: called with it when that is to end."""
 
-    def __init__(self, data: DataSet, pulse: Pulse | None = None) -> None:
-        self._pulse = pulse
+    def __init__(
+        self,
+        data: DataSet,
+        pulse: Pulse | None = None,
+        forget: Callable[[Pulse], None] = lambda _: None,
+    ) -> None:
+        self._pulse, self._forget = pulse, forget
         self._beat(START_S)
         context = get_context("spawn")
         theirs, self._orders = context.Pipe(duplex=False)
@@ -110,6 +115,8 @@ class SolverProcess:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
+        if self._pulse is not None:
+            self._forget(self._pulse)
         self._process.kill()
         self._outbox.put(None)
         for thread in self._threads:

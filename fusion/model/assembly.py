@@ -11,7 +11,8 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import CameraConfig
 from trigpoint.site.target import Target
 
-from .dataset import DataSet, KnownCameras
+from .dataset import DataSet
+from .known_cameras import KnownCameras
 from .observations import Observation, moving
 from .odometry import OdometryTrack
 from .padding import padded_points
@@ -235,7 +236,7 @@ def _priors(data: DataSet, cameras: list[str], robots: list[str], *, anchored: b
     }
     fusion = site.fusion
     moves_faces = fusion.target_translation > 0 or fusion.target_rotation > 0
-    known = data.known if anchored else KnownCameras.none()
+    known = data.known_at_start if anchored else KnownCameras.none()
     places = {name: data.places_of(data.site_camera(name)) for name in cameras}
     owners = {name: next(each for each in places[name] if each in cameras) for name in cameras}
     configs = {name: site.cameras[data.site_camera(name)] for name in set(owners.values())}

@@ -8,11 +8,11 @@ import numpy as np
 from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import Network
 from trigpoint.site.config import OdometryNoise, Site
 from trigpoint.site.target import Target
 
 from .jitter import Jitter
+from .known_cameras import KnownCameras
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
 from .problem import CameraState, RobotState, State
@@ -28,18 +28,6 @@ class Entry:
     observation: Observation
     map_from_base: Pose | None = None
     share: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class KnownCameras:
-    """Cameras known from an earlier run: poses, and their joint information (6n, 6n)."""
-
-    poses: dict[str, Pose]
-    information: Array
-
-    @classmethod
-    def none(cls) -> "KnownCameras":
-        return cls({}, np.zeros((0, 0)))
 
 
 @dataclass(slots=True)
@@ -136,6 +124,11 @@ class DataSet:
         return None if self.known.poses else self.site.first_robot
 
     @property
+    def known_at_start(self) -> KnownCameras:
+        """The known cameras as uncertain as they are when the odometry begins."""
+        return self.known.at(self.epoch_ns)
+
+    @property
     def last_ns(self) -> int:
         """The stamp of the newest odometry message of any robot; 0 before the first."""
         return max((track.last_ns for track in self.tracks.values() if len(track)), default=0)
@@ -195,7 +188,7 @@ class DataSet:
             name: self.tracks[name].mended().noisy(robot.odometry, slip=SLIP, skid=0.0)
             for name, robot in self.site.robots.items()
         }
-        known = KnownCameras(poses, self.known.information)
+        known = replace(self.known_at_start, poses=poses)
         return DataSet(self.site, self.targets, dict(self.lenses), known, tracks)
 
     def take_over(self, draft: "DataSet") -> None:
@@ -261,25 +254,3 @@ class DataSet:
             for name in self.site.robots
         }
         return State(cameras, robots)
-
-
-def known_cameras(network: Network, joint: Array, names: Iterable[str]) -> KnownCameras:
-    """The cameras of an earlier network that this site has too.
-
-    `joint`: (6n, 6n) covariance over all of the network's located cameras, in its order.
-    """
-    here = set(names)
-    kept = [i for i, name in enumerate(network.located) if name in here]
-    poses = {}
-    for index in kept:
-        record = network.cameras[network.located[index]].map_from_camera
-        assert record is not None  # located cameras have a pose
-        poses[network.located[index]] = record.pose
-    if not poses:
-        return KnownCameras.none()
-    rows = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in kept])
-    covariance = joint[np.ix_(rows, rows)]
-    # The first network's gauge is exact, so its covariance may be near singular: a floor of
-    # 0.1 mm and 0.1 mrad keeps the information finite and is far below any camera's sigma.
-    floor = 1e-8 * np.eye(len(covariance))
-    return KnownCameras(poses, np.linalg.inv(covariance + floor))

@@ -83,10 +83,7 @@ class OdometryTrack:
     """
 
     def __init__(self, noise: OdometryNoise, *, planar: bool, slip: float = SLIP) -> None:
-        self.noise = noise
-        self.planar = planar
-        self.slip = slip
-        self.skid = 0.0
+        self.noise, self.planar, self.slip, self.skid = noise, planar, slip, 0.0
         self.scales = (0.0, 0.0)
         self._count = 0
         self._stamps = np.zeros(1024, dtype=np.int64)
@@ -193,6 +190,16 @@ class OdometryTrack:
         self._jumps[row] = True
         self._jump_rows.append(row)
         return Added.JUMP
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop what lies before the last message at or before a moment."""
+        first = max(int(np.searchsorted(self.stamps_ns, stamp_ns, "right")) - 1, 0)
+        for name in _ARRAYS:  # copies of this track share the old ones
+            setattr(self, name, getattr(self, name)[first:].copy())
+        self._count -= first
+        self._twists[0], self._jumps[0], self._gaps[0] = 0.0, False, 0.0
+        self._jump_rows = [row - first for row in self._jump_rows if row > first]
+        self._broken_rows = [row - first for row in self._broken_rows if row > first]
 
     def break_between(self, after_ns: int, before_ns: int) -> None:
         """Mark the motion as unknown between two moments, where the robot was moved and odometry

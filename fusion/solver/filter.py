@@ -14,7 +14,7 @@ import numpy as np
 
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.motion import odometry_step
-from trigpoint.fusion.model.observations import Observation, points_of
+from trigpoint.fusion.model.observations import Observation, base_from_faces, points_of
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import (
     Batch,
@@ -24,6 +24,7 @@ from trigpoint.fusion.model.problem import (
     Layout,
     Priors,
     Problem,
+    RobotState,
     State,
     layout_of,
 )
@@ -40,6 +41,9 @@ from .picture_jitter import PictureJitter
 # the map.
 _LOOSE_M = 20.0
 _LOOSE_RAD = 1.0
+# Of a robot that may be anywhere, about a pose that a sighting shows: so weak that it adds nothing.
+_UNKNOWN_M = 10.0
+_UNKNOWN_RAD = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +58,14 @@ class RobotEstimate:
 @dataclass(frozen=True, eq=False)
 class Filter:
     """A Gaussian estimate about a fixed point. `state`: that point, with one node of each robot,
-    its last; `stamps_ns`: of those nodes; `source`: the distribution as it was computed."""
+    its last; `stamps_ns`: of those nodes; `source`: the distribution as it was computed;
+    `holds_cameras`: what is known of cameras stays as it is, and sightings tell of robots alone."""
 
     state: State
     stamps_ns: dict[str, int]
     layout: Layout
     source: Reduced | Gaussian
+    holds_cameras: bool = False
 
     @cached_property
     def known(self) -> Gaussian:
@@ -112,9 +118,34 @@ class Filter:
             information[last, last] = EXACT
         if data.known.poses:
             columns = np.concatenate([layout.pose[name] for name in data.known.poses])
-            information[np.ix_(columns, columns)] = data.known.information
+            information[np.ix_(columns, columns)] = data.known_at_start.information
         reduced = Reduced(layout, information, np.zeros(layout.size))
         return cls(state, stamps, layout, reduced)
+
+    @classmethod
+    def in_fixed_map(
+        cls,
+        data: DataSet,
+        cameras: dict[str, CameraState],
+        covariance: Array,
+        robot: str,
+        stamp_ns: int,
+        map_from_base: Pose,
+        scales: Array,
+    ) -> "Filter":
+        """A robot of which nothing is known, linearised at a pose, among cameras of a joint
+        covariance (6n, 6n) that stay; `scales` (2,): of its odometry."""
+        track = data.tracks[robot]
+        faces = base_from_faces(data.targets[robot])
+        state = State(cameras, {robot: RobotState(Pose.stack([map_from_base]), scales, faces)})
+        chain = Chain.unlinked(robot, np.array([stamp_ns]), track, scales)
+        layout = layout_of(list(cameras), {robot: chain}, Priors.none(), state)
+        unknown = np.repeat([_UNKNOWN_M**2, _UNKNOWN_RAD**2], 3)[track.tangent]
+        whole = np.zeros((layout.size, layout.size))
+        whole[: len(covariance), : len(covariance)] = covariance
+        whole[np.ix_(layout.last[robot], layout.last[robot])] = np.diag(unknown)
+        source = Gaussian.of(np.zeros(layout.size), whole)
+        return cls(state, {robot: stamp_ns}, layout, source, holds_cameras=True)
 
     @classmethod
     def after(cls, state: State, problem: Problem, reduced: Reduced) -> "Filter":
@@ -218,7 +249,8 @@ class Filter:
         )
         there = replace(before, map_from_base=Pose.stack([guess]))
         state = State(self.state.cameras, self.state.robots | {robot: there})
-        return Filter(state, self.stamps_ns | {robot: stamp_ns}, self.layout, moved)
+        stamps_ns = self.stamps_ns | {robot: stamp_ns}
+        return replace(self, state=state, stamps_ns=stamps_ns, source=moved)
 
     def updated(
         self, data: DataSet, observation: Observation, *, share: float = 1.0
@@ -247,7 +279,8 @@ class Filter:
         flat, residual = jacobian[0], residual[0]
         basis, factor = np.linalg.qr(flat)
         compressed = basis.T @ residual
-        after, whitened = self.known.updated(where, factor, compressed)
+        free = self.layout.last[robot] if self.holds_cameras else None
+        after, whitened = self.known.updated(where, factor, compressed, free=free)
         left_over = residual @ residual - compressed @ compressed
         return replace(self, source=after), float(left_over + whitened @ whitened)
 

@@ -43,6 +43,18 @@ class _Near:
         nothing, square = np.zeros(0), np.zeros((0, 0))
         return cls(np.zeros(0, dtype=int), nothing, square, square, square, nothing)
 
+    def learning(self, free: np.ndarray, gain: Array, far: Array, whitened: Array) -> "_Near":
+        """After an update of the free columns alone; `gain` (k, r), `far` (k, r), `whitened` (r,):
+        as `Gaussian.updated` names them."""
+        own = np.where(np.isin(self.columns, free)[:, None], gain, 0.0)
+        across = own @ gain.T
+        return replace(
+            self,
+            mean=self.mean - own @ whitened,
+            covariance=self.covariance - across - across.T + own @ own.T,
+            carry=self.carry - own @ far.T,
+        )
+
     def rows(self, columns: np.ndarray) -> np.ndarray:
         """The indices of columns (m,), all of them near, among the near ones."""
         return np.argmax(self.columns == columns[:, None], axis=1)
@@ -132,7 +144,12 @@ class Gaussian:
         return Gaussian(ready.before, moved)
 
     def updated(
-        self, columns: np.ndarray, jacobian: Array, residual: Array
+        self,
+        columns: np.ndarray,
+        jacobian: Array,
+        residual: Array,
+        *,
+        free: np.ndarray | None = None,
     ) -> tuple["Gaussian", Array]:
         """The Gaussian after an update by residual (r,) + jacobian (r, m) · columns (m,) = noise of
         unit variance; also the whitened innovation (r,).
@@ -140,6 +157,11 @@ class Gaussian:
         `residual`: where the unknowns are 0, not at the mean. With H the Jacobian by the near
         columns, S = 1 + H P_nn Hᵀ = L Lᵀ and G = P_nn Hᵀ L⁻ᵀ the gain of the near ones, that of the
         far ones is P⁰_fn W, W = Φᵀ Hᵀ L⁻ᵀ.
+
+        `free`: the columns, some of those, that the update may change (None: all). The others keep
+        mean and covariance and are only considered: their errors go on into what is learnt of the
+        free ones (Schmidt, «Application of state-space methods to navigation problems», 1966). With
+        the gain G and that of the free ones alone G′, P′ = P - G′Gᵀ - GG′ᵀ + G′G′ᵀ.
         """
         ready = self._ready(columns)
         near = ready._near
@@ -150,6 +172,8 @@ class Gaussian:
         both = np.concatenate([spread, near.carry[rows].T @ jacobian.T, innovation[None]])
         solved = solve_triangular(root, both.T, lower=True, check_finite=False).T
         gain, far, whitened = np.split(solved, [len(spread), 2 * len(spread)])
+        if free is not None:
+            return Gaussian(ready.before, near.learning(free, gain, far, whitened[0])), whitened[0]
         after = _Near(
             near.columns,
             near.mean - gain @ whitened[0],

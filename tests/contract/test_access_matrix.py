@@ -28,7 +28,7 @@ KEYS = (
     *(f"camera/{camera}/{key}" for camera in ("c1", "c2") for key in CAMERA_KEYS),
     *(f"robot/{robot}/{key}" for robot in ("r1", "r2") for key in ROBOT_KEYS),
     *("coverage", "coverage/c1", "coverage/c2", "tf", "diagnostics", "clock"),
-    *("fusion/network", "fusion/map", "fusion/reset", "recorder/stop"),
+    *("fusion/network", "fusion/map", "fusion/reset", "fusion/learn", "recorder/stop"),
     "alive/edge/c1",
     "alive/robot/r1",
     "sent/1",
@@ -55,7 +55,7 @@ ESTIMATES = (
 CAMERA_COMMANDS = tuple(
     f"camera/{c}/{key}" for c in ("c1", "c2") for key in ("snapshot", "calibrate")
 )
-FUSION_COMMANDS = ("fusion/network", "fusion/map", "fusion/reset")
+FUSION_COMMANDS = ("fusion/network", "fusion/map", "fusion/reset", "fusion/learn")
 
 
 @dataclass(frozen=True)

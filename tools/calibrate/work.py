@@ -52,11 +52,24 @@ def task_of(
         if site is None:
             raise InputError("--topic: a bag has no site file; give it with --site")
         inputs = load_inputs(load_site(site, settings), network=network)
+        _check_learns(inputs)
         return Task(session, None, tuple(topics), inputs)
     recording = open_recording(session)
     recording.check_is_session()
     inputs = session_inputs(recording, site=site, network=network, settings=settings)
+    _check_learns(inputs)
     return Task(session, recording, (), inputs)
+
+
+def _check_learns(inputs: Inputs) -> None:
+    """Refuse a site whose network is fixed: what is worked out of a session is one that was
+    learnt."""
+    if not inputs.site.fusion.learn:
+        raise InputError(
+            "[fusion] learn = false: the site's network is fixed, and calibrate works one out; "
+            "give --site with a site file that says learn = true (and --network, for cameras that "
+            "are known)"
+        )
 
 
 def calibrated(recording: Recording, inputs: Inputs) -> Results:

@@ -74,7 +74,7 @@ class Grants:
 
 
 _CAMERA_COMMANDS = ("camera/{id}/snapshot", "camera/{id}/calibrate")
-_FUSION_COMMANDS = ("fusion/network", "fusion/map", "fusion/reset")
+_FUSION_COMMANDS = ("fusion/network", "fusion/map", "fusion/reset", "fusion/learn")
 _RECORDER_COMMANDS = ("recorder/*",)
 
 GRANTS: dict[Kind, Grants] = {

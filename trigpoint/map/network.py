@@ -162,7 +162,8 @@ class Statistics(Struct, frozen=True):
 
 
 class Network(Struct, frozen=True):
-    """The whole file."""
+    """The whole file. `until`: the stamp of its newest sighting, nanoseconds as text, which is the
+    time of the covariances; null in files that do not say it."""
 
     site: str
     map_id: str
@@ -172,6 +173,12 @@ class Network(Struct, frozen=True):
     statistics: Statistics
     format: str = FORMAT
     map: str = "map"
+    until: str | None = None
+
+    @property
+    def until_ns(self) -> int | None:
+        """`until` as a number."""
+        return None if self.until is None else int(self.until)
 
     @property
     def located(self) -> list[str]:
@@ -192,6 +199,10 @@ def decode_network(data: bytes, *, source: str = "network.json") -> Network:
         raise InputError(f"{source}: no network file ({reason}); give a network.json") from None
     if network.format != FORMAT:
         raise InputError(f"{source}: format «{network.format}» is not {FORMAT}; calibrate again")
+    if network.until is not None and not network.until.isdecimal():
+        raise InputError(
+            f"{source}: until «{network.until}» is no stamp in nanoseconds; calibrate again"
+        )
     return network
 
 

@@ -105,7 +105,7 @@ class KalmanState:
 
     def with_known_cameras(self, data: DataSet) -> Self:
         """With the cameras of an earlier network, with their joint covariance."""
-        state, joint = self, np.linalg.inv(data.known.information)
+        state, joint = self, data.known_at_start.covariance
         for index, (name, pose) in enumerate(data.known.poses.items()):
             rows = slice(6 * index, 6 * index + 6)
             _turn(joint, rows, twist_by_disturbance(pose))

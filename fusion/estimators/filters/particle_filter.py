@@ -110,7 +110,7 @@ class ParticleFilterState(Particles):
         return replace(filter_state, spreads=filter_state.spreads | {robot: nothing})
 
     def _with_known(self, data: DataSet) -> "ParticleFilterState":
-        joint = np.linalg.inv(data.known.information)
+        joint = data.known_at_start.covariance
         random = self.random()
         drawn = random.standard_normal((PARTICLES, len(joint))) @ np.linalg.cholesky(joint).T
         places = {}

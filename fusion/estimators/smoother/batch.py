@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.explanation import Explanation
+from trigpoint.fusion.estimators.crept import crept
 from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.model.dataset import DataSet
@@ -57,6 +58,7 @@ class BatchSolution:
             problem, solution = solved.assembled.problem, solved.solution
             after = Filter.after(state, problem, solution.reduced)
         after = after.spread(left_open(state, explanation, Events(draft.site.fusion.priors)))
+        after = after.spread(crept(draft, after))
         _say_earlier(draft, after)
         self.data.take_over(draft)
         self.state, self.problem, self.solution = state, problem, solution

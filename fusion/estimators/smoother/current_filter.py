@@ -15,11 +15,12 @@ from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
+from trigpoint.geometry.rotation import Array
 
 # Corner errors are correlated where the lens is known less well than stated: by this factor their
 # variance may be larger in one place of the picture than in all of it. Beyond that the sighting,
 # the robot or the camera contradicts the rest.
-_EXCESS = 3.0
+EXCESS = 3.0
 _MOST_STEPS = 64
 
 
@@ -66,6 +67,22 @@ class CurrentFilter:
         self._steps.clear()
         for entry in entries:
             self._note_share(entry)
+
+    def forget_before(self, robot: str, stamp_ns: int) -> None:
+        """Carry a robot on to a moment by its odometry, which is not needed before it any more; a
+        sighting that comes late finds no step before the moment."""
+        if self.known is None or not self.known.has_robot(robot):
+            return
+        self._steps = [s for s in self._steps if s.before.stamps_ns[robot] >= stamp_ns]
+        if self.known.stamps_ns[robot] < stamp_ns:
+            self.known = self.known.carried(self.data, robot, stamp_ns)
+
+    def spread(self, covariances: dict[str, Array]) -> None:
+        """Add covariances (6, 6) to those of cameras' poses; a sighting that comes late finds no
+        step before that."""
+        if self.known is not None:
+            self.known = self.known.spread(covariances)
+            self._steps.clear()
 
     # -- one observation --------------------------------------------------------------------------
 
@@ -143,7 +160,7 @@ class CurrentFilter:
         entry.share = self._share_before(observation)
         after, surprise = moved.updated(self.data, observation, share=entry.share)
         entry.map_from_base = pose
-        if not is_noise(surprise, 2 * observation.corner_count, excess=_EXCESS):
+        if not is_noise(surprise, 2 * observation.corner_count, excess=EXCESS):
             entry.observation = observation.judged(Verdict.REJECTED)
             return None
         entry.observation = observation.judged(Verdict.ACCEPTED)

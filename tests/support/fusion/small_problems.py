@@ -9,7 +9,8 @@ from support.fusion.drives import EPOCH_NS, lens, looking_at
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled, assemble
-from trigpoint.fusion.model.dataset import DataSet, Entry, KnownCameras
+from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import (
     Observation,
     Reading,

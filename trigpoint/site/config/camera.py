@@ -32,6 +32,8 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     distortion_sigma: Positive = 0.5
     time_offset_sigma: NotNegative = math.nan  # NaN: by the source, see below
     time_drift_sigma: NotNegative = 20e-6
+    creep_translation: NotNegative = 2e-4
+    creep_rotation: NotNegative = 2e-4
     line_delay: float = 0.0
     picture_rate: Positive = 2.0
     picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80

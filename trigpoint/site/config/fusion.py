@@ -32,12 +32,13 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The estimator."""
+    """The estimator. `learn`: false where the network is fixed, and corrections are made only."""
 
     estimator: Literal["smoother", "particle", "ekf"] = "smoother"
     late: Positive = 1.0
     correction_rate: Positive = 10.0
     seed: int = 0
+    learn: bool = True
     target_translation: NotNegative = 0.0
     target_rotation: NotNegative = 0.0
     priors: PriorConfig = PriorConfig()

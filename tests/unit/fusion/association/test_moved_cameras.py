@@ -22,7 +22,7 @@ from support.fusion.drives import (
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry
-from trigpoint.fusion.model.dataset import KnownCameras
+from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.map.network import CameraRecord

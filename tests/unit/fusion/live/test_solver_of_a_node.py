@@ -89,7 +89,7 @@ def test_process_solves_and_a_stop_has_its_last_solution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A stop's 1.2 s are enough for it, but not on a machine that does twenty things.
-    monkeypatch.setattr("trigpoint.fusion.node._LAST_SOLUTION_S", PATIENCE_S)
+    monkeypatch.setattr("trigpoint.fusion.last_solution._LAST_SOLUTION_S", PATIENCE_S)
 
     def make() -> Solver:
         return SolverProcess(charuco.inputs.data_set())

@@ -372,3 +372,24 @@ def test_skid_scatters_along_the_track_by_what_was_turned() -> None:
     added = (skidding - plain)[:2, :2]
     np.testing.assert_allclose(added, 0.03**2 * 0.4 * np.outer(along, along), atol=1e-12)
     np.testing.assert_allclose(skidding[5, 5], plain[5, 5])
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_motion_is_the_same_where_what_lies_before_it_is_forgotten(planar: bool) -> None:
+    poses = way(60, planar=planar)
+    whole, short = (track_of(poses, planar=planar) for _ in range(2))
+    for track in (whole, short):
+        track.break_between(int(track.stamps_ns[10]), int(track.stamps_ns[12]))
+        track.break_between(int(track.stamps_ns[50]), int(track.stamps_ns[52]))
+    copied = short.mended()
+    stamps_ns = whole.stamps_ns.copy()
+    short.forget_before(int(stamps_ns[40]) + 5)
+    assert short.first_ns == stamps_ns[40]
+    assert len(short) == 20
+    assert short.jump_steps == whole.jump_steps[1:]
+    wanted = moments(40.3, 43.0, 49.5)
+    mine, other = (track.motion(wanted, np.zeros(2)) for track in (short, whole))
+    assert_same(mine.earlier_from_later, other.earlier_from_later)
+    np.testing.assert_allclose(mine.covariance, other.covariance, atol=1e-18)
+    assert len(copied) == 60  # a copy keeps what it had
+    assert copied.first_ns == stamps_ns[0]

@@ -134,3 +134,31 @@ def test_it_is_worth_settling_before_a_step_has_to(monkeypatch: pytest.MonkeyPat
         assert mine.before is base
     assert worth == [False, True]
     assert not mine.settled().is_worth_settling
+
+
+@pytest.mark.parametrize("most_near", [12, 24, 1000])
+def test_held_columns_stay_and_what_is_learnt_bears_their_errors(
+    monkeypatch: pytest.MonkeyPatch, most_near: int
+) -> None:
+    """Against the textbook's gain of any update, Joseph's form, with the rows of the held at 0."""
+    monkeypatch.setattr(gaussian, "_MOST_NEAR", most_near)
+    random = np.random.default_rng(4)
+    mean, covariance = start(random)
+    mine, held = Gaussian.of(mean.copy(), covariance.copy()), np.arange(SIZE - ROBOT)
+    whole = Whole(mean, covariance)
+    for look in range(12):
+        columns = np.concatenate([LAST, columns_of(look % 5)])
+        jacobian, residual = random.normal(size=(7, len(columns))), random.normal(size=7)
+        mine, _ = mine.updated(columns, jacobian, residual, free=LAST)
+        wide = np.zeros((7, SIZE))
+        wide[:, columns] = jacobian
+        spread = np.eye(7) + wide @ whole.covariance @ wide.T
+        gain = whole.covariance @ wide.T @ np.linalg.inv(spread)
+        gain[held] = 0.0
+        whole.mean = whole.mean - gain @ (residual + wide @ whole.mean)
+        kept = np.eye(SIZE) - gain @ wide
+        whole.covariance = kept @ whole.covariance @ kept.T + gain @ gain.T
+    assert_same(mine, whole)
+    np.testing.assert_array_equal(mine.mean[held], mean[held])
+    inner = np.ix_(held, held)
+    np.testing.assert_array_equal(mine.covariance[inner], covariance[inner])

@@ -158,6 +158,16 @@ def test_known_network_is_the_prior(recorded: Path, tmp_path: Path) -> None:
         assert after.cameras[name].position_sigma < before.cameras[name].position_sigma + 2e-4
 
 
+def test_site_that_learns_nothing_is_refused(
+    recorded: Path, session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "r1.toml").write_text(target_text(session.inputs.targets["r1"]))
+    site = tmp_path / "site.toml"
+    site.write_text(session.inputs.site.text + "\n[fusion]\nlearn = false\n")
+    said = refused(capsys, recorded, "--site", site)
+    assert "learn = false: the site's network is fixed, and calibrate works one out" in said
+
+
 def test_network_without_its_covariance_is_refused(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,7 +21,7 @@ from support.fusion.drives import (
 from trigpoint.base.clock import to_ns
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Message, PoseEstimate, Sightings
-from trigpoint.fusion.model.dataset import known_cameras
+from trigpoint.fusion.model.known_cameras import known_cameras
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.geometry import Pose
 

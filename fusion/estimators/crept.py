@@ -1,0 +1,50 @@
+"""How far cameras may have crept within a session, which is solved as though they hung still.
+
+In hours that is next to nothing; a session that goes on for weeks is a mean over them. With the
+weights w of a camera's sightings and their ages a, the mean of its random walk is off by creep² ·
+Σᵢⱼ wᵢ wⱼ min(aᵢ, aⱼ) from where it hangs at the end, which is at most creep² times the mean age.
+"""
+
+import numpy as np
+
+from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.known_cameras import Creep
+from trigpoint.fusion.model.observations import Verdict
+from trigpoint.fusion.solver.filter import Filter
+from trigpoint.geometry.rotation import Array
+
+# The relative increase of a variance that changes no sigma by more than a two-hundredth.
+_LITTLE = 0.01
+
+
+def newest_ns(data: DataSet) -> int | None:
+    """The stamp of the newest sighting; without one, the time of what is known beforehand."""
+    stamps = (entry.observation.stamp_ns for entry in data.entries)
+    return max(stamps, default=data.known_at_start.until_ns)
+
+
+def crept(data: DataSet, after: Filter) -> dict[str, Array]:
+    """By camera, the covariance (6, 6) to add to what was solved as though nothing crept, of those
+    where it is not negligible."""
+    end_ns, found = newest_ns(data), {}
+    for name, camera in data.site.cameras.items():
+        if end_ns is None or not after.has_camera(name):
+            continue
+        spread = Creep.of(camera).covariance(_age_ns(data, name, end_ns))
+        variances = np.diagonal(after.known.covariance_of(after.layout.pose[name]))
+        if np.any(np.diagonal(spread) > _LITTLE * variances):
+            found[name] = spread
+    return found
+
+
+def _age_ns(data: DataSet, camera: str, end_ns: int) -> float:
+    """The mean age of what a camera's pose rests on. What was known of it beforehand is as old as
+    the session, and may weigh as much as all sightings."""
+    if camera in data.known.poses:
+        return end_ns - data.epoch_ns
+    used = [
+        end_ns - entry.observation.stamp_ns
+        for entry in data.of_camera(camera)
+        if entry.observation.verdict is Verdict.ACCEPTED
+    ]
+    return float(np.mean(used)) if used else 0.0

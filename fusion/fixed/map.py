@@ -1,0 +1,157 @@
+"""The estimator of a fixed map: it makes corrections, and keeps nothing of the past.
+
+Cameras stay as the network has them. What a robot's place is known by is carried on sighting by
+sighting, with the cameras' uncertainty as one that no sighting reduces. Memory and time for a
+sighting do not depend on how long that goes on.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+
+from trigpoint.base.clock import to_ns
+from trigpoint.base.words import counted
+from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
+from trigpoint.fusion.estimators.residuals import CameraResiduals
+from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.model.dataset import Conclusions, DataSet
+from trigpoint.fusion.model.known_cameras import KnownCameras
+from trigpoint.fusion.model.observations import Observation
+from trigpoint.fusion.model.odometry import Added
+from trigpoint.fusion.solver.filter import RobotEstimate
+from trigpoint.fusion.solver.snapshot import GuidanceWorld
+from trigpoint.geometry import Pose
+
+from .network import FixedNetwork
+from .placing import Placing
+
+# So many odometry messages of a robot are kept at most, and half of them at least.
+MOST_ODOMETRY = 4096
+# In an hour cameras creep by less than any sigma.
+_WIDENED_EVERY_NS = to_ns(3600.0)
+
+
+class FixedMap:
+    """See `Live` and `Reports`. Not thread-safe. `forget`: called where the odometry's past was
+    dropped, for others to drop what refers to it."""
+
+    def __init__(self, data: DataSet, fixed: FixedNetwork, forget: Callable[[], None]) -> None:
+        self.data, self.fixed, self._forget = data, fixed, forget
+        if fixed.learnt is not None:
+            data.conclude(Conclusions((), {}, fixed.learnt.noise, fixed.learnt.jitter, {}))
+        self._placings = {robot: Placing(data, fixed, robot) for robot in data.site.robots}
+        self._cameras = fixed.known
+        self._estimates: dict[str, CameraEstimate] = {}
+        self._contradictions: Counter[str] = Counter()
+        self.is_answered = self.is_final = self.has_results = True
+
+    # -- input ------------------------------------------------------------------------------------
+
+    def add_odometry(self, robot: str, stamp_ns: int, odom_from_base: Pose) -> Added:
+        track = self.data.tracks[robot]
+        added = track.add(stamp_ns, odom_from_base)
+        if added is not Added.STALE:
+            self._widen(stamp_ns)
+        if len(track) > MOST_ODOMETRY:
+            self._forget_odometry(robot)
+        return added
+
+    def _forget_odometry(self, robot: str) -> None:
+        track = self.data.tracks[robot]
+        since_ns = int(track.stamps_ns[-MOST_ODOMETRY // 2])
+        self._placings[robot].forget_before(since_ns)
+        track.forget_before(since_ns)
+        self._forget()
+
+    def _widen(self, stamp_ns: int) -> None:
+        """Let the cameras creep on up to a time, where that has become something."""
+        before = self._cameras
+        if before.until_ns is None:
+            return
+        elapsed_ns = stamp_ns - before.until_ns
+        if elapsed_ns < _WIDENED_EVERY_NS:
+            return
+        crept = {name: creep.covariance(elapsed_ns) for name, creep in before.creep.items()}
+        crept = {name: crept[name] for name in before.poses if name in crept}
+        self._cameras, self._estimates = before.at(stamp_ns), {}
+        for placing in self._placings.values():
+            placing.widen(crept)
+
+    def add_observation(self, observation: Observation) -> Update:
+        seen = observation.scattering(self._scatter(observation))
+        placed = self._placings[seen.robot].take(seen, self._cameras)
+        if placed.problem:
+            return Update(problem=f"a sighting of {seen.camera} is unusable ({placed.problem})")
+        said = self._contradiction(seen) if placed.contradicts else None
+        return Update(placed.correction, contradiction=said)
+
+    def _scatter(self, observation: Observation) -> float:
+        """By how much the camera's corners scatter more than stated: as was learnt, or as the
+        network's residuals say."""
+        camera = observation.camera
+        if self.fixed.learnt is not None:
+            return self.fixed.learnt.corner_scale.get(camera, 1.0)
+        rms_px, stated = self.fixed.records[camera].reprojection_rms, observation.sigmas.mean()
+        return 1.0 if rms_px is None else max(1.0, rms_px / float(stated))
+
+    def _contradiction(self, observation: Observation) -> str:
+        """What is to be said of a sighting that contradicts the map; "": it may just be wrong."""
+        camera, robot = observation.camera, observation.robot
+        if camera not in self._placings[robot].contradicted_by:
+            return ""
+        self._contradictions[camera] += 1
+        return (
+            f"camera {camera} sees {robot} elsewhere than the fixed map has it "
+            f"({counted(self._contradictions[camera], 'sighting')}): one of the two was moved; no "
+            "corrections come of it; if that stays, learn the map anew"
+        )
+
+    def collect(self, observation: Observation) -> None:
+        """Nothing is learnt."""
+
+    def leave_open(self, cameras: frozenset[str]) -> None:
+        """Nothing is located anew."""
+
+    def finish(self) -> None:
+        """There is nothing to solve."""
+
+    # -- output -----------------------------------------------------------------------------------
+
+    def robot(self, robot: str) -> RobotEstimate | None:
+        return self._placings[robot].estimate()
+
+    def particles(self, robot: str) -> Pose | None:
+        assert robot in self.data.site.robots
+        return None
+
+    def trajectory(self, robot: str) -> Trajectory | None:
+        assert robot in self.data.site.robots
+        return None  # the past is not kept
+
+    def cameras(self) -> dict[str, CameraEstimate]:
+        if not self._estimates:
+            self._estimates = self.fixed.estimates(self._cameras)
+        return self._estimates
+
+    @property
+    def known(self) -> KnownCameras:
+        """The cameras, as uncertain as they are now."""
+        return self._cameras
+
+    @property
+    def located_count(self) -> int:
+        return len(self.fixed.known.poses)
+
+    def guidance_world(self) -> GuidanceWorld | None:
+        return None  # nothing is to be improved
+
+    def residuals(self, camera: str) -> CameraResiduals | None:
+        assert camera in self.data.site.cameras
+        return None
+
+    # -- results ----------------------------------------------------------------------------------
+
+    def ask(self) -> None:
+        """The results are there."""
+
+    def results(self) -> Results:
+        return self.fixed.results

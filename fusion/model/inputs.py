@@ -1,0 +1,24 @@
+"""What an estimator is made from, before anything came in."""
+
+from dataclasses import dataclass, field
+
+from trigpoint.geometry import CameraModel
+from trigpoint.site.config import Site
+from trigpoint.site.target import Target
+
+from .dataset import DataSet
+from .known_cameras import KnownCameras
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a pipeline is made from. `lenses`: those known beforehand; the others are announced."""
+
+    site: Site
+    targets: dict[str, Target]
+    lenses: dict[str, CameraModel] = field(default_factory=dict)
+    known: KnownCameras = field(default_factory=KnownCameras.none)
+
+    def data_set(self) -> DataSet:
+        """What is known beforehand, and nothing else yet."""
+        return DataSet(self.site, self.targets, dict(self.lenses), self.known)
