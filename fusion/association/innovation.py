@@ -1,107 +1,93 @@
 """The innovation of a sighting: how far it is from where everything else predicts it."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
 
 _REAL = np.float64
-_INNOVATION = Kernel(
-    "tp_innovation",
-    In(_REAL, ("k", 12)),
-    In(_REAL, ("k", 2)),
-    In(_REAL, ("k", "s")),
-    In(np.bool_, ("k",)),
-    In(_REAL, ("q", "q")),
-    In(_REAL, (6,)),
-    int,
+_JUDGED = Kernel(
+    "tp_judged",
+    In(_REAL, ("n", "k", 12)),
+    In(_REAL, ("n", "k", 2)),
+    In(_REAL, ("n", "k", "c")),
+    In(np.int64, ("n", "q")),
+    In(_REAL, ("u",)),
     float,
-    Out(_REAL, (2,)),
+    In(_REAL, ("u", "u")),
+    In(np.int64, ("v", 3)),
+    In(np.bool_, ("v",)),
+    In(_REAL, ("j", 6)),
+    float,
+    In(_REAL, (6,)),
+    float,
+    Out(np.bool_, ("n", "k")),
+    Out(_REAL, ("v", 2)),
+    Out(np.bool_, ("v",)),
 )
+_NO_JITTER = np.empty((0, 6))
 
 
 @dataclass(frozen=True, slots=True)
-class Corners:
-    """The weighted residual (k, 2) of a view's corners, and its derivatives by the robot's pose
-    (k, 2, 6) and by the unknowns (k, 2, q)."""
+class Linearised:
+    """The corners of pictures (n), K of each, about a state.
 
-    residual: Array
-    by_base: Array
-    by_state: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Stood:
-    """The disturbance of the robot's pose about its node in each picture (n), estimated from all
-    corners that are used; through it the views of one picture constrain each other.
-
-    `shift` (n, 6): its mean; `own` (n, 6, 6): its covariance given the unknowns; `by_state`
-    (n, 6, q): its derivative by the unknowns.
+    `by_base` (n, K, 2, 6): derivatives of the `residual` (n, K, 2), in sigmas, by the robot's pose
+    in each picture, `jacobian` (n, K, 2, q) by the unknowns in `rows` (n, q), of which `covariance`
+    (u, u) is that of all and `step` (u,) what is left of the way to their minimum; `jitter`
+    (n, 6): the variances of the robot's deviation in each picture, None where it has none.
     """
 
-    shift: Array
-    own: Array
-    by_state: Array
-
-    @classmethod
-    def of(cls, jitter: PictureJitter, by_state: Array, residual: Array) -> Self:
-        """Estimate the disturbances from the corners that are used: their derivatives `by_state`
-        (n, 2K, q) and `residual` (n, 2K)."""
-        own = np.linalg.inv(jitter.information)
-        pull = -own @ np.swapaxes(jitter.jacobian, 1, 2)
-        return cls((pull @ residual[..., None])[..., 0], own, pull @ by_state)
-
-    def beside(self, row: int, corners: Corners, covariance: Array) -> tuple[Corners, Array]:
-        """Return a view's corners with the disturbance in its picture (`row`) as six more unknowns,
-        and the joint covariance of all of them."""
-        by, shift = self.by_state[row], self.shift[row]
-        across = by @ covariance
-        joint = np.block([[covariance, across.T], [across, self.own[row] + across @ by.T]])
-        return Corners(
-            corners.residual + corners.by_base @ shift,
-            corners.by_base,
-            np.concatenate([corners.by_state, corners.by_base], axis=-1),
-        ), joint
+    by_base: Array
+    residual: Array
+    jacobian: Array
+    rows: np.ndarray
+    step: Array
+    covariance: Array
+    jitter: Array | None
 
 
-def innovation_excess(
-    corners: Corners,
-    wild: np.ndarray,
-    covariance: Array,
+def judged(
+    seen: Linearised,
+    views: np.ndarray,
+    is_wrong: np.ndarray,
     events: Events,
     *,
-    is_used: bool,
+    way: float,
     rest: float,
-) -> float:
-    """Return by how much a sighting is less probable than a wrong one, given everything else:
+) -> tuple[Array, np.ndarray]:
+    """Return by how much each view is less probable than a wrong one, given everything else (v,):
     νᵀS⁻¹ν + ln|S| of the pose that it shows by itself, with ln|S| at most that of a board that may
-    be anywhere, over the score of a wrong one (`Events.excess`).
+    be anywhere, over the score of a wrong one (`Events.excess`); and which corners (n, K) are wild
+    about the pose that their own view shows.
 
-    `wild` (k,): the corners that do not count; `rest`: the χ² by which the state may still be off
-    its minimum; where a sighting determines something nearly alone, that must not count as a
-    contradiction.
-    `covariance`: Σ of the unknowns, which includes the sighting itself if it `is_used`. Then, with
-    P the pose's own covariance and H its derivative by the unknowns, the residual has the
-    covariance R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν is S P⁻¹ times the residual.
+    `views` (v, 3): each view's picture, its first corner and that past its last; `is_wrong` (v,):
+    those that the state was estimated without; `way`: the share of the step that counts; `rest`:
+    the χ² by which the state may still be off its minimum; where a sighting determines something
+    nearly alone, that must not count as a contradiction.
+
+    The covariance Σ of the unknowns includes the sighting itself if it is used. Then, with P the
+    pose's own covariance and H its derivative by the unknowns, the residual has the covariance
+    R = P - HΣHᵀ = P S⁻¹ P, and the innovation ν is S P⁻¹ times the residual. Where the robot
+    deviates from its node, the views of one picture constrain each other through the deviation.
     """
-    found = np.empty(2)
-    count = len(corners.residual)
-    is_determined = _INNOVATION(
-        corners.by_base.reshape(count, 12),
-        np.ascontiguousarray(corners.residual),
-        np.ascontiguousarray(corners.by_state).reshape(count, -1),
-        wild,
-        np.ascontiguousarray(covariance),
-        events.room_variances,
-        is_used,
-        rest,
-        found,
+    shape = seen.residual.shape[:2]
+    wild, found = np.empty(shape, dtype=bool), np.empty((len(views), 2))
+    is_determined = np.empty(len(views), dtype=bool)
+    _JUDGED(
+        np.ascontiguousarray(seen.by_base).reshape(*shape, 12),
+        np.ascontiguousarray(seen.residual),
+        np.ascontiguousarray(seen.jacobian).reshape(*shape, -1),
+        *(seen.rows, seen.step, float(way), np.ascontiguousarray(seen.covariance)),
+        *(views, is_wrong),
+        _NO_JITTER if seen.jitter is None else np.ascontiguousarray(seen.jitter),
+        *(float(events.wild_score), events.room_variances, float(rest)),
+        *(wild, found, is_determined),
     )
     # What determines no pose cannot contradict anything.
-    return float(events.excess(*found.tolist())) if is_determined else -events.wrong_limit
+    excess = np.asarray(events.excess(found[:, 0], found[:, 1]))
+    return np.where(is_determined, excess, -events.wrong_limit), wild

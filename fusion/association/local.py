@@ -19,14 +19,13 @@ from trigpoint.fusion.model.prediction import (
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
-from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
 
 from .budget import Budget
 from .events import Events
-from .innovation import Corners, Stood, innovation_excess
+from .innovation import Linearised, judged
 from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
@@ -156,45 +155,32 @@ class LocalProblem:
         (batch,) = assembled.problem.batches
         whole = replace(batch, weights=self._weights(batch))
         jacobian, residual, columns, by_base = batch_jacobians(assembled.problem, whole, state)
-        dense = system.dense_row + columns
-        rows = [
-            np.concatenate([system.node_rows(self.robot, int(node)), dense]) for node in batch.nodes
-        ]
+        nodes = [system.node_rows(self.robot, int(node)) for node in batch.nodes]
+        rows = np.array([np.concatenate([node, system.dense_row + columns]) for node in nodes])
+        parts = list(self._parts())
         # What is left of the way to the minimum is negligible beside the noise, but not beside the
         # residual of a sighting that nearly alone determines an unknown.
-        rest = 0.0 if is_robust else 1.0
-        left = residual + rest * np.stack(
-            [each @ system.step[mine] for each, mine in zip(jacobian, rows, strict=True)]
+        gains, wild = judged(
+            Linearised(
+                by_base, residual, jacobian, rows, system.step, system.covariance, batch.jitter
+            ),
+            np.array([(row, part.start, part.stop) for row, *_, part in parts]),
+            np.array([trial.wrong[index][order] for _, index, order, _ in parts]),
+            self.events,
+            way=0.0 if is_robust else 1.0,
+            rest=_TOLERANCE if is_robust else 0.0,
         )
-        wild = self._wild(by_base, left)
-        good = np.zeros(batch.weights.shape, dtype=bool)
-        for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
-            good[row, part] = ~flags & (not trial.wrong[index][order])
-        stood = _stood(whole, state, jacobian, left, good)
         excess: dict[bool, list[tuple[float, int, int]]] = {False: [], True: []}
-        for (row, index, order, part), flags in zip(self._parts(), wild, strict=True):
-            trial.wild[index][order] = flags
-            is_wrong = trial.wrong[index][order]
-            corners = Corners(left[row, part], by_base[row, part], jacobian[row, part])
-            covariance = system.covariance[np.ix_(rows[row], rows[row])]
-            if stood is not None:
-                corners, covariance = stood.beside(row, corners, covariance)
-            gain = innovation_excess(
-                corners,
-                flags,
-                covariance,
-                self.events,
-                is_used=not is_wrong,
-                rest=_TOLERANCE if is_robust else 0.0,
-            )
-            excess[is_wrong].append((gain, index, order))
+        for (row, index, order, part), gain in zip(parts, gains.tolist(), strict=True):
+            trial.wild[index][order] = wild[row, part]
+            excess[trial.wrong[index][order]].append((gain, index, order))
         most = max((gain for gain, *_ in excess[False]), default=0.0)
-        judged = set[int]()
+        taken = set[int]()
         for gain, index, order in sorted(excess[False], reverse=True):
             # Of two sightings that contradict each other in one picture, the other may be right.
-            if gain > 0 and gain >= (most if is_robust else most / 2) and index not in judged:
+            if gain > 0 and gain >= (most if is_robust else most / 2) and index not in taken:
                 trial.wrong[index][order] = True
-                judged.add(index)
+                taken.add(index)
         if most > 0:
             return
         for gain, index, order in excess[True]:
@@ -360,15 +346,3 @@ class _Solved:
     def system(self) -> System:
         """The full normal equations; raise LinAlgError where an unknown is not determined."""
         return System.of(self.assembled.problem, self.state, self._equations)
-
-
-def _stood(
-    batch: Batch, state: State, jacobian: Array, residual: Array, good: np.ndarray
-) -> Stood | None:
-    """The robot's deviation from its node in each picture, by the `good` corners (n, K); None where
-    the problem has no jitter. `jacobian` (n, K, 2, q) and `residual` (n, K, 2): of all corners."""
-    jitter = PictureJitter.of(replace(batch, weights=batch.weights * good), state)
-    if jitter is None:
-        return None
-    by_state = (jacobian * good[..., None, None]).reshape(len(residual), -1, jacobian.shape[-1])
-    return Stood.of(jitter, by_state, (residual * good[..., None]).reshape(len(residual), -1))

@@ -6,14 +6,13 @@
 #include <stdexcept>
 
 #include "border.hpp"
-#include "fusion/projection.hpp"
+#include "fusion/pose_fitting.hpp"
 
 using namespace trigpoint;
 
 namespace {
 
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-using ByPoses = Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor>;
 using Index = Eigen::Index;
 
 // What a batch is given as: lens (p,), the camera's rotation (1, 3, 3) and translation (1, 3), the

@@ -29,13 +29,6 @@ Matrix6d inverse_of(const Matrix6d& normal, double open) {
     return parts.eigenvectors() * inverse.asDiagonal() * parts.eigenvectors().transpose();
 }
 
-// One sighting's derivatives by its pose and its residuals, in sigmas.
-struct Sighting {
-    Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor>> by_pose;  // 2n rows
-    Eigen::Map<const Eigen::VectorXd> residual;
-    Eigen::Index corners() const { return residual.size() / 2; }
-};
-
 constexpr int MOST_WEIGHINGS = 6, MOST_REFITS = 3, LEAST_GOOD = 4;
 // Share of the information that is added to it: keeps a direction that no corner shows solvable.
 constexpr double SHARE = 1e-14;
@@ -83,16 +76,6 @@ Eigen::VectorXd settled_weights(const Sighting& seen, double limit) {
     return weight;
 }
 
-// The step without the wild corners, those of weight 0.
-Vector6d tame_step(const Sighting& seen, double limit, Eigen::VectorXd& weight) {
-    Eigen::VectorXd left(seen.corners());
-    weight = Eigen::VectorXd::Ones(seen.corners());
-    const Vector6d step = weighted_step(seen, weight, left);
-    if (!(left.array() > limit).any()) return step;
-    weight = settled_weights(seen, limit);
-    return weighted_step(seen, weight, left);
-}
-
 // A board's corners about a pose, in sigmas.
 class Linearised {
 public:
@@ -136,11 +119,20 @@ private:
     const Points3& points_;
     const Pixels& pixels_;
     double weight_;
-    Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor> by_pose_;
+    ByPoses by_pose_;
     Eigen::VectorXd residual_;
 };
 
 }  // namespace
+
+Vector6d trigpoint::tame_step(const Sighting& seen, double limit, Eigen::VectorXd& weight) {
+    Eigen::VectorXd left(seen.corners());
+    weight = Eigen::VectorXd::Ones(seen.corners());
+    const Vector6d step = weighted_step(seen, weight, left);
+    if (!(left.array() > limit).any()) return step;
+    weight = settled_weights(seen, limit);
+    return weighted_step(seen, weight, left);
+}
 
 double trigpoint::refine(const Lens& lens, Pose& pose, const Points3& points, const Pixels& pixels,
                          const Weights& weights) {
