@@ -58,6 +58,12 @@ class CalibrationService:
         with self._lock:
             return len(self._views)
 
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Those views."""
+        with self._lock:
+            return tuple(self._views)
+
     def answer(self, request: bytes) -> bytes:
         """A lens from the views so far, as JSON: `intrinsics` with sigmas as in network.json,
         `camera_info` as ROS's YAML, and how it came about. `{"forget": true}` empties the store,
