@@ -1,9 +1,7 @@
 """`trigpoint look`: one camera without a site file."""
 
 import json
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +10,7 @@ import numpy as np
 import typer
 
 from trigpoint.base.clock import Clock, SystemClock, to_ns
+from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.base.words import counted
 from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
@@ -68,7 +67,8 @@ def main(
         ),
     ] = False,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, max=1e6, help="Look for so long.")
+        float | None,
+        typer.Option(min=0.1, max=1e6, help="Look for so long, once it is open."),
     ] = None,
     port: Annotated[
         int, typer.Option(help="Of the page; 0: one that is free.", min=0, max=65535)
@@ -96,6 +96,7 @@ def main(
         out=_out(out, is_known=intrinsics is not None, overwrite=overwrite),
         is_global=global_shutter,
         ends_when_taken=no_page,
+        seconds=seconds,
     )
     quieten_opencv()
     cv2.setNumThreads(1)
@@ -105,11 +106,9 @@ def main(
             teller.show_on_page(stack, port)
         look = Look(wishes, teller)
         stop_on_signals([look])
-        with _ended_after(look, seconds) as timer:
-            result = look.run()
-        is_stopped = look.is_stopped and not timer.finished.is_set() if timer else look.is_stopped
+        result = look.run()
     _tell_result(result, url, is_json=json_text)
-    if result.missing and not is_stopped:
+    if result.missing and not ENDING.is_asked:
         raise OperationError(f"no lens was taken, so nothing is written: {result.missing}")
 
 
@@ -133,20 +132,6 @@ def _free_name() -> Path:
     return Path(f"c{number}.yaml")
 
 
-@contextmanager
-def _ended_after(look: Look, seconds: float | None) -> Iterator[threading.Timer | None]:
-    if seconds is None:
-        yield None
-        return
-    timer = threading.Timer(seconds, look.stop)
-    timer.start()
-    try:
-        yield timer
-    finally:
-        timer.cancel()
-        timer.join()
-
-
 class _Teller:
     """Says what is seen: on the page five times a second, in the terminal every two seconds and
     whenever there is other advice."""
@@ -168,7 +153,8 @@ class _Teller:
 
     def __call__(self, shown: Shown, picture: np.ndarray) -> None:
         now_ns = self._clock.elapsed_ns()
-        if self._moments and (shown.over or now_ns - self._shown_ns >= _PAGE_NS):
+        is_news = bool(shown.over) or shown.advice != self._said.get("advice")
+        if self._moments and (is_news or now_ns - self._shown_ns >= _PAGE_NS):
             self._shown_ns = now_ns
             self._moments.show(shown, picture)
         for hint in shown.hints:

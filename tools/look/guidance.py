@@ -27,8 +27,9 @@ FIELDS = 9
 """The picture is looked at in so many fields a side, as a calibration's own coverage is."""
 _TILT_DEG = 25.0
 """Between the slant by which views count as different, 12°, and the best, 30 to 45."""
-_NEAR, _FAR = 0.5, 0.25
-"""A board's width and height as shares of the picture's (their geometric mean)."""
+_NEAR, _FAR = 0.4, 0.2
+"""What a board's inner corners span, as a share of the picture's width and height (their geometric
+mean): the board is one and a half times as large."""
 _HOLD_STILL = (
     "hold the board still for a moment (a camera that reads row after row bends what moves; with "
     "--global-shutter that is not asked)"
@@ -169,6 +170,11 @@ def _distances(views: Sequence[View], size: tuple[int, int]) -> list[Need]:
     sizes = [math.sqrt(area_px(view.pixels) / (size[0] * size[1])) for view in views]
     near, far = max(sizes, default=0.0) / _NEAR, _FAR / max(min(sizes, default=math.inf), 1e-9)
     return [
-        Need(Kind.DISTANCE, "near", near, "closer: let the board fill half of the picture's width"),
-        Need(Kind.DISTANCE, "far", far, "farther away: to a quarter of the picture's width"),
+        Need(Kind.DISTANCE, "near", near, "closer: let the board fill most of the picture"),
+        Need(
+            Kind.DISTANCE,
+            "far",
+            far,
+            "farther away: let the board be a third as wide as the picture",
+        ),
     ]

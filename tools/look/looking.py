@@ -32,7 +32,10 @@ from .taking import LensTaking
 _STILL_APART_NS = to_ns(1.0)
 """Pictures of a folder have no time, and nothing is followed from one to the next: they are this
 far apart."""
+_LEAST_LIVE = 10 * LEAST_PICTURES
+"""The board is still to be brought: at the usual rate this is ten seconds."""
 _FINITE = ("dir", "file")
+_ALL_VIEWS = "the lens of all views is being worked out"
 _FROZEN = "the camera gives the same picture again and again; see whether it is on"
 
 
@@ -42,7 +45,7 @@ class Wishes:
 
     `lens`: where it is known; `out`: where a lens is written, None where none is taken;
     `is_global`: the shutter exposes all rows at once; `ends_when_taken`: a camera, which never
-    ends, is not looked at any longer then.
+    ends, is not looked at any longer then; `seconds`: how long at most, once it is open.
     """
 
     config: CameraConfig
@@ -51,6 +54,7 @@ class Wishes:
     out: Path | None = None
     is_global: bool = False
     ends_when_taken: bool = False
+    seconds: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +98,6 @@ class Look:
         """Ask it to end. Any thread."""
         self._stopping.set()
 
-    @property
-    def is_stopped(self) -> bool:
-        """Whether it was asked to end, or has had enough."""
-        return self._stopping.is_set()
-
     def run(self) -> Result:
         """Look; raises what the source raises, InputError for pictures of another size than the
         lens or those before, and OperationError where no picture came."""
@@ -115,10 +114,14 @@ class Look:
     def _opened(self) -> Iterator[FrameSource]:
         config = self._wishes.config
         source = open_source(config.source, config, clock=self._clock, directory=Path())
+        timer = threading.Timer(self._wishes.seconds or 0.0, self.stop)
         try:
             self._lens.hear(source.intrinsics)
+            if self._wishes.seconds is not None:
+                timer.start()
             yield source
         finally:
+            timer.cancel()
             source.close()
 
     def _take(self, frame: Frame) -> None:
@@ -199,7 +202,8 @@ class Look:
 
     def _hints(self, *, is_frozen: bool) -> list[str]:
         hints = [*self._tracker.misdescribed, *([_FROZEN] if is_frozen else [])]
-        is_unseen = not self._with_target and self._pictures >= LEAST_PICTURES
+        least = LEAST_PICTURES if self._scheme == "dir" else _LEAST_LIVE
+        is_unseen = not self._with_target and self._pictures >= least
         return [*hints, *([NOTHING_NEAR] if is_unseen and not hints else [])]
 
     def _ended(self) -> Result:
@@ -209,8 +213,9 @@ class Look:
             raise OperationError(f"{source}: no picture came; see whether it is on")
         missing = ""
         if self._wishes.out is not None:
-            if not self._stopping.is_set():
-                self._taking.finish()
+            shown, picture = self._last
+            self._tell(replace(shown, advice=_ALL_VIEWS, next="", is_working=True), picture)
+            self._taking.finish()
             best = self._taking.best
             if best is not None:
                 self._write(best)

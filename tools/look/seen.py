@@ -15,8 +15,10 @@ from trigpoint.geometry.rotation import Array
 
 # From a tenth to nine tenths of an edge's step, in standard deviations of a Gaussian point spread.
 _EDGE_SIGMAS = 2.56
-_SHARP_PX, _SOFT_PX = 3.0, 6.0
-"""An edge that is wider is soft, and blurred. A sharp lens's and the pixel's own width make 1.5."""
+_SHARP_PX = 3.0
+"""A wider edge is soft: a sharp lens's and the pixel's own width make 1.5."""
+_MOST_PX = 0.99 * _EDGE_SIGMAS * math.sqrt(3.0)
+"""Wider ones the core does not measure (`MOST_VARIANCE`, native/src/registration/blur.hpp)."""
 _ONE_WAY = 2.0
 """Edges so many times wider along one direction than across it are of motion, not of focus."""
 # Motion between pictures farther apart says nothing of that within one.
@@ -59,7 +61,9 @@ class Seen:
         width = f"{self.edge_px:.1f} px wide"
         if self.edge_px <= _SHARP_PX:
             return f"{width}, sharp"
-        degree = "soft" if self.edge_px <= _SOFT_PX else "blurred"
+        degree = "soft"
+        if self.edge_px >= _MOST_PX:
+            width, degree = f"{width} or more", "blurred"
         if self.edge_px > _ONE_WAY * self.across_px:
             return f"{width}, {degree} by motion: hold it still, or expose for a shorter time"
         return f"{width}, {degree}: see to the lens's focus, or clean it"
@@ -98,8 +102,9 @@ def area_px(pixels: Array) -> float:
 
 def _measured(located: Located) -> Seen:
     face, found = located.look.face, located.found
-    points = face.corners[found.corners, :2]
-    side = math.sqrt(area_px(found.pixels) / max(area_px(points / face.square), 1e-9))
+    middle = face.corners[found.corners, :2].mean(axis=0)
+    square = middle + face.square / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    side = math.sqrt(area_px(found.fit.project(square)))
     edge, across = _edges(found.blur)
     return Seen(located.sighting, located.look.words, side, edge, across)
 

@@ -6,7 +6,8 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from trigpoint.base.ending import ENDING
 from trigpoint.base.errors import OperationError
 from trigpoint.contract.messages import FaceSighting
-from trigpoint.edge.lens.calibration import Calibration, calibrate
+from trigpoint.edge.lens.calibration import FEWEST_VIEWS, Calibration, calibrate
+from trigpoint.edge.lens.calibration_looks import SAME_SHARE
 from trigpoint.edge.lens.calibration_service import CalibrationService
 from trigpoint.edge.lens.calibration_text import THINLY_COVERED, covered_share, has_good_focal
 from trigpoint.edge.lens.calibration_views import View
@@ -18,7 +19,8 @@ _MORE = 0.25
 """It is tried again when this share of the views is new."""
 _MOST_LIVE = 40
 """Views of a trial beside the camera; at the end all are used."""
-_PATIENCE_S = 30.0
+_LOOK_S = 0.2
+_LONGEST_S = 30.0
 
 
 class LensTaking:
@@ -29,7 +31,7 @@ class LensTaking:
     """
 
     def __init__(self, targets: Sequence[Target]) -> None:
-        self._store = CalibrationService("look", targets)
+        self._store = CalibrationService("look", targets, spacing=SAME_SHARE)
         self._size = (0, 0)
         self._tried: frozenset[str] = frozenset()
         self._pool = ThreadPoolExecutor(1, "works out the lens")
@@ -82,7 +84,11 @@ class LensTaking:
     def finish(self) -> None:
         """Work out the lens of all views, where some are not in it yet."""
         self._wait()
-        if not self.views or frozenset(view.name for view in self.views) == self._used:
+        if (
+            len(self.views) < FEWEST_VIEWS
+            or ENDING.is_asked
+            or frozenset(view.name for view in self.views) == self._used
+        ):
             return
         self._trial = self._pool.submit(calibrate, self.views, self._size)
         self._wait()
@@ -90,7 +96,7 @@ class LensTaking:
     def close(self) -> None:
         """Let a trial go that is not done in time."""
         if self._trial is not None:
-            wait([self._trial], min(_PATIENCE_S, ENDING.left_s(0.5)))
+            wait([self._trial], min(_LONGEST_S, ENDING.left_s(0.5)))
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     @property
@@ -102,9 +108,10 @@ class LensTaking:
         return frozenset(view.name for view in self.found.used) | rejected
 
     def _wait(self) -> None:
-        if self._trial is not None:
-            wait([self._trial])
-            self._take_up()
+        """Wait for a trial, but not when the program is told to stop."""
+        while self._trial is not None and not ENDING.is_asked:
+            if wait([self._trial], _LOOK_S).done:
+                self._take_up()
 
     def _take_up(self) -> None:
         assert self._trial is not None

@@ -65,6 +65,7 @@ function map(moment) {
 // Corners as crosses; the middle of the first pixel is at (0, 0).
 function overlay(moment) {
   const { width, height } = moment, arm = width / 160, next = place(moment);
+  element("view").style.width = `min(100%, ${74 * width / height}vh)`;
   element("over").setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
   element("corners").replaceChildren(...moment.faces.map(({ name, pixels }) => {
     let d = "";
