@@ -103,8 +103,11 @@ class Guide:
         self.needs = needs(views, supposed if found is None else found.camera)
         self.coverage = [int(count) for count in coverage(views, size).reshape(-1)]
 
-    def step(self, *, is_seen: bool, is_held: bool, is_taken: bool, is_done: bool) -> Step:
-        """`is_taken`: whether a lens is wanted at all; `is_done`: it is there."""
+    def step(
+        self, *, is_seen: bool, is_held: bool, is_taken: bool, is_done: bool, is_working: bool
+    ) -> Step:
+        """`is_held`: nothing that is seen moves too fast; `is_taken`: whether a lens is wanted at
+        all; `is_working`: a newer one is being worked out; `is_done`: it is there."""
         if is_done:
             return Step("the lens is taken")
         if not is_seen:
@@ -114,12 +117,16 @@ class Guide:
         if not is_held:
             return Step(_HOLD_STILL)
         need = next_need(self.needs)
-        return Step(need.advice, need.name) if need is not None else Step(self._more())
+        return (
+            Step(need.advice, need.name)
+            if need is not None
+            else Step(self._more(is_working=is_working))
+        )
 
-    def _more(self) -> str:
+    def _more(self, *, is_working: bool) -> str:
         """What the newest lens lacks where the needs are met."""
         found = self._found
-        if found is None:
+        if found is None or is_working:
             return "go on: the lens is being worked out"
         return found.doubts[0].do if found.doubts else advice(found) or "go on for a moment"
 

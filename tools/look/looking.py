@@ -179,7 +179,11 @@ class Look:
         is_taken = self._wishes.out is not None
         self._guide.look(views, self._size, found if is_taken else None)
         step = self._guide.step(
-            is_seen=bool(seen), is_held=is_held, is_taken=is_taken, is_done=bool(self._written)
+            is_seen=bool(seen),
+            is_held=is_held,
+            is_taken=is_taken,
+            is_done=bool(self._written),
+            is_working=taking.is_working,
         )
         return Shown(
             number=self._pictures,

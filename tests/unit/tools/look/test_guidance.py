@@ -91,7 +91,8 @@ def test_the_kind_that_is_met_least_comes_next_and_of_it_the_least_met() -> None
 def test_advice_follows_what_is_shown() -> None:
     views = [view_of(str(n), x=x) for n, x in enumerate(np.linspace(-0.1, 0.1, 3))]
     guide = guide_with(views)
-    shown = {"is_seen": True, "is_held": True, "is_taken": True, "is_done": False}
+    shown = dict.fromkeys(("is_seen", "is_held", "is_taken"), True)
+    shown |= dict.fromkeys(("is_done", "is_working"), False)
     assert guide.step(**shown).advice.startswith("tilt the board now: its ")
     assert guide.step(**shown | {"is_held": False}).advice.startswith("hold the board still")
     assert guide.step(**shown | {"is_seen": False}).advice == "show the board, all of it"
@@ -104,7 +105,9 @@ def test_advice_names_the_need_that_it_is_for() -> None:
         view_of(f"{a}{b}", tilt_deg=a, yaw_deg=b, distance=d)
         for a, b, d in ((35, 0, 0.35), (-35, 0, 1.2), (0, 35, 0.5), (0, -35, 0.5))
     ]
-    step = guide_with(tilted).step(is_seen=True, is_held=True, is_taken=True, is_done=False)
+    step = guide_with(tilted).step(
+        is_seen=True, is_held=True, is_taken=True, is_done=False, is_working=False
+    )
     assert step.advice.startswith("bring the board to the ")
     assert step.name in step.advice
 
