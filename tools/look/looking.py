@@ -245,6 +245,8 @@ class Look:
             shown,
             lens=found and lens_of(found, is_good=bool(self._written)),
             written=str(self._wishes.out) if self._written else "",
+            advice="",
+            next="",
             is_working=False,
             over=f"it has ended; {words}" if words else "it has ended",
         )
