@@ -107,7 +107,7 @@ def main(
         look = Look(wishes, teller)
         stop_on_signals([look])
         result = look.run()
-    _tell_result(result, url, is_json=json_text)
+    _tell_result(result, look.name, is_json=json_text)
     if result.missing and not ENDING.is_asked:
         raise OperationError(f"no lens was taken, so nothing is written: {result.missing}")
 
@@ -178,9 +178,9 @@ class _Teller:
         typer.echo(text, err=self._is_json)
 
 
-def _tell_result(result: Result, url: str, *, is_json: bool) -> None:
+def _tell_result(result: Result, name: str, *, is_json: bool) -> None:
     if is_json:
-        typer.echo(json.dumps(_record(result, url)))
+        typer.echo(json.dumps(_record(result, name)))
         return
     typer.echo(
         f"{counted(result.pictures, 'picture')}, {result.with_target} with the target; "
@@ -192,10 +192,10 @@ def _tell_result(result: Result, url: str, *, is_json: bool) -> None:
         typer.echo(f"wrote {file}")
 
 
-def _record(result: Result, url: str) -> dict[str, object]:
+def _record(result: Result, name: str) -> dict[str, object]:
     width, height = result.size
     return {
-        "source": url,
+        "source": name,
         "width": width,
         "height": height,
         "pictures": result.pictures,

@@ -14,7 +14,7 @@ from trigpoint.base.errors import InputError, OperationError
 from trigpoint.edge.image.picture import eight_bits
 from trigpoint.edge.lens.calibration import Calibration
 from trigpoint.edge.lens.intrinsics import check_size
-from trigpoint.edge.sources.frames import Frame, FrameSource, open_source
+from trigpoint.edge.sources.frames import Frame, FrameSource, open_source, without_password
 from trigpoint.edge.tracker import TargetTracker
 from trigpoint.geometry import CameraModel
 from trigpoint.site.config import CameraConfig
@@ -94,6 +94,12 @@ class Look:
         self._written: tuple[Path, ...] = ()
         self._last: tuple[Shown, np.ndarray] | None = None
 
+    @property
+    def name(self) -> str:
+        """The source, without a password."""
+        url = self._wishes.config.source
+        return url if self._scheme in _FINITE else without_password(url)
+
     def stop(self) -> None:
         """Ask it to end. Any thread."""
         self._stopping.set()
@@ -144,12 +150,8 @@ class Look:
         if self._pictures == 0:
             self._size = (width, height)
             if self._wishes.lens is not None:
-                check_size(
-                    self._wishes.config.source,
-                    self._wishes.config,
-                    self._wishes.lens,
-                    picture.shape,
-                )
+                config, lens = self._wishes.config, self._wishes.lens
+                check_size(self.name, config, lens, picture.shape)
         elif (width, height) != self._size:
             raise InputError(
                 f"picture {self._pictures + 1} is {width} × {height}, those before were "
@@ -213,8 +215,7 @@ class Look:
     def _ended(self) -> Result:
         """Take what there is: where the source has ended, the lens of all views."""
         if self._last is None:
-            source = self._wishes.config.source
-            raise OperationError(f"{source}: no picture came; see whether it is on")
+            raise OperationError(f"{self.name}: no picture came; see whether it is on")
         missing = ""
         if self._wishes.out is not None:
             shown, picture = self._last

@@ -127,3 +127,10 @@ def test_a_board_that_moves_is_used_only_of_a_global_shutter(
     assert moving[-1].views == (6 if is_global else 1)
     speed_px = float(dict(moving[-1].facts)["moves"].split(" ")[0])
     assert speed_px == pytest.approx(0.3 * CAMERA.fx / 0.7, rel=0.1)
+
+
+def test_a_password_is_told_nobody() -> None:
+    config = CameraConfig("rtsp://user:secret@door/1")
+    assert Look(Wishes(config, target_of(charuco())), lambda *_: None).name == "rtsp://door/1"
+    folder = CameraConfig("dir://shots@home")
+    assert Look(Wishes(folder, target_of(charuco())), lambda *_: None).name == "dir://shots@home"
