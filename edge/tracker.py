@@ -119,6 +119,11 @@ class TargetTracker:
         instead."""
         return misdescribed(self._finders)
 
+    @property
+    def located(self) -> tuple[Located, ...]:
+        """The faces of the last picture, as they were measured."""
+        return tuple(track.located for track in self._tracks if not track.misses)
+
     def detect(self, picture: np.ndarray, stamp_ns: int) -> tuple[FaceSighting, ...]:
         """The faces in a picture, taken at `stamp_ns`; raises InputError as a detector does."""
         grey = as_grey(picture)

@@ -60,6 +60,12 @@ COMMANDS: dict[str, Command] = {
         "board",
         service=True,
     ),
+    "look": Command(
+        "trigpoint.tools.look.command:main",
+        "What a camera sees, and its lens, without a site file.",
+        "edge,board",
+        service=True,
+    ),
     "edge": Command(
         "trigpoint.edge.command:main", "The agent of one or several cameras.", "edge", service=True
     ),

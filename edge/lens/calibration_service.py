@@ -31,10 +31,18 @@ class CalibrationService:
     """
 
     def __init__(
-        self, camera: str, targets: Sequence[Target], *, line_delay_s: float = 0.0
+        self,
+        camera: str,
+        targets: Sequence[Target],
+        *,
+        line_delay_s: float = 0.0,
+        spacing: float = _FIRST_SPACING,
     ) -> None:
+        """`spacing`: how far the outer corners of views are apart at first, RMS, as a share of the
+        picture's width."""
         self._camera, self._targets = camera, targets
         self._shutter = ShutterCorrection(line_delay_s)
+        self._first_spacing = spacing
         self._lock = threading.Lock()
         self._forget()
 
@@ -57,6 +65,12 @@ class CalibrationService:
         """How many views there are to calibrate from."""
         with self._lock:
             return len(self._views)
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Those views."""
+        with self._lock:
+            return tuple(self._views)
 
     def answer(self, request: bytes) -> bytes:
         """A lens from the views so far, as JSON: `intrinsics` with sigmas as in network.json,
@@ -87,7 +101,7 @@ class CalibrationService:
         self._marks: list[Array] = []
         self._size = (0, 0)
         self._count = 0
-        self._spacing = _FIRST_SPACING
+        self._spacing = self._first_spacing
 
     def _keep(self, view: View) -> None:
         mark = outer_pixels(view).reshape(-1) / self._size[0]

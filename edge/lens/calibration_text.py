@@ -8,6 +8,7 @@ from trigpoint.site.camera_info import format_camera_info
 from .calibration import Calibration, Rejected
 from .calibration_choice import Candidate
 
+_GOOD_FOCAL = 0.005
 THINLY_COVERED = 0.7
 """A share of the picture below which the lens is a guess in the rest of it."""
 
@@ -22,13 +23,18 @@ def covered_share(found: Calibration) -> float:
     return float((found.coverage > 0).mean())
 
 
+def has_good_focal(found: Calibration) -> bool:
+    """Whether the focal length is known to half a percent, and so are distances."""
+    return bool(found.known.sigma[0] <= _GOOD_FOCAL * found.camera.fx)
+
+
 def advice(found: Calibration) -> str:
     """What to do for a better calibration, "" where it is good."""
     if covered_share(found) < THINLY_COVERED:
         return "show the target in the parts of the picture that it was not in yet"
     if found.known.disagreement > 1.5:
         return "the views disagree: see that the target is flat and the pictures are sharp"
-    if found.known.sigma[0] > 0.005 * found.camera.fx:
+    if not has_good_focal(found):
         return "add pictures with the target slanted up to 45 degrees to all sides, near and far"
     return ""
 

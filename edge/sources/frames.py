@@ -115,6 +115,13 @@ def local_path(url: str) -> Path:
     return Path(url.partition("://")[2])
 
 
+def without_password(url: str) -> str:
+    """The URL without what logs must not hold."""
+    scheme, separator, rest = url.partition("://")
+    authority, slash, path = rest.partition("/")
+    return scheme + separator + authority.rpartition("@")[2] + slash + path
+
+
 def place_and_options(url: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
     """What stands before a URL's question mark, without the scheme, and the options behind it.
 

@@ -13,7 +13,7 @@ from trigpoint.base.clock import Clock
 from trigpoint.base.errors import FrameError
 from trigpoint.site.config import CameraConfig
 
-from .frames import Stamp
+from .frames import Stamp, without_password
 from .frames_live import STALLED_S, Capture, LiveFrames
 from .stream_clock import Arrival, StreamClock
 
@@ -152,10 +152,3 @@ def _why(reason: Exception) -> str:
     if isinstance(reason, av.error.HTTPUnauthorizedError):
         return "name or password are refused"
     return str(getattr(reason, "strerror", "") or type(reason).__name__)
-
-
-def without_password(url: str) -> str:
-    """The URL without what logs must not hold."""
-    scheme, separator, rest = url.partition("://")
-    authority, slash, path = rest.partition("/")
-    return scheme + separator + authority.rpartition("@")[2] + slash + path

@@ -2,29 +2,25 @@
 
 import asyncio
 import math
-import zlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import resources
 from urllib.parse import parse_qs
 
-import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.contract.messages import FaceSighting
+from trigpoint.tools.web.access import Guard
+from trigpoint.tools.web.answers import SEND_S, EventStream, Guarded, json_answer, kept, packaged
 
-from .access import DAY_S, Guard
-from .feed import Feed, Page, TooManyPagesError
+from .feed import Feed, TooManyPagesError
 from .history import History
 from .operator import Commands
 from .pictures import Pictures
@@ -39,21 +35,13 @@ ASSETS = {
     "looking.js": "text/javascript",
     "mark.svg": "image/svg+xml",
 }
-SEND_S = 5.0
-"""A page that takes nothing for so long is hung up on."""
 _LOGIN_DELAY_S = 1.0
 _MOST_FORM = 4096
 
 
 def assets() -> dict[str, bytes]:
     """The page's files, by name."""
-    folder = resources.files("trigpoint.tools.board").joinpath("page")
-    return {name: folder.joinpath(name).read_bytes() for name in ASSETS}
-
-
-def version_of(files: dict[str, bytes]) -> str:
-    """Another one where any file is another; an open page then loads itself anew."""
-    return f"{zlib.crc32(b''.join(files.values())):08x}"
+    return packaged("trigpoint.tools.board", ASSETS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,29 +76,8 @@ def app_of(board: Board) -> Starlette:
     routes += [Route(f"/{name}", pages.asset) for name in ASSETS if not name.endswith(".html")]
     if board.commands is not None:
         routes.append(Route("/command/{name:path}", pages.command, methods=["POST"]))
-    guarded = [Middleware(_Guarded, guard=board.guard), Middleware(GZipMiddleware)]
+    guarded = [Middleware(Guarded, guard=board.guard), Middleware(GZipMiddleware)]
     return Starlette(routes=routes, middleware=guarded)
-
-
-class _Guarded:
-    """Refuses who may not come in, and gives every answer its headers."""
-
-    def __init__(self, app: ASGIApp, guard: Guard) -> None:
-        self._app, self._guard = app, guard
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return
-
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers.update(self._guard.headers)
-                headers.setdefault("Cache-Control", "no-store")
-            await send(message)
-
-        refusal = self._guard.refusal(Request(scope))
-        await (refusal or self._app)(scope, receive, with_headers)
 
 
 class _Pages:
@@ -124,13 +91,13 @@ class _Pages:
     async def asset(self, request: Request) -> Response:
         name = request.url.path.lstrip("/")
         body = self._board.files[name]
-        return _kept(request, body, ASSETS[name])
+        return kept(request, body, ASSETS[name])
 
     async def laid(self, request: Request) -> Response:
         name = request.url.path.strip("/").partition(".")[0]
         if not (data := self._board.picture(name)):
             return PlainTextResponse(f"the site has no {name}", 404)
-        return _kept(request, data, "image/png")
+        return kept(request, data, "image/png")
 
     async def login(self, request: Request) -> Response:
         if request.method != "POST":
@@ -149,7 +116,9 @@ class _Pages:
         except TooManyPagesError as reason:
             return PlainTextResponse(str(reason), 503)
         is_packed = "gzip" in request.headers.get("accept-encoding", "")
-        return self._board.guard.let_in(EventStream(feed, page, is_packed=is_packed))
+        return self._board.guard.let_in(
+            EventStream(page, lambda: feed.leave(page), is_packed=is_packed)
+        )
 
     async def past(self, request: Request) -> Response:
         try:
@@ -161,7 +130,7 @@ class _Pages:
         whole = await run_in_threadpool(self._board.history.at, at_s)
         if whole is None:
             return PlainTextResponse("nothing is kept yet", 404)
-        return _json(whole)
+        return json_answer(whole)
 
     async def metrics(self, _: Request) -> Response:
         text = await run_in_threadpool(self._board.metrics)
@@ -177,7 +146,9 @@ class _Pages:
             picture, faces = await run_in_threadpool(
                 newest, request.path_params["name"], int(after)
             )
-            return _json({"stamp": str(picture.stamp_ns), "faces": [_face(one) for one in faces]})
+            return json_answer(
+                {"stamp": str(picture.stamp_ns), "faces": [_face(one) for one in faces]}
+            )
 
         return await _told(found)
 
@@ -197,53 +168,6 @@ class _Pages:
             return Response(answer.data, media_type=answer.media_type)
 
         return await _told(done)
-
-
-class EventStream(Response):
-    """Server-sent events until the page goes, or does not read; a day at most, so that the browser
-    comes again and its login is prolonged."""
-
-    def __init__(self, feed: Feed, page: Page, *, is_packed: bool) -> None:
-        self._feed, self._page = feed, page
-        packing = {"Content-Encoding": "gzip"} if is_packed else {}
-        headers = {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no", **packing}
-        super().__init__(headers=headers)
-        del self.headers["content-length"]
-        self._packer = zlib.compressobj(4, zlib.DEFLATED, 31) if is_packed else None
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        del scope  # all that matters of it is in the page's queue
-        gone = asyncio.ensure_future(_disconnected(receive))
-        gone.add_done_callback(lambda _: self._page.end())
-        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
-        end = {"type": "http.response.body", "body": b"", "more_body": False}
-        try:
-            with suppress(TimeoutError):  # without its end the server hangs up
-                async with asyncio.timeout(DAY_S):
-                    await send(start)
-                    async for data in self._messages():
-                        body = {"type": "http.response.body", "body": data, "more_body": True}
-                        await asyncio.wait_for(send(body), SEND_S)
-                    if not gone.done():
-                        await asyncio.wait_for(send(end), SEND_S)
-        finally:
-            gone.cancel()
-            self._feed.leave(self._page)
-
-    async def _messages(self) -> AsyncIterator[bytes]:
-        yield self._pack(b"retry: 1000\n\n")
-        while message := await self._page.take():
-            yield self._pack(message)
-
-    def _pack(self, data: bytes) -> bytes:
-        if self._packer is None:
-            return data
-        return self._packer.compress(data) + self._packer.flush(zlib.Z_SYNC_FLUSH)
-
-
-async def _disconnected(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
 
 
 async def _form(request: Request) -> str:
@@ -267,19 +191,6 @@ async def _told(work: Callable[[], Awaitable[Response]]) -> Response:
         return PlainTextResponse(str(reason), 404)
     except OperationError as reason:
         return PlainTextResponse(str(reason), 503)
-
-
-def _kept(request: Request, body: bytes, media_type: str) -> Response:
-    """A file that the browser keeps, and asks about each time."""
-    tag = f'"{zlib.crc32(body):08x}"'
-    headers = {"ETag": tag, "Cache-Control": "no-cache"}
-    if tag in request.headers.get("if-none-match", ""):  # packed ones come back as W/"…"
-        return Response(status_code=304, headers=headers)
-    return Response(body, media_type=media_type, headers=headers)
-
-
-def _json(value: object) -> Response:
-    return Response(msgspec.json.encode(value), media_type="application/json")
 
 
 def _face(face: FaceSighting) -> dict[str, object]:

@@ -13,16 +13,17 @@ from trigpoint.metrics.server import exposition
 from trigpoint.node.node import stop_on_signals
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
+from trigpoint.tools.web.access import LOOPBACK, Access, Guard, checked_access
+from trigpoint.tools.web.answers import version_of
+from trigpoint.tools.web.serving import served
 from trigpoint.zenoh import open_bus
 
-from .access import LOOPBACK, Access, Guard, checked_access
-from .app import Board, app_of, assets, version_of
+from .app import Board, app_of, assets
 from .feed import Feed
 from .history import History
 from .operator import Commands, check_operator
 from .pictures import Pictures
 from .reader import PERIOD_S, Reader
-from .serving import served
 
 PORT = 8420
 

@@ -34,6 +34,10 @@ Given = Path | np.ndarray
 """A picture file, a folder of them, a video or a bag; or a picture itself, grey or BGR."""
 LEAST_PICTURES = 10
 """So many pictures with nothing in them are worth a word."""
+NOTHING_NEAR = (
+    "no board near to the target file's is in them either; compare its columns, rows and "
+    "dictionary with the print, and see that the board is sharp, whole, and large enough"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +116,7 @@ class _Sum:
             f"{self._with_faces} of them"
         )
         if not self._faces and not is_explained and self._pictures >= LEAST_PICTURES:
-            yield (
-                "no board near to the target file's is in them either; compare its columns, rows "
-                "and dictionary with the print, and see that the board is sharp, whole, and large "
-                "enough"
-            )
+            yield NOTHING_NEAR
 
 
 def stills(

@@ -64,7 +64,7 @@ def main(
             f"the same): {undetermined}"
         )
     if out is not None:
-        for file in _write(out, found, searched.count):
+        for file in write_lens(out, found, searched.count):
             typer.echo(f"wrote {file}", err=json_text)
     else:
         typer.echo("nothing was written; --out FILE.yaml keeps it", err=True)
@@ -82,7 +82,9 @@ def _targets(target: Path | None, site: Path | None) -> list[Target]:
     return [load_target(loaded.path(name)) for name in dict.fromkeys(loaded.target_names)]
 
 
-def _write(out: Path, found: Calibration, count: int) -> list[Path]:
+def write_lens(out: Path, found: Calibration, count: int) -> list[Path]:
+    """Write a lens as ROS's YAML, and a page about it and its `count` pictures beside; the files.
+    Raises OperationError."""
     page = out.with_suffix(".html")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

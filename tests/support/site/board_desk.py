@@ -15,8 +15,8 @@ from support.builders import eventually
 from trigpoint.site.config import Site
 from trigpoint.testing.memory_bus import MemoryBroker
 from trigpoint.tools.board import command
-from trigpoint.tools.board.access import Access
 from trigpoint.tools.board.command import BoardService
+from trigpoint.tools.web.access import Access
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,8 @@ from support.builders import eventually
 
 from trigpoint.base.clock import Clock, ManualClock, SystemClock, to_ns
 from trigpoint.base.errors import FrameError, InputError
-from trigpoint.edge.sources.frames import Frame, open_source
+from trigpoint.edge.sources.frames import Frame, open_source, without_password
 from trigpoint.edge.sources.frames_live import Capture, LiveFrames, _Pace, arrival_stamp
-from trigpoint.edge.sources.frames_rtsp import without_password
 from trigpoint.site.config import CameraConfig
 
 

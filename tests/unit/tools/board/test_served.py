@@ -17,8 +17,8 @@ from support.site.board_site import BoardSite, Truth
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Picture
 from trigpoint.contract.topics import command_key
-from trigpoint.tools.board import serving
 from trigpoint.tools.board.feed import MOST_PAGES
+from trigpoint.tools.web import serving
 
 State = dict[str, Any]
 
@@ -179,7 +179,7 @@ def test_a_page_that_does_not_read_is_dropped_and_its_connection_ends(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(serving, "_UNREAD_MS", 1000)
-    monkeypatch.setattr("trigpoint.tools.board.app.SEND_S", 1.0)
+    monkeypatch.setattr("trigpoint.tools.web.answers.SEND_S", 1.0)
     with served_board(make_site(), monkeypatch) as desk:
         slow = socket.socket()
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -13,7 +13,7 @@ from support.builders import make_site
 from support.site.board_desk import served_board
 
 from trigpoint.base.errors import InputError
-from trigpoint.tools.board.access import Access, checked_access
+from trigpoint.tools.web.access import Access, checked_access
 
 TOKEN = "0123456789abcdef0123456789abcdef"
 

@@ -12,7 +12,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from trigpoint.base.errors import InputError, OperationError
 
-from .access import Access
+from .access import LOOPBACK, Access
 
 _MOST_CONNECTIONS = 64
 _UNREAD_MS = 15_000
@@ -109,7 +109,8 @@ def _bound(host: str, port: int) -> socket.socket:
     except (OSError, UnicodeError) as reason:
         listening.close()
         said = reason.strerror if isinstance(reason, OSError) else reason
+        options = "--port" if host == LOOPBACK else "--port or --host"
         raise OperationError(
-            f"the page cannot be served at {host}:{port} ({said}); give another --port or --host"
+            f"the page cannot be served at {host}:{port} ({said}); give another {options}"
         ) from None
     return listening

@@ -1,0 +1,91 @@
+"""What a line of `look` names: a source of pictures, their size, a target."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from trigpoint.base.errors import InputError
+from trigpoint.site.target import Face, Pattern, Target, load_target, parse_target
+from trigpoint.tools.simulation.sight.targets import target_of
+from trigpoint.tools.site.file import first_target_text
+
+TARGET_HERE = Path("target.toml")
+_SIZE = re.compile(r"(\d+)[x×](\d+)")
+_SQUARE = 0.03
+"""Of a board that is only counted, metres: the size of a plane does not enter the lens."""
+
+
+def source_url(text: str) -> str:
+    """A source as a URL; a device, a video or a folder may be given by its path, a camera by its
+    number. Raises InputError."""
+    if "://" in text:
+        return text
+    if text.isdigit() or text.startswith("/dev/"):
+        return f"v4l2://{text}"
+    path = Path(text)
+    if not path.exists():
+        raise InputError(
+            f"{text}: there is no such video or folder; give one, or a camera, as "
+            "v4l2:///dev/video0 or rtsp://HOST/PATH"
+        )
+    return f"{'dir' if path.is_dir() else 'file'}://{text}"
+
+
+def scheme_of(url: str) -> str:
+    """What stands before ://."""
+    return url.partition("://")[0]
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Width and height, as of 1280x720; raises InputError."""
+    numbers = _SIZE.fullmatch(text)
+    width, height = (0, 0) if numbers is None else map(int, numbers.groups())
+    if not width or not height:
+        raise InputError(f"--size {text}: give width and height in pixels, like 1280x720")
+    return width, height
+
+
+def chosen_target(text: str | None, scheme: str) -> Target:
+    """The target that is looked for; raises InputError.
+
+    Without one the ./target.toml, else `charuco`: the target that `init` writes, or what simulated
+    robots carry. `checkerboard` is their other one; `checkerboard:10x7` any, by its squares.
+    """
+    if text is None:
+        text = str(TARGET_HERE) if TARGET_HERE.exists() else "charuco"
+    if text in _NAMED:
+        return _NAMED[text](scheme)
+    name, _, counts = text.partition(":")
+    if name == "checkerboard":
+        return _counted_board(counts)
+    if not text.endswith(".toml"):
+        raise InputError(
+            f"--target {text}: name charuco, checkerboard, checkerboard:COLUMNSxROWS (squares), or "
+            "a target file, FILE.toml"
+        )
+    return load_target(Path(text))
+
+
+def _charuco(scheme: str) -> Target:
+    return target_of("charuco") if scheme == "sim" else parse_target(first_target_text())
+
+
+_NAMED: dict[str, Callable[[str], Target]] = {
+    "charuco": _charuco,
+    "checkerboard": lambda _: target_of("checkerboard"),
+}
+
+
+def _counted_board(counts: str) -> Target:
+    numbers = _SIZE.fullmatch(counts)
+    if numbers is None:
+        raise InputError(
+            f"--target checkerboard:{counts}: give how many squares it has, like checkerboard:10x7"
+        )
+    columns, rows = map(int, numbers.groups())
+    here = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
+    try:
+        face = Face(0, Pattern.CHECKERBOARD, columns, rows, _SQUARE, **here)
+    except ValueError as reason:
+        raise InputError(f"--target checkerboard:{counts}: {reason}") from None
+    return Target("board", (face,))

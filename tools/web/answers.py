@@ -1,0 +1,123 @@
+"""What pages have in common: headers, a stream of events, files that a browser keeps."""
+
+import asyncio
+import zlib
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import suppress
+from importlib import resources
+from typing import Protocol
+
+import msgspec
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from .access import DAY_S, Guard
+
+SEND_S = 5.0
+"""A page that takes nothing for so long is hung up on."""
+
+
+def packaged(package: str, names: Iterable[str]) -> dict[str, bytes]:
+    """The files of a package's page, by name."""
+    folder = resources.files(package).joinpath("page")
+    return {name: folder.joinpath(name).read_bytes() for name in names}
+
+
+def version_of(files: dict[str, bytes]) -> str:
+    """Another one where any file is another; an open page then loads itself anew."""
+    return f"{zlib.crc32(b''.join(files.values())):08x}"
+
+
+class Guarded:
+    """Refuses who may not come in, and gives every answer its headers."""
+
+    def __init__(self, app: ASGIApp, guard: Guard) -> None:
+        self._app, self._guard = app, guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.update(self._guard.headers)
+                headers.setdefault("Cache-Control", "no-store")
+            await send(message)
+
+        refusal = self._guard.refusal(Request(scope))
+        await (refusal or self._app)(scope, receive, with_headers)
+
+
+class Page(Protocol):
+    """One open page."""
+
+    async def take(self) -> bytes:
+        """What is to be sent next, waited for; empty once the page has ended."""
+        ...
+
+    def end(self) -> None:
+        """Have `take` return nothing from now on. Any thread."""
+        ...
+
+
+class EventStream(Response):
+    """Server-sent events until the page goes, or does not read; a day at most, so that the browser
+    comes again and its login is prolonged. `leave`: called when the page has gone."""
+
+    def __init__(self, page: Page, leave: Callable[[], None], *, is_packed: bool) -> None:
+        self._page, self._leave = page, leave
+        packing = {"Content-Encoding": "gzip"} if is_packed else {}
+        headers = {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no", **packing}
+        super().__init__(headers=headers)
+        del self.headers["content-length"]
+        self._packer = zlib.compressobj(4, zlib.DEFLATED, 31) if is_packed else None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        del scope  # all that matters of it is in the page's queue
+        gone = asyncio.ensure_future(_disconnected(receive))
+        gone.add_done_callback(lambda _: self._page.end())
+        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
+        end = {"type": "http.response.body", "body": b"", "more_body": False}
+        try:
+            with suppress(TimeoutError):  # without its end the server hangs up
+                async with asyncio.timeout(DAY_S):
+                    await send(start)
+                    async for data in self._messages():
+                        body = {"type": "http.response.body", "body": data, "more_body": True}
+                        await asyncio.wait_for(send(body), SEND_S)
+                    if not gone.done():
+                        await asyncio.wait_for(send(end), SEND_S)
+        finally:
+            gone.cancel()
+            self._leave()
+
+    async def _messages(self) -> AsyncIterator[bytes]:
+        yield self._pack(b"retry: 1000\n\n")
+        while message := await self._page.take():
+            yield self._pack(message)
+
+    def _pack(self, data: bytes) -> bytes:
+        if self._packer is None:
+            return data
+        return self._packer.compress(data) + self._packer.flush(zlib.Z_SYNC_FLUSH)
+
+
+async def _disconnected(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+def kept(request: Request, body: bytes, media_type: str) -> Response:
+    """A file that the browser keeps, and asks about each time."""
+    tag = f'"{zlib.crc32(body):08x}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if tag in request.headers.get("if-none-match", ""):  # packed ones come back as W/"…"
+        return Response(status_code=304, headers=headers)
+    return Response(body, media_type=media_type, headers=headers)
+
+
+def json_answer(value: object) -> Response:
+    return Response(msgspec.json.encode(value), media_type="application/json")
