@@ -10,7 +10,6 @@ from typing import Annotated, NoReturn
 import typer
 
 from trigpoint.base.errors import OperationError, writing
-from trigpoint.cli import COMMANDS
 from trigpoint.site.config import load_site
 from trigpoint.tools.parts.specs import trigpoint
 
@@ -84,9 +83,7 @@ def _robot_words(questions: Questions) -> list[str]:
 
 
 def _look(questions: Questions, site: Path) -> None:
-    """A page that shows what the first camera sees, where there is such a command."""
-    if "look" not in COMMANDS:
-        return
+    """A page that shows what the first camera sees."""
     source = next(iter(load_site(site).cameras.values())).source
     if questions.confirm(f"Look at {source} first? Ctrl-C there goes on here", default=False):
         _run("look", source, is_service=True)

@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from trigpoint.base.errors import InputError
-from trigpoint.cli import COMMANDS
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import SITE_FILE, SiteFile
 from trigpoint.tools.parts.supervisor import PartSpec
@@ -81,7 +80,7 @@ def _real_site(file: Path, cameras: list[str]) -> Site | None:
 
 def _selected(site: Site, cameras: list[str], robots: list[str], without: list[str]) -> Selection:
     choice = Choice.of(site, cameras, robots, without)
-    return selected(site, choice, has_board="board" in COMMANDS)
+    return selected(site, choice)
 
 
 def _run(file: Path, site: Site, selection: Selection, *more: PartSpec) -> None:

@@ -72,10 +72,10 @@ class Selection:
 
 
 def selected(
-    site: Site, choice: Choice, *, has_board: bool, exists: Callable[[Path], bool] = Path.exists
+    site: Site, choice: Choice, *, exists: Callable[[Path], bool] = Path.exists
 ) -> Selection:
-    """The parts that belong here. `has_board`: whether there is such a command; `exists`: whether a
-    device, a file or a key is on this machine."""
+    """The parts that belong here. `exists`: whether a device, a file or a key is on this
+    machine."""
     look = _Look(site, exists)
     left_out: list[str] = []
 
@@ -91,7 +91,7 @@ def selected(
         robots=here(PartKind.ROBOT, list(site.robots), choice.robots),
         has_fusion=bool(here(PartKind.FUSION, ["fusion"], ())),
         has_recorder=bool(here(PartKind.RECORDER, ["main"], ())),
-        has_board=has_board and bool(here(PartKind.BOARD, ["board"], ())),
+        has_board=bool(here(PartKind.BOARD, ["board"], ())),
         left_out=tuple(left_out),
     )
 

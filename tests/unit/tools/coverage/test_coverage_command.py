@@ -21,7 +21,8 @@ from trigpoint.map.network import (
     TargetRecord,
     save_network,
 )
-from trigpoint.tools.simulation.sight.targets import target_of, target_text
+from trigpoint.tools.shapes.text import target_text
+from trigpoint.tools.simulation.sight.targets import target_of
 from trigpoint.tools.simulation.world import looking
 
 LENS = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.1, 0.02, 0.0, 0.0, 0.0))

@@ -38,9 +38,7 @@ def site(more: str = "") -> Site:
 
 
 def chosen(loaded: Site, paths: Collection[str], choice: Choice | None = None) -> Selection:
-    return selected(
-        loaded, choice or Choice(), has_board=True, exists=lambda path: str(path) in paths
-    )
+    return selected(loaded, choice or Choice(), exists=lambda path: str(path) in paths)
 
 
 def test_machine_of_its_own_has_all_whose_devices_are_here() -> None:
@@ -120,15 +118,13 @@ def test_names_that_there_are_not_are_one_clear_line(
         Choice.of(site(), *words)
 
 
-def test_every_part_is_a_command_with_the_site_and_the_page_only_where_there_is_one() -> None:
+def test_every_part_is_a_command_with_the_site() -> None:
     found = chosen(site(), HERE)
     names = {spec.name: spec.command for spec in parts_of(site(), Path("s.toml"), found)}
     assert {"recorder", "fusion", "robot r1", "robot r3", "board"} <= names.keys()
     assert all(command[command.index("--site") + 1] == "s.toml" for command in names.values())
     cameras = [word for command in names.values() for word in command if word in ("c1", "c3")]
     assert sorted(cameras) == ["c1", "c3"]
-    without = selected(site(), Choice(), has_board=False, exists=lambda _: True)
-    assert not without.has_board
 
 
 def test_each_part_serves_metrics_on_a_port_of_its_own() -> None:
