@@ -34,7 +34,7 @@ imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
 bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks all
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.stops
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.fire
 
@@ -60,7 +60,7 @@ $(CORE): $(CORE_SOURCES) | $(INSTALLED)
 	touch $@
 
 fuzz: $(CORE)  ## a million drawn inputs to the compiled core, under sanitizers (needs g++); what it finds goes to out/fuzz
-	$(BIN)/python -m benchmarks.fuzz --count $(INPUTS)
+	$(BIN)/python -m benchmarks fuzz --count $(INPUTS)
 
 # For machines without a compiler, on either kind: zig builds for both, against an old C library.
 wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist

@@ -1,4 +1,4 @@
-"""What a secured router and signed corrections cost: `python -m benchmarks.network.relay`.
+"""What a secured router and signed corrections cost: `python -m benchmarks relay`.
 
 Processor time of the router's process for each message that it hands from one client to another, in
 the clear and with certificates and rules; and of a signature and its check. Processor time, so that
@@ -45,6 +45,7 @@ port = "loop://"
 
 
 def main() -> None:
+    """What a secured router and signed corrections cost."""
     for is_secured in (False, True):
         rate, microseconds = relayed(is_secured)
         name = "mutual TLS, rules" if is_secured else "in the clear"
@@ -128,7 +129,3 @@ def signed() -> tuple[float, float]:
     for attachment in said:
         verifier.verify("lab/robot/r1/correction", payload, attachment)
     return (between - before) / _SIGNATURES, (time.process_time() - between) / _SIGNATURES
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
 """Pictures in which no target is, though many look like one: floors, windows, keyboards, boards of
 other makes, noise. Each is a pure function of its number.
 
-`python -m benchmarks.pictures.empty [--count N] [--first K]` counts what is sighted in them.
+`python -m benchmarks empty [--count N] [--first K]` counts what is sighted in them.
 """
 
 from collections.abc import Callable, Iterator
@@ -189,7 +189,3 @@ def main(
             f"{name}: {wrong[name]} false sightings in {count} pictures; {took.mean():.1f} ms a "
             f"picture, {took.max():.0f} ms at most"
         )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """Real scenes in which no board of ours is: none may be sighted in any of them.
 
-`python -m benchmarks.pictures.real_scenes` looks for boards of many sizes in the photographs that
+`python -m benchmarks real_scenes` looks for boards of many sizes in the photographs that
 scikit-image ships, among them another one's chessboard, at several sizes and turned.
 """
 
@@ -63,7 +63,3 @@ def main() -> None:
                     typer.echo(f"{name}: sighted in {scene}")
         for name, number in wrong.items():
             typer.echo(f"{name}: {number} false sightings in {count} scenes")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,7 +1,7 @@
 """A folder of stills as a camera of 10 Hz, each shown for a second, through the whole of an agent:
 in which share of its pictures is the board published?
 
-`python -m benchmarks.pictures.shown FOLDER --target target.toml`
+`python -m benchmarks shown FOLDER --target target.toml`
 """
 
 import threading
@@ -102,7 +102,3 @@ def main(
                 f"{folder.name}: a face published in {faces} of {pictures} pictures "
                 f"({faces / pictures:.3f}), {given_up} given up in part"
             )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """From exposure to correction through the whole site, beside the sum of its parts measured alone.
 
-    python -m benchmarks.robot.latency [--seconds 90]
+    python -m benchmarks latency [--seconds 90]
 
 The lab's programs run as they do in a site: three simulated cameras' agent, fusion, the bridge and
 the robot; a correction has come when the robot has taken it over. All the time beside it each part
@@ -9,7 +9,6 @@ picture, detection, bus), the filter over the same drive (taking in and computin
 with its robot, which is corrected from here (bus, judging, line).
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,9 +21,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Annotated
 from uuid import UUID
 
 import numpy as np
+import typer
 
 from benchmarks.machine import machine
 from trigpoint.base.clock import to_ns
@@ -224,10 +225,9 @@ def drive(world: World, until_ns: int) -> list[tuple[int, str, Message]]:
     return sorted((row for row in rows if row[0] < until_ns), key=lambda row: row[0])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=90.0)
-    seconds, before = parser.parse_args().seconds, machine()
+def main(seconds: Annotated[float, typer.Option(help="Of the drive.")] = 90.0) -> None:
+    """From exposure to correction through the whole site, beside the sum of its parts."""
+    before = machine()
     with (
         tempfile.TemporaryDirectory() as name,
         ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool,
@@ -243,6 +243,10 @@ def main() -> None:
             "bridge": bridged.result(),
         }
         whole, heard = running.result()
+    if not (whole and heard.corrections_ms and all(parts.values())):
+        raise SystemExit(
+            f"no correction in {seconds:.0f} s; say more --seconds, or free the machine"
+        )
     _tell(parts, whole, heard)
     print(f"{before.summary}; {machine().load:.1f} at the end")
 
@@ -258,7 +262,3 @@ def _tell(parts: dict[str, list[float]], whole: list[float], heard: Heard) -> No
     ratio = most / sum(mark[1] for mark in marks.values())
     print(f"exposure to correction at the robot: p50 {half:.1f}, p95 {most:.1f} ms ({len(whole)})")
     print(f"p95 over the sum of the parts' p95: {ratio:.2f}")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,14 +9,14 @@ import pytest
 from benchmarks.machine import machine
 from benchmarks.network import messages
 from benchmarks.report import write_report
-from benchmarks.table import BENCHMARKS, NEEDED, Row, formatted, open_benchmark
+from benchmarks.table import BENCHMARKS, Row, formatted
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_every_name_of_the_table_opens(name: str) -> None:
-    if name in NEEDED:
-        pytest.importorskip(NEEDED[name])
-    assert callable(open_benchmark(name))
+    if not BENCHMARKS[name].is_installed:
+        pytest.skip(f"{BENCHMARKS[name].needs} is not installed")
+    assert callable(BENCHMARKS[name].open())
 
 
 def test_a_benchmark_gives_rows_with_both_sides_and_their_ratio() -> None:
