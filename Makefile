@@ -40,14 +40,13 @@ bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; t
 
 study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
-	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
-	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
-	$(BIN)/python -m benchmarks.study report
+	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) $(or $(SITUATIONS),situations)
+	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) --estimators particle,ekf $(or $(SITUATIONS),situations)
 	$(MAKE) compositions
 
 compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it, to docs/background/compositions.md
-	-$(BIN)/python -m benchmarks.compositions run --seeds 1:$(SEEDS) $(KINDS)
-	$(BIN)/python -m benchmarks.compositions report
+	-$(BIN)/python -m benchmarks study run --seeds 1:$(SEEDS) $(or $(KINDS),compositions)
+	$(BIN)/python -m benchmarks study report
 
 pictures: $(CORE)  ## the README's pictures, from the demo in out/demo, by Debian's chromium
 	test -e out/demo/report.html || $(MAKE) demo

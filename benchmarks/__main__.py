@@ -55,8 +55,12 @@ def main() -> None:
         return
     found = BENCHMARKS.get(sys.argv[1])
     if found and (found.is_long or (found.has_options and "--effort" not in sys.argv)):
-        own = import_module(f".{found.module}", __package__).main
-        _run(own, sys.argv[2:], f"python -m benchmarks {sys.argv[1]}")
+        own = import_module(f".{found.module}", __package__)
+        program = f"python -m benchmarks {sys.argv[1]}"
+        if hasattr(own, "app"):
+            own.app(sys.argv[2:], prog_name=program)
+        else:
+            _run(own.main, sys.argv[2:], program)
     else:
         _run(measure, sys.argv[1:], "python -m benchmarks")
 

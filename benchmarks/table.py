@@ -8,8 +8,9 @@ from importlib.util import find_spec
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """`module`: has `run`, which takes an effort and gives rows, and `main` where `has_options` or
-    it `is_long`, which takes a command line. `needs`: a library that only benchmarks have."""
+    """`module`: has `run`, which takes an effort and gives rows; `main`, a command line, where it
+    `has_options` or `is_long` (or `app`, of several). `needs`: a library that only benchmarks have.
+    """
 
     question: str
     module: str
@@ -25,7 +26,7 @@ class Benchmark:
     def open(self) -> Callable[..., "list[Row] | None"]:
         """`run`; of a long one `main`."""
         module = import_module(f".{self.module}", __package__)
-        return getattr(module, "main" if self.is_long else "run")
+        return module.run if not self.is_long else getattr(module, "app", None) or module.main
 
 
 BENCHMARKS: dict[str, Benchmark] = {
@@ -46,6 +47,11 @@ BENCHMARKS: dict[str, Benchmark] = {
     ),
     "gtsam": Benchmark(
         "what does a solution take beside GTSAM?", "fusion.gtsam_comparison", "gtsam"
+    ),
+    "study": Benchmark(
+        "how near to the bound, how honest is `calibrate`, in every situation and composition?",
+        "study.command",
+        is_long=True,
     ),
     "load": Benchmark(
         "what do updates, memory and checkpoint of live fusion come to, under which load?",
