@@ -35,8 +35,7 @@ imports: $(INSTALLED)
 
 bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
 	$(BIN)/python -m benchmarks all
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.stops
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.fire
+	$(BIN)/python -m pytest -n 0 -m long tests/system/test_stops.py tests/system/test_under_fire.py
 
 study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
