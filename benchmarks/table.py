@@ -79,10 +79,11 @@ BENCHMARKS: dict[str, Benchmark] = {
     "soak": Benchmark(
         "does a site hold out hours of faults, and what grows?", "endurance.soak", is_long=True
     ),
-    "empty": Benchmark("what is found where nothing is?", "pictures.empty", is_long=True),
-    "real_scenes": Benchmark("the same in photographs", "pictures.real_scenes", is_long=True),
+    "false_sightings": Benchmark(
+        "what is found where nothing is?", "pictures.false_sightings", is_long=True
+    ),
     "shown": Benchmark(
-        "are stills that are shown to an agent published?", "pictures.shown", is_long=True
+        "are stills that are shown to an agent published?", "pictures.agent", is_long=True
     ),
     "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command", is_long=True),
 }
