@@ -10,7 +10,6 @@ What is measured is what comes after the first lap, from which on all cameras ar
 whole where that is not reached), or the standstill. Times are the processor's.
 """
 
-import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -25,6 +24,7 @@ import typer
 
 from benchmarks.report import tell
 from benchmarks.table import Row
+from benchmarks.timing import worked_s
 from trigpoint.base.clock import SystemClock, to_ns, to_seconds
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Sightings
@@ -269,12 +269,6 @@ def _resident_mb(process: int | str) -> float:
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024
     raise KeyError(process)
-
-
-def worked_s(process: int) -> float:
-    """The processor's time of a process."""
-    ticks = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
-    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 def main(

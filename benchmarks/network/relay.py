@@ -5,7 +5,6 @@ the clear and with certificates and rules; and of a signature and its check. Pro
 a busy machine tells much the same as one at rest.
 """
 
-import os
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from benchmarks.timing import worked_s
 from trigpoint.base.clock import SystemClock
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Settings
@@ -33,7 +33,6 @@ _BYTES = 730
 """Of an odometry message on the wire."""
 _SIGNATURES = 1000
 _UP_S = 30.0
-_TICKS = os.sysconf("SC_CLK_TCK")
 _SITE = """\
 site = "lab"
 target = "target.toml"
@@ -83,7 +82,7 @@ def _measured(site: Site, robot: Bus, fusion: Bus, router: int) -> tuple[float, 
     publisher = robot.publisher(ODOMETRY, ODOMETRY.key(site.name, "r1"))
     time.sleep(1.0)
     payload = bytes(_BYTES)
-    came, before_s, began_s = 0, _processor_s(router), time.perf_counter()
+    came, before_s, began_s = 0, worked_s(router), time.perf_counter()
     for number in range(_MESSAGES):
         publisher.put(payload)
         while subscription.take(0.0) is not None:
@@ -93,7 +92,7 @@ def _measured(site: Site, robot: Bus, fusion: Bus, router: int) -> tuple[float, 
             time.sleep(ahead_s)
     while subscription.take(1.0) is not None:
         came += 1
-    used_s = _processor_s(router) - before_s
+    used_s = worked_s(router) - before_s
     return came / (time.perf_counter() - began_s - 1.0), 1e6 * used_s / came
 
 
@@ -111,11 +110,6 @@ def _sites(folder: Path, is_secured: bool, port: int) -> tuple[Path, Path]:
         path.write_text(f'{_SITE}[bus]\n{key} = ["{protocol}/127.0.0.1:{port}"]\n{more}')
         paths.append(path)
     return paths[0], paths[1]
-
-
-def _processor_s(process: int) -> float:
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def signed() -> tuple[float, float]:
