@@ -58,7 +58,6 @@ BENCHMARKS: dict[str, Benchmark] = {
         "fusion.load",
         has_options=True,
     ),
-    "said_rightly": Benchmark("are wrong inputs of every kind said rightly?", "said_rightly"),
     "corrections": Benchmark(
         "does a bridge refuse every bad correction, and no true one?",
         "robot.corrections",
