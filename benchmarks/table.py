@@ -58,11 +58,6 @@ BENCHMARKS: dict[str, Benchmark] = {
         "fusion.load",
         has_options=True,
     ),
-    "corrections": Benchmark(
-        "does a bridge refuse every bad correction, and no true one?",
-        "robot.corrections",
-        is_long=True,
-    ),
     "latency": Benchmark(
         "how late is a correction, beside the sum of its parts?", "robot.latency", is_long=True
     ),

@@ -1,1 +1,1 @@
-"""The robot bridge: latency and the gate."""
+"""The robot bridge: latency from exposure to correction."""
