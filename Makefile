@@ -33,11 +33,10 @@ types: $(INSTALLED)
 imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
-bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
+bench: $(WITH_BENCH)  ## ratios against the bare libraries
 	$(BIN)/python -m benchmarks all
-	$(BIN)/python -m pytest -n 0 -m long tests/system/test_stops.py tests/system/test_under_fire.py
 
-study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
+study: $(WITH_BENCH)  ## the long tests (stops, fire, wrong inputs and more), then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
 	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) $(or $(SITUATIONS),situations)
 	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) --estimators particle,ekf $(or $(SITUATIONS),situations)
