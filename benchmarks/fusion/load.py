@@ -135,43 +135,62 @@ class _Drive:
         self._pipeline = Pipeline(inputs, is_live=False, solver=solver)
         self._pipeline.resumed(is_new=True)
         self._asked_s, self._answer_s = 0.0, float("nan")
+        self._begin()
 
     def go(self, name: str) -> list[Row]:
         """All of it; its rows."""
-        corridor, span, lately = self._load.corridor, Span(), Span()
-        from_s, told_s, now_s = corridor.measured_from_s, 0.0, 0.0
-        solver_s, stored = worked_s(self._solver.pid), self._stored_mb()
-        session = turns(corridor)
+        from_s, told_s, now_s = self._load.corridor.measured_from_s, 0.0, 0.0
+        session = turns(self._load.corridor)
         if self._load.by_the_clock:
             session = iter(list(session))  # made beforehand, which takes about as long
         began_s = time.monotonic()
         for now_ns, turn in session:
             before_s, now_s = now_s, to_seconds(now_ns - EPOCH_NS)
             if before_s < from_s <= now_s:
-                span, solver_s, stored = Span(), worked_s(self._solver.pid), self._stored_mb()
-                span.memory.append(self._memory_mb())
-            if self._load.by_the_clock:
-                time.sleep(max(0.0, began_s + now_s - time.monotonic()))
-            self._take(now_ns, turn, (span, lately))
-            late_s = time.monotonic() - began_s - now_s if self._load.by_the_clock else 0.0
+                self._begin()
+            late_s = self._taken_late_s(now_ns, turn, began_s + now_s)
             if now_s - told_s >= _TELL_S or late_s > _MOST_LATE_S:
-                self._listen()
-                span.memory.append(self._memory_mb())
-                self._say(f"{now_s:6.0f} s: {lately.told(now_s - told_s)}", span)
-                lately, told_s = Span(), now_s
+                self._pause(now_s, now_s - told_s)
+                told_s = now_s
             if late_s > _MOST_LATE_S:
                 typer.echo("the turns are a minute late: this is not carried", err=True)
                 break
-            for one in (span, lately) if self._load.by_the_clock and _seen(turn) else ():
-                one.late_s.append(late_s)
-        span.memory.append(self._memory_mb())
         self._storage.close()
-        passed_s = now_s - from_s
-        share = (worked_s(self._solver.pid) - solver_s) / passed_s
         what = f"{name}, min {from_s / 60:.1f} to {now_s / 60:.1f}"
-        return list(self._rows(what, span, passed_s, share, self._stored_mb() - stored))
+        return list(self._rows(what, now_s - from_s))
 
-    def _take(self, now_ns: int, turn: Turn, spans: tuple[Span, Span]) -> None:
+    def _begin(self) -> None:
+        """What is measured begins here."""
+        self._span, self._lately = Span(memory=[self._memory_mb()]), Span()
+        self._solver_s, self._stored = worked_s(self._solver.pid), self._stored_mb()
+
+    def _pause(self, now_s: float, passed_s: float) -> None:
+        """Listen to the solver, note the memory, and tell of the time since the last pause."""
+        self._listen()
+        self._span.memory.append(self._memory_mb())
+        if self._tells:
+            mine, solvers = self._span.memory[-1]
+            answer = f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""
+            typer.echo(
+                f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self._pipeline.located_count} "
+                f"located; {mine:.0f} + {solvers:.0f} MB{answer}",
+                err=True,
+            )
+        self._lately = Span()
+
+    def _taken_late_s(self, now_ns: int, turn: Turn, due_s: float) -> float:
+        """Take a turn, by the clock not before it is due; how late it was done then."""
+        if not self._load.by_the_clock:
+            self._take(now_ns, turn)
+            return 0.0
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        self._take(now_ns, turn)
+        late_s = time.monotonic() - due_s
+        for span in (self._span, self._lately) if _seen(turn) else ():
+            span.late_s.append(late_s)
+        return late_s
+
+    def _take(self, now_ns: int, turn: Turn) -> None:
         begin_s, kept = time.thread_time(), list[tuple[str, Input, bytes]]()
         for node, message, type_name, payload in turn:
             if self._pipeline.push(node, cdr.decode(type_name, payload)):
@@ -183,7 +202,7 @@ class _Drive:
             key = INPUT_TOPICS[type(message)].key(self._site, node)
             self._storage.store(key, payload, message)
         seen = _seen(turn)
-        for span in spans:
+        for span in (self._span, self._lately):
             span.messages, span.spent_s = span.messages + len(turn), span.spent_s + took_s
             span.sightings += seen
             span.pictures += sum(isinstance(message, Sightings) for _, message, *_ in turn)
@@ -204,18 +223,10 @@ class _Drive:
             self._pipeline.reports.ask()
             self._asked_s = time.monotonic()
 
-    def _say(self, text: str, span: Span) -> None:
-        if self._tells:
-            mine, solvers = span.memory[-1]
-            typer.echo(
-                f"{text}; {self._pipeline.located_count} located; {mine:.0f} + {solvers:.0f} MB"
-                + (f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""),
-                err=True,
-            )
+    def _rows(self, what: str, passed_s: float) -> Iterator[Row]:
+        span, memory = self._span, [*self._span.memory, self._memory_mb()]
+        solver = (worked_s(self._solver.pid) - self._solver_s) / passed_s
 
-    def _rows(
-        self, what: str, span: Span, passed_s: float, solver: float, stored_mb: float
-    ) -> Iterator[Row]:
         def row(text: str, unit: str, ours: float, other: float, against: str) -> Row:
             return Row("load", f"{what}: {text}", unit, ours, other, against)
 
@@ -223,17 +234,23 @@ class _Drive:
         middle, most = np.percentile(span.updates_ms or [np.nan], [50, 99]).tolist()
         yield row("an update, 50 %", "ms", middle, 20.0, goal)
         yield row("an update, 99 %", "ms", most, 20.0, goal)
-        yield row(f"longest of {len(span.updates_ms)}", "ms", max(span.updates_ms), 20.0, goal)
+        yield row(
+            f"longest of {len(span.updates_ms)}",
+            "ms",
+            max(span.updates_ms, default=np.nan),
+            20.0,
+            goal,
+        )
         yield row("messages", "1/s", span.messages / passed_s, span.sightings / passed_s, "seen")
         yield row("the thread", "cores", span.spent_s / passed_s, 1.0, "one core")
         yield row("the solver", "cores", solver, 1.0, "one core")
         full = span.sightings / span.spent_s
         yield row("sightings that fill the thread", "1/s", full, span.sightings / passed_s, "seen")
-        for who, series in zip(
-            ("estimator", "solver"), zip(*span.memory, strict=True), strict=True
-        ):
+        for who, series in zip(("estimator", "solver"), zip(*memory, strict=True), strict=True):
             yield row(f"resident, {who}", "MB", series[-1], series[0], "at the begin")
-        yield row("checkpoint, added", "MB", stored_mb, passed_s / 60, "minutes")
+        yield row(
+            "checkpoint, added", "MB", self._stored_mb() - self._stored, passed_s / 60, "minutes"
+        )
         yield row("pictures kept", "pictures", span.kept, span.pictures, "all that came")
         cameras = self._load.corridor.cameras
         yield row("located", "cameras", self._pipeline.located_count, cameras, "all")
