@@ -33,21 +33,18 @@ types: $(INSTALLED)
 imports: $(INSTALLED)
 	$(BIN)/lint-imports
 
-bench: $(WITH_BENCH)  ## ratios against the bare libraries; two hundred stops; ten minutes under fire
-	$(BIN)/python -m benchmarks
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.stops
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.endurance.fire
+bench: $(WITH_BENCH)  ## ratios against the bare libraries
+	$(BIN)/python -m benchmarks all
 
-study: $(WITH_BENCH)  ## the long tests, then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
+study: $(WITH_BENCH)  ## the long tests (stops, fire, wrong inputs and more), then accuracy over simulated sessions, to docs/background/accuracy.md; goes on where it was
 	$(BIN)/python -m pytest -n 2 -m long
-	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) $(SITUATIONS)
-	$(BIN)/python -m benchmarks.study run --seeds $(SEEDS) --estimators particle,ekf $(SITUATIONS)
-	$(BIN)/python -m benchmarks.study report
+	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) $(or $(SITUATIONS),situations)
+	$(BIN)/python -m benchmarks study run --seeds $(SEEDS) --estimators particle,ekf $(or $(SITUATIONS),situations)
 	$(MAKE) compositions
 
 compositions: $(WITH_BENCH)  ## everything at once, as a user would calibrate it, to docs/background/compositions.md
-	-$(BIN)/python -m benchmarks.compositions run --seeds 1:$(SEEDS) $(KINDS)
-	$(BIN)/python -m benchmarks.compositions report
+	-$(BIN)/python -m benchmarks study run --seeds 1:$(SEEDS) $(or $(KINDS),compositions)
+	$(BIN)/python -m benchmarks study report
 
 pictures: $(CORE)  ## the README's pictures, from the demo in out/demo, by Debian's chromium
 	test -e out/demo/report.html || $(MAKE) demo
@@ -60,7 +57,7 @@ $(CORE): $(CORE_SOURCES) | $(INSTALLED)
 	touch $@
 
 fuzz: $(CORE)  ## a million drawn inputs to the compiled core, under sanitizers (needs g++); what it finds goes to out/fuzz
-	$(BIN)/python -m benchmarks.fuzz --count $(INPUTS)
+	$(BIN)/python -m benchmarks fuzz --count $(INPUTS)
 
 # For machines without a compiler, on either kind: zig builds for both, against an old C library.
 wheels: $(INSTALLED)  ## wheels for x86_64 and aarch64, to dist

@@ -1,21 +1,25 @@
-"""`python -m benchmarks [NAME…] [--json FILE]`"""
+"""`python -m benchmarks`: the table; `python -m benchmarks NAME…|all`: measure."""
 
+import sys
 import time
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .machine import machine
-from .report import write_report
-from .table import BENCHMARKS, Row, formatted, is_installed, open_benchmark
+from .report import tell, write_report
+from .table import BENCHMARKS, Row, columns
+
+_SHORT = [name for name, benchmark in BENCHMARKS.items() if not benchmark.is_long]
 
 
-def main(
+def measure(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(BENCHMARKS)}; all without one."),
-    ] = None,
+        list[str], typer.Argument(metavar="NAME…", help=f"Of {', '.join(_SHORT)}; or all.")
+    ],
     json: Annotated[Path, typer.Option("--json", help="Where the rows are written.")] = Path(
         "out/benchmarks.json"
     ),
@@ -24,23 +28,48 @@ def main(
     ] = 1.0,
 ) -> None:
     """Measure Trigpoint against the bare libraries, side by side, in about six minutes."""
-    chosen = names or list(BENCHMARKS)
-    unknown = [name for name in chosen if name not in BENCHMARKS]
-    if unknown:
+    chosen = _SHORT if names == ["all"] else names
+    if unknown := [name for name in chosen if name not in BENCHMARKS]:
         raise typer.BadParameter(f"no benchmark «{unknown[0]}»; choose of {', '.join(BENCHMARKS)}")
-    missing = [name for name in chosen if not is_installed(name)]
-    for name in missing:
-        typer.echo(f"{name}: left out; pip install -c constraints.txt -e '.[bench]'", err=True)
-    before = machine()
-    rows: list[Row] = []
-    for name in (name for name in chosen if name not in missing):
+    if long := [name for name in chosen if name not in _SHORT]:
+        raise typer.BadParameter(f"{long[0]} takes long, and is measured by itself")
+    before, rows = machine(), list[Row]()
+    for name in chosen:
+        if not BENCHMARKS[name].is_installed:
+            why = "left out; pip install -c constraints.txt -e '.[bench]'"
+            typer.echo(f"{name}: {why}", err=True)
+            continue
         began = time.perf_counter()
-        rows += open_benchmark(name)(effort)
+        rows += BENCHMARKS[name].open()(effort) or []
         typer.echo(f"{name}: measured in {time.perf_counter() - began:.0f} s", err=True)
-    typer.echo("\n".join(formatted(rows)))
+    tell(rows)
     write_report(json, rows, before, effort=effort)
-    typer.echo(f"{before.summary}\nwritten to {json}")
+    typer.echo(f"{before.summary} (at the start)\nwritten to {json}")
+
+
+def main() -> None:
+    """The table, a benchmark with a command line of its own, or some that have none."""
+    if len(sys.argv) < 2:
+        rows = [(name, benchmark.question) for name, benchmark in BENCHMARKS.items()]
+        print("\n".join(columns([("name", "question"), *rows])))
+        return
+    found = BENCHMARKS.get(sys.argv[1])
+    if found and (found.is_long or (found.has_options and "--effort" not in sys.argv)):
+        own = import_module(f".{found.module}", __package__)
+        program = f"python -m benchmarks {sys.argv[1]}"
+        if hasattr(own, "app"):
+            own.app(sys.argv[2:], prog_name=program)
+        else:
+            _run(own.main, sys.argv[2:], program)
+    else:
+        _run(measure, sys.argv[1:], "python -m benchmarks")
+
+
+def _run(command: Callable[..., None], words: list[str], program: str) -> None:
+    app = typer.Typer(add_completion=False)
+    app.command()(command)
+    app(words, prog_name=program)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    main()

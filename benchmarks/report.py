@@ -1,12 +1,18 @@
-"""A run as JSON."""
+"""A run's rows, printed and as JSON."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from .machine import Machine
-from .table import Row
+from .machine import Machine, machine
+from .table import Row, formatted
+
+
+def tell(rows: Sequence[Row]) -> None:
+    """Print the rows and the machine."""
+    print("\n".join(formatted(rows)))
+    print(machine().summary, flush=True)
 
 
 def write_report(path: Path, rows: Sequence[Row], machine: Machine, *, effort: float) -> None:

@@ -1,30 +1,94 @@
-"""The table of benchmarks, and what each of them gives."""
+"""The table of benchmarks: by each name the question that it answers, and what a row of it is."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 
-BENCHMARKS: dict[str, str] = {
-    "detection": "pictures.detection:run",
-    "world": "pictures.world_detection:run",
-    "messages": "network.messages:run",
-    "bus": "network.bus:run",
-    "recorder": "recorder:run",
-    "calibration": "fusion.calibration:run",
-    "capacity": "pictures.capacity:run",
-    "agent": "pictures.agent:run",
-    "estimator": "fusion.estimator_speed:run",
-    "live": "fusion.live:run",
-    "gtsam": "fusion.gtsam_comparison:run",
-    "said_rightly": "said_rightly:run",
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """`module`: has `run`, which takes an effort and gives rows; `main`, a command line, where it
+    `has_options` or `is_long` (or `app`, of several). `needs`: a library that only benchmarks have.
+    """
+
+    question: str
+    module: str
+    needs: str = ""
+    has_options: bool = False
+    is_long: bool = False
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether everything that it needs is there."""
+        return not self.needs or find_spec(self.needs) is not None
+
+    def open(self) -> Callable[..., "list[Row] | None"]:
+        """`run`; of a long one `main`."""
+        module = import_module(f".{self.module}", __package__)
+        return module.run if not self.is_long else getattr(module, "app", None) or module.main
+
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "detection": Benchmark(
+        "how soon, how often and how well are targets found, beside OpenCV?", "pictures.detection"
+    ),
+    "world": Benchmark(
+        "the same of boards as the world shows them", "pictures.world_detection", "skimage"
+    ),
+    "capacity": Benchmark("how many cameras does a core carry?", "pictures.capacity"),
+    "agent": Benchmark("what does an agent of eight cameras take of a core?", "pictures.agent"),
+    "messages": Benchmark("what do messages cost beside rosbags?", "network.messages"),
+    "bus": Benchmark("how late are messages beside bare Zenoh?", "network.bus"),
+    "recorder": Benchmark("how fast are recordings written and read beside mcap?", "recorder"),
+    "calibration": Benchmark(
+        "what does `calibrate` take, how does that grow, how near to the bound is it?",
+        "fusion.calibration",
+    ),
+    "gtsam": Benchmark(
+        "what does a solution take beside GTSAM?", "fusion.gtsam_comparison", "gtsam"
+    ),
+    "study": Benchmark(
+        "how near to the bound, how honest is `calibrate`, in every situation and composition?",
+        "study.command",
+        is_long=True,
+    ),
+    "load": Benchmark(
+        "what do updates, memory and checkpoint of live fusion come to, under which load?",
+        "fusion.load",
+        has_options=True,
+    ),
+    "latency": Benchmark(
+        "how late is a correction, beside the sum of its parts?", "robot.latency", is_long=True
+    ),
+    "relay": Benchmark(
+        "what do a secured router and a signature cost?", "network.relay", is_long=True
+    ),
+    "networks": Benchmark(
+        "what do bad networks delay and lose?", "network.bad_links", is_long=True
+    ),
+    "network_hour": Benchmark(
+        "what does an hour of loss do, beside an undisturbed twin?", "network.hour", is_long=True
+    ),
+    "soak": Benchmark(
+        "does a site hold out hours of faults, and what grows?", "endurance.soak", is_long=True
+    ),
+    "false_sightings": Benchmark(
+        "what is found where nothing is?", "pictures.false_sightings", is_long=True
+    ),
+    "shown": Benchmark(
+        "are stills that are shown to an agent published?", "pictures.agent", is_long=True
+    ),
+    "page": Benchmark(
+        "what does the web page of a large site cost, and how late is it?",
+        "network.board",
+        is_long=True,
+    ),
+    "accuracy_map": Benchmark(
+        "are robots corrected as well as the map of that says?", "fusion.accuracy_map", is_long=True
+    ),
+    "fuzz": Benchmark("does any input harm the compiled core?", "fuzz.command", is_long=True),
 }
-
-# What is installed for a benchmark alone, with the extra `bench`.
-NEEDED: dict[str, str] = {"gtsam": "gtsam", "world": "skimage"}
-
-Benchmark = Callable[[float], "list[Row]"]
-"""Takes the effort: 1.0 is the whole measurement, less is quicker and rougher."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +109,6 @@ class Row:
         return self.ours / self.other if self.other else None
 
 
-def open_benchmark(name: str) -> Benchmark:
-    """The function of a benchmark."""
-    module, _, function = BENCHMARKS[name].partition(":")
-    return getattr(import_module(f".{module}", __package__), function)
-
-
-def is_installed(name: str) -> bool:
-    """Whether everything that a benchmark needs is there."""
-    return name not in NEEDED or find_spec(NEEDED[name]) is not None
-
-
 def share_of(count: int, effort: float, *, least: int = 1) -> int:
     """A workload of `count` at an effort."""
     return max(least, round(count * effort))
@@ -64,8 +117,12 @@ def share_of(count: int, effort: float, *, least: int = 1) -> int:
 def formatted(rows: Iterable[Row]) -> list[str]:
     """The rows as lines of a Markdown table that also reads well as plain text."""
     head = ("benchmark", "what", "unit", "ours", "other", "ours / other", "better", "other is")
-    lines = [head, *(_cells(row) for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    return columns([head, *map(_cells, rows)])
+
+
+def columns(lines: list[tuple[str, ...]]) -> list[str]:
+    """A Markdown table of cells, the first line its head."""
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     rule = tuple("-" * width for width in widths)
     return [
         "| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |"

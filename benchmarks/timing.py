@@ -1,7 +1,9 @@
 """Durations of jobs, measured in turns, so that other work on the machine meets all of them."""
 
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from trigpoint.base.clock import SystemClock
@@ -34,6 +36,12 @@ def worked(job: Callable[[], _Result]) -> tuple[float, _Result]:
     began = time.process_time()
     result = job()
     return time.process_time() - began, result
+
+
+def worked_s(process: int) -> float:
+    """The processor's time of another process so far, seconds."""
+    ticks = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 def side_by_side(

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine
+from benchmarks.study.summary import bold_count, page_table, ratio_of
 
 from .recipe import KINDS
 from .score import GOAL_S, GOAL_SHARE, WRONG_M, WRONG_M_SIGMAS, WRONG_SIGMAS, Outcome, Score
@@ -14,7 +15,7 @@ _HEAD = """# Compositions
 
 ```
 make compositions SEEDS=100              # as many sessions of each kind, and this page
-python -m benchmarks.compositions --out DIR --seeds 1:40 --kind everything    # the sessions
+python -m benchmarks study write everything --out DIR --seeds 1:40    # the sessions
 ```
 
 Everything at once, drawn by the seed: 2 to 12 cameras in drawn rooms, one to three robots, every
@@ -58,18 +59,13 @@ def summary_lines(scores: Mapping[str, list[Score]]) -> list[str]:
 
 
 def _of_sessions(scores: Mapping[str, list[Score]]) -> list[str]:
-    lines = [
-        "| sessions | number | wrong | late | failed | slow | honesty | median, longest (s) |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    head = "sessions | number | wrong | late | failed | slow | honesty | median, longest (s)"
     everything = [score for of_kind in scores.values() for score in of_kind]
     rows = {KINDS[kind].title: of_kind for kind, of_kind in scores.items()}
     rows["all where the model is right"] = [s for s in everything if not s.is_mismatched]
     rows["all where it is not"] = [s for s in everything if s.is_mismatched]
-    for title, of_row in rows.items():
-        if of_row:
-            lines.append(f"| {title} | {' | '.join(_session_cells(of_row))} |")
-    return lines
+    cells = [[title, *_session_cells(of_row)] for title, of_row in rows.items() if of_row]
+    return page_table(head, cells)
 
 
 def _session_cells(scores: list[Score]) -> list[str]:
@@ -82,21 +78,10 @@ def _session_cells(scores: list[Score]) -> list[str]:
     ]
     return [
         str(len(scores)),
-        *(f"**{count}**" if count else "0" for count in counts),
-        _honesty(scores),
+        *map(bold_count, counts),
+        ratio_of([score.honesty for score in scores]).told(2),
         f"{np.median(seconds):.1f}, {max(seconds):.1f}",
     ]
-
-
-def _honesty(scores: list[Score]) -> str:
-    squares = [score.honesty for score in scores if score.honesty is not None]
-    if not squares:
-        return "–"
-    value = np.sqrt(np.mean(squares))
-    if len(squares) == 1:
-        return f"{value:.2f}"
-    error = np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * value)
-    return f"{value:.2f} ± {error:.2f}"
 
 
 _CATEGORIES: dict[str, Callable[[Score], bool]] = {
@@ -109,11 +94,11 @@ _CATEGORIES: dict[str, Callable[[Score], bool]] = {
 
 def _of_cameras(scores: Mapping[str, list[Score]]) -> list[str]:
     """Located of all, and how many of these are wrong, by category."""
-    lines = [
-        "| located cameras | two pictures or more | one picture | wrong "
-        "| unconfirmed, wrong of them | truth not among the alternatives |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    head = (
+        "located cameras | two pictures or more | one picture | wrong "
+        "| unconfirmed, wrong of them | truth not among the alternatives"
+    )
+    rows = []
     for kind, of_kind in scores.items():
         for category, belongs in _CATEGORIES.items():
             cameras = [c for score in of_kind if belongs(score) for c in score.cameras]
@@ -124,14 +109,15 @@ def _of_cameras(scores: Mapping[str, list[Score]]) -> list[str]:
             wrong = sum(camera.is_wrong for camera in cameras)
             unconfirmed = [c for c in cameras if c.is_located and not c.is_confirmed]
             cells = [
+                f"{kind}: {category}",
                 f"{sum(c.is_located for c in often)} of {len(often)}",
                 f"{sum(c.is_located for c in once)} of {len(once)}",
-                f"**{wrong}**" if wrong else "0",
+                bold_count(wrong),
                 f"{len(unconfirmed)}, {sum(c.is_wrong for c in unconfirmed)}",
                 _missed([c.among for c in cameras if c.among is not None]),
             ]
-            lines.append(f"| {kind}: {category} | {' | '.join(cells)} |")
-    return lines
+            rows.append(cells)
+    return page_table(head, rows)
 
 
 def _missed(among: list[bool]) -> str:
@@ -141,14 +127,16 @@ def _missed(among: list[bool]) -> str:
 def _bad(scores: Mapping[str, list[Score]]) -> list[str]:
     """Each session that is wrong, late or failed."""
     bad = [score for of_kind in scores.values() for score in of_kind if score.is_bad]
-    return ["Sessions to look at:\n", *(f"- {line_of(score)}" for score in bad)] if bad else []
+    return (
+        ["Sessions to look at:\n", *(f"- {line_of_score(score)}" for score in bad)] if bad else []
+    )
 
 
-def line_of(score: Score) -> str:
+def line_of_score(score: Score) -> str:
     """One session in a line."""
     located = sum(camera.is_located for camera in score.cameras)
     honesty = f"{np.sqrt(score.honesty):.2f}" if score.honesty is not None else "–"
-    line = f"{score.kind} {score.seed}: {located}/{len(score.cameras)} located, "
+    line = f"{score.situation} {score.seed}: {located}/{len(score.cameras)} located, "
     line += f"{score.seconds:.1f} s, honesty {honesty}"
     for camera in score.wrong:
         assert camera.error_m is not None

@@ -65,12 +65,12 @@ class CameraScore(msgspec.Struct, frozen=True):
         return self.sigmas > WRONG_SIGMAS or is_far
 
 
-class Score(msgspec.Struct, frozen=True):
+class Score(msgspec.Struct, frozen=True, tag=True):
     """One session. `honesty`: eᵀP⁻¹e/6n over the located cameras, None where none is or one is
     wrong; `seconds`: processor time; `lasts_s`: the session's length; `lifts`: of robots;
     `why`: it failed."""
 
-    kind: str
+    situation: str
     seed: int
     is_alike: bool
     is_mismatched: bool
@@ -81,6 +81,7 @@ class Score(msgspec.Struct, frozen=True):
     cameras: list[CameraScore] = msgspec.field(default_factory=list)
     honesty: float | None = None
     why: str = ""
+    estimator: str = "smoother"
 
     @property
     def wrong(self) -> list[CameraScore]:
@@ -122,7 +123,7 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
     ]
     is_any_wrong = any(camera.is_wrong for camera in cameras)
     return Score(
-        kind=recipe.kind,
+        situation=recipe.kind,
         seed=recipe.seed,
         is_alike=recipe.is_alike,
         is_mismatched=recipe.is_mismatched,

@@ -1,11 +1,11 @@
 """The whole site for hours, with faults:
 
-    python -m benchmarks.endurance.soak [--hours H] [--every S] [--out DIR]
+    python -m benchmarks soak [--hours H] [--every S] [--out DIR]
 
 A secured site in three namespaces (server, cameras, robot) runs its real programs: router, fusion,
 recorder, two cameras' agents, a bridge and a simulated robot. Every so many seconds something is
-broken, each kind in turn. Written are `soak.json` and one page, `soak.html`: memory, file handles
-and threads of every program, latencies and losses over time, and how soon each was back.
+broken, each kind in turn. `soak.json` has what was seen; `soak.md` says what it comes to: memory,
+file handles and threads of every program, latencies, losses, and how soon each was back.
 
 What is accelerated is how often things break, nothing else: hours of memory are not made shorter.
 In the first third every kind comes in turn; after that what ends programs is left out, so that each
@@ -36,7 +36,7 @@ from trigpoint.tools.simulation.world import World, load_world
 
 from .clock import SettableClock
 from .faults import FAIR, RECORDING, Fault, Faults
-from .page import page
+from .report import report
 
 _PORT = 7447
 _DAYS = 90
@@ -145,7 +145,6 @@ class Soak:
         self.record = Record(seconds)
         self._began_s = time.monotonic()
         self._last: dict[str, float] = {}
-        self._counts: dict[str, int] = {}
         spaces = {name: self._space() for name in ("server", "cameras", "robot")}
         self.links = {
             name: stack.enter_context(
@@ -335,15 +334,9 @@ def main(
         soak = Soak(out.absolute(), stack, seconds)
         stack.callback(_write, soak.record, out)  # what was seen of a run that fails, too
         soak.run(every)
-    maps = soak.record.heard[-1]["maps"] if soak.record.heard else []
-    typer.echo(f"maps of fusion from begin to end: {', '.join(maps)}")
-    typer.echo(f"written to {out / 'soak.html'}")
+    typer.echo(f"{report(soak.record)}\nwritten to {out / 'soak.md'}")
 
 
 def _write(record: Record, out: Path) -> None:
     (out / "soak.json").write_text(json.dumps(asdict(record)))
-    (out / "soak.html").write_text(page(record), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    typer.run(main)
+    (out / "soak.md").write_text(report(record) + "\n", encoding="utf-8")

@@ -1,4 +1,5 @@
-"""A recorded drive worked out: how fast, and how near to the least error that is possible."""
+"""A recorded drive worked out: how fast, how near to the least error that is possible, and how time
+grows with length and cameras. Work of one core, in processor time, where not said otherwise."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -7,7 +8,9 @@ import numpy as np
 
 from benchmarks.table import Row, share_of
 from benchmarks.timing import timed, worked
+from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
+from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.networks.bound import session_bound
@@ -16,7 +19,10 @@ from trigpoint.tools.sessions.inputs import session_inputs
 from trigpoint.tools.simulation.session import write_session
 from trigpoint.tools.simulation.world import load_world
 
+from .corridor import Corridor
+
 SEEDS = (1, 2, 3)
+_CAMERAS, _DURATION_S = 10, 120.0
 _BOUND = "Cramér–Rao bound"
 
 
@@ -32,7 +38,39 @@ def run(effort: float = 1.0) -> list[Row]:
     for seed, error, bound in zip(seeds, errors, bounds, strict=True):
         rows.append(_error_row(f"mean distance error, seed {seed}", error, bound))
     rows.append(_error_row(f"the same, mean of {len(seeds)} seeds", errors.mean(), bounds.mean()))
-    return rows
+    return [*rows, *_growth_rows(effort)]
+
+
+def _growth_rows(effort: float) -> list[Row]:
+    """A dance of five minutes; ten times the length, ten times the cameras."""
+    small = _solved(Corridor(_CAMERAS, _DURATION_S))
+    longer = _solved(Corridor(_CAMERAS, 10 * _DURATION_S * effort))
+    wider = _solved(Corridor(round(10 * _CAMERAS * effort), 10 * _DURATION_S * effort))
+    with TemporaryDirectory() as folder:
+        world = load_world("dance", seed=1)
+        write_session(world, Path(folder))
+        work = worked(lambda: _calibrate(Path(folder)))[0]
+    dance, against = "a dance of six cameras, reading included", "the dance's duration"
+    return [
+        Row("calibration", dance, "s", work, world.duration_s, against),
+        Row("calibration", "10 × the length", "s", longer, small, "once the length"),
+        Row("calibration", "10 × the cameras too", "s", wider, longer, "10 × the length"),
+    ]
+
+
+def _solved(corridor: Corridor) -> float:
+    """Seconds to work a corridor's messages out."""
+    messages = list(corridor.messages())  # before the clock runs
+
+    def offline() -> None:
+        pipeline = Pipeline(corridor.inputs, is_live=False)
+        for node, message in messages:
+            pipeline.push(node, message)
+            if isinstance(message, Odometry):
+                pipeline.advance()
+        pipeline.finish()
+
+    return worked(offline)[0]
 
 
 def _error_row(what: str, error: float, bound: float) -> Row:

@@ -35,7 +35,8 @@ _CAMERA = '[cameras.c{}]\nsource = "sim://c{}"\nwidth = 640\nheight = 480\nrate 
 @dataclass(frozen=True, slots=True)
 class Corridor:
     """`cameras` of them on a ring, driven along for `duration_s`. `robots`: spread along it, each
-    with a target of its own; `is_empty_told`: whether cameras that see none say so."""
+    with a target of its own; `is_empty_told`: whether cameras that see none say so; `stands_s`: for
+    how long they then stand where they arrived."""
 
     cameras: int
     duration_s: float
@@ -43,6 +44,7 @@ class Corridor:
     pictures_hz: float = PICTURES_HZ
     odometry_hz: float = ODOMETRY_HZ
     is_empty_told: bool = False
+    stands_s: float = 0.0
 
     @property
     def radius_m(self) -> float:
@@ -52,6 +54,14 @@ class Corridor:
     def lap_s(self) -> float:
         """How long once round takes."""
         return _SPACING_M * self.cameras / SPEED
+
+    @property
+    def measured_from_s(self) -> float:
+        """Where what a session costs begins to count: where the robots stand, or the second lap
+        where that is reached."""
+        if self.stands_s:
+            return self.duration_s
+        return self.lap_s if self.lap_s < self.duration_s else 0.0
 
     @property
     def inputs(self) -> Inputs:
@@ -79,14 +89,17 @@ class Corridor:
             yield name, CameraInfo(EPOCH_NS, f"{name}/optical", lens)
         every = round(self.odometry_hz / self.pictures_hz)
         reported = dict.fromkeys(targets, np.zeros(3))
-        for step in range(round(self.duration_s * self.odometry_hz)):
+        driven = round(self.duration_s * self.odometry_hz)
+        for step in range(driven + round(self.stands_s * self.odometry_hz)):
             stamp_ns = EPOCH_NS + round(step * 1e9 / self.odometry_hz)
             for name in targets:
-                reported[name] = self._reported(reported[name], step, random)
+                if step < driven:
+                    reported[name] = self._reported(reported[name], step, random)
                 pose, still = Pose.planar(*reported[name]), np.zeros(3)
                 yield name, Odometry(stamp_ns, f"{name}/odom", f"{name}/base", pose, still, still)
             if step % every == 0:
-                for index, faces in self._seen(step / self.odometry_hz, lens, places, random):
+                seconds = min(step, driven) / self.odometry_hz
+                for index, faces in self._seen(seconds, lens, places, random):
                     name = f"c{index}"
                     yield name, Sightings(stamp_ns, f"{name}/optical", 640, 480, faces)
 

@@ -17,8 +17,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from trigpoint.contract.access import Identity, Kind
 from trigpoint.tools.secure.authority import Authority, addresses_of
@@ -313,13 +315,13 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-def main() -> None:
-    """`python -m benchmarks.network.bad_links [NAME…]`: every scenario, a line for each key."""
-    for name in sys.argv[1:] or SCENARIOS:
+def main(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(SCENARIOS)}.")
+    ] = None,
+) -> None:
+    """Every scenario or some, a line for each key."""
+    for name in names or SCENARIOS:
         print(name, flush=True)
         for key, what in sorted(run(SCENARIOS[name]).items()):
             print(f"  {line(key, what)}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

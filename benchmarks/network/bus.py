@@ -1,30 +1,32 @@
 """From put in one process to another's callback, and to whoever takes it there.
 
 Our callback only appends to a queue, from which a thread takes; so does, for comparison, a bare one
-with Python's own queue. A second process sends on both by turns (`bus_sender`), on loopback; the
+with Python's own queue. A second process sends on both by turns, on loopback; the
 clock is the system's monotonic one, which all processes of a machine share.
 """
 
+import json
 import queue
-import subprocess
-import sys
+import socket
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 
 import numpy as np
 import zenoh
 
 from benchmarks.table import Row, share_of
 from trigpoint.bus.bus import Subscription
-from trigpoint.bus.settings import Settings
+from trigpoint.bus.settings import LOOPBACK, Settings
 from trigpoint.contract import topics
 from trigpoint.contract.topics import Topic
 from trigpoint.zenoh import ZenohBus, open_session
 
-from .bus_wire import WARM_UP, Wire, free_endpoint, open_bare, sent_ns
-
-_LAST_S = 0.5
+_LAST_S, _PATIENCE_S = 0.5, 10.0
+_WARM_UP = 50
+_STAMP_BYTES = 8
+_OUR_KEY, _BARE_KEY = "lab/camera/ours", "lab/camera/bare"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +80,7 @@ class Delays:
 
 def delays_ms(load: Load) -> Delays:
     """Through ours and through bare Zenoh, warming up left out."""
-    wire = Wire(
-        free_endpoint(), free_endpoint(), load.topic.name, load.size, load.count, load.pause_s
-    )
+    endpoints = _free_endpoint(), _free_endpoint()
     called, waiting = list[float](), queue.SimpleQueue[bytes]()
 
     def receive(sample: zenoh.Sample) -> None:
@@ -89,30 +89,23 @@ def delays_ms(load: Load) -> Delays:
         waiting.put(payload)
 
     with (
-        ZenohBus(open_session(Settings("peer", listen=(wire.ours,)))) as bus,
-        open_bare(listen=wire.bare) as session,
-        session.declare_subscriber(wire.bare_key, receive),
+        ZenohBus(open_session(Settings("peer", listen=(endpoints[0],)))) as bus,
+        _open_bare(listen=endpoints[1]) as session,
+        session.declare_subscriber(_BARE_KEY, receive),
         ThreadPoolExecutor(2) as threads,
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
     ):
-        subscription = bus.subscribe(load.topic, wire.our_key)
-        with subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.network.bus_sender", *wire.arguments]
-        ) as sender:
-            try:
-                ours = threads.submit(_taken, subscription, sender)
-                bare = threads.submit(_bare_taken, waiting, sender)
-                ages, bare_ages = ours.result(), bare.result()
-            finally:
-                sender.kill()
-        if sender.returncode != 0:
-            raise RuntimeError(f"the sender failed with status {sender.returncode}")
-    our_called, our_taken = (list(each)[WARM_UP:] for each in zip(*ages, strict=True))
-    return Delays(our_called, our_taken, called[WARM_UP:], bare_ages[WARM_UP:])
+        subscription = bus.subscribe(load.topic, _OUR_KEY)
+        sender = pool.submit(_send, load, *endpoints)
+        ours = threads.submit(_taken, subscription, sender)
+        bare = threads.submit(_bare_taken, waiting, sender)
+        ages, bare_ages = ours.result(), bare.result()
+        sender.result()
+    our_called, our_taken = (list(each)[_WARM_UP:] for each in zip(*ages, strict=True))
+    return Delays(our_called, our_taken, called[_WARM_UP:], bare_ages[_WARM_UP:])
 
 
-def _taken(
-    subscription: Subscription, sender: subprocess.Popen[bytes]
-) -> list[tuple[float, float]]:
+def _taken(subscription: Subscription, sender: Future[None]) -> list[tuple[float, float]]:
     """Take until the sender has ended and nothing comes any more: age at our callback, and now."""
     ages_ms: list[tuple[float, float]] = []
     while True:
@@ -120,21 +113,62 @@ def _taken(
         if sample is not None:
             age_ms, since_ms = _age_ms(sample.payload), (time.time_ns() - sample.received_ns) / 1e6
             ages_ms.append((age_ms - since_ms, age_ms))
-        elif sender.poll() is not None:
+        elif sender.done():
             return ages_ms
 
 
-def _bare_taken(
-    waiting: "queue.SimpleQueue[bytes]", sender: subprocess.Popen[bytes]
-) -> list[float]:
+def _bare_taken(waiting: "queue.SimpleQueue[bytes]", sender: Future[None]) -> list[float]:
     ages_ms: list[float] = []
     while True:
         try:
             ages_ms.append(_age_ms(waiting.get(timeout=_LAST_S)))
         except queue.Empty:
-            if sender.poll() is not None:
+            if sender.done():
                 return ages_ms
 
 
 def _age_ms(payload: bytes) -> float:
-    return (time.monotonic_ns() - sent_ns(payload)) / 1e6
+    return (time.monotonic_ns() - int.from_bytes(payload[:_STAMP_BYTES], "little")) / 1e6
+
+
+def _send(load: Load, ours_at: str, bare_at: str) -> None:
+    """Put by turns on ours and on bare Zenoh, as soon as someone listens to both."""
+    settings = Settings("peer", listen=(LOOPBACK,), connect=(ours_at,))
+    with (
+        ZenohBus(open_session(settings)) as bus,
+        _open_bare(connect=bare_at) as session,
+        session.declare_publisher(_BARE_KEY) as bare,
+    ):
+        ours = bus.publisher(load.topic, _OUR_KEY)
+        deadline = time.monotonic() + _PATIENCE_S
+        while not (ours.has_listener and _matches(bare)):
+            if time.monotonic() > deadline:
+                raise RuntimeError("nobody listens")
+            time.sleep(0.05)
+        time.sleep(0.5)
+        for _ in range(_WARM_UP + load.count):
+            for put in (ours.put, bare.put):
+                stamp = time.monotonic_ns().to_bytes(_STAMP_BYTES, "little")
+                put(stamp.ljust(load.size, b"\0"))
+                time.sleep(load.pause_s)
+        time.sleep(0.5)
+
+
+def _matches(publisher: zenoh.Publisher) -> bool:
+    status = publisher.matching_status
+    return bool(getattr(status, "matching", status))  # an object, though its stub says bool
+
+
+def _free_endpoint() -> str:
+    """An endpoint on loopback that nobody uses now."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return f"tcp/127.0.0.1:{server.getsockname()[1]}"
+
+
+def _open_bare(*, listen: str | None = None, connect: str | None = None) -> zenoh.Session:
+    """A session with Zenoh's defaults, kept on loopback."""
+    config = zenoh.Config()
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("listen/endpoints", json.dumps([listen or "tcp/127.0.0.1:0"]))
+    config.insert_json5("connect/endpoints", json.dumps([connect] if connect else []))
+    return zenoh.open(config)

@@ -1,6 +1,6 @@
 """An hour on a bad network, beside a twin that is left alone:
 
-    python -m benchmarks.network.hour [--minutes 60] [--out FILE]
+    python -m benchmarks network_hour [--minutes 60]
 
 Two secured sites run at the same time, so that whatever else the machine does delays both. Between
 any two nodes of each lie two links of 50 ms and 20 Mbit/s. On one site each link loses 5 % of the
@@ -8,12 +8,12 @@ packets, and every three minutes the router is killed and is away for three seco
 neither. Corrections' 99th percentile there is the measure for here.
 """
 
-import argparse
-import json
 import os
 import threading
 from dataclasses import replace
-from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from .bad_links import BAD, DATAGRAMS, Key, Scenario, line, restarting, run
 from .impairment import Impairment
@@ -53,26 +53,14 @@ def both(seconds: float, returns_s: list[float]) -> Found:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--out", type=Path)
-    given = parser.parse_args()
+def main(minutes: Annotated[float, typer.Option(help="How long.")] = 60.0) -> None:
+    """An hour on a bad network, beside a twin that is left alone."""
     returns_s: list[float] = []
-    found = both(60 * given.minutes, returns_s)
+    found = both(60 * minutes, returns_s)
     back_s = {
         name: [key.back_s(mended_s) for mended_s in returns_s]
         for name, key in found["disturbed"].items()
     }
-    if given.out:
-        rows: dict[str, object] = {
-            site: {
-                name: (key.sent, key.counted, key.numbers, key.latencies_s)
-                for name, key in keys.items()
-            }
-            for site, keys in found.items()
-        }
-        given.out.write_text(json.dumps(rows | {"back_s": back_s}))
     for site, keys in found.items():
         print(site)
         for name, key in sorted(keys.items()):
@@ -83,7 +71,3 @@ def main() -> None:
     ratio = [found[site]["correction"].quantile_s(0.99) for site in ("disturbed", "undisturbed")]
     print(f"corrections' p99 over undisturbed: {ratio[0] / ratio[1]:.2f}")
     print(f"load of the last quarter of an hour: {os.getloadavg()[2]:.1f}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,10 @@
-"""What a secured router and signed corrections cost: `python -m benchmarks.network.relay`.
+"""What a secured router and signed corrections cost: `python -m benchmarks relay`.
 
 Processor time of the router's process for each message that it hands from one client to another, in
 the clear and with certificates and rules; and of a signature and its check. Processor time, so that
 a busy machine tells much the same as one at rest.
 """
 
-import os
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from benchmarks.timing import worked_s
 from trigpoint.base.clock import SystemClock
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Settings
@@ -33,7 +33,6 @@ _BYTES = 730
 """Of an odometry message on the wire."""
 _SIGNATURES = 1000
 _UP_S = 30.0
-_TICKS = os.sysconf("SC_CLK_TCK")
 _SITE = """\
 site = "lab"
 target = "target.toml"
@@ -45,6 +44,7 @@ port = "loop://"
 
 
 def main() -> None:
+    """What a secured router and signed corrections cost."""
     for is_secured in (False, True):
         rate, microseconds = relayed(is_secured)
         name = "mutual TLS, rules" if is_secured else "in the clear"
@@ -82,7 +82,7 @@ def _measured(site: Site, robot: Bus, fusion: Bus, router: int) -> tuple[float, 
     publisher = robot.publisher(ODOMETRY, ODOMETRY.key(site.name, "r1"))
     time.sleep(1.0)
     payload = bytes(_BYTES)
-    came, before_s, began_s = 0, _processor_s(router), time.perf_counter()
+    came, before_s, began_s = 0, worked_s(router), time.perf_counter()
     for number in range(_MESSAGES):
         publisher.put(payload)
         while subscription.take(0.0) is not None:
@@ -92,7 +92,7 @@ def _measured(site: Site, robot: Bus, fusion: Bus, router: int) -> tuple[float, 
             time.sleep(ahead_s)
     while subscription.take(1.0) is not None:
         came += 1
-    used_s = _processor_s(router) - before_s
+    used_s = worked_s(router) - before_s
     return came / (time.perf_counter() - began_s - 1.0), 1e6 * used_s / came
 
 
@@ -112,11 +112,6 @@ def _sites(folder: Path, is_secured: bool, port: int) -> tuple[Path, Path]:
     return paths[0], paths[1]
 
 
-def _processor_s(process: int) -> float:
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
-
-
 def signed() -> tuple[float, float]:
     """Processor seconds of one signature and of one check."""
     key = ec.generate_private_key(ec.SECP256R1())
@@ -128,7 +123,3 @@ def signed() -> tuple[float, float]:
     for attachment in said:
         verifier.verify("lab/robot/r1/correction", payload, attachment)
     return (between - before) / _SIGNATURES, (time.process_time() - between) / _SIGNATURES
-
-
-if __name__ == "__main__":
-    main()

@@ -1,46 +1,63 @@
-"""What an agent of eight cameras takes of a core: pictures of the drive, one camera before the
-robot, through the whole of each edge node; the bus is in memory."""
+"""Pictures played through the whole of an agent; its bus is in memory, and its clock counts its own
+work, so that a busy machine gives up no more.
+
+`run`: what eight cameras take of a core, one of them before the robot. `python -m benchmarks shown
+FOLDER… --target target.toml`: in which share of its pictures a still is published that is shown
+for a second.
+"""
 
 import itertools
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+import numpy as np
+import typer
 
 from benchmarks.table import Row, share_of
 from benchmarks.timing import WorkClock, worked
 from trigpoint.base.clock import Clock, to_ns
 from trigpoint.edge.node import EdgeNode
 from trigpoint.edge.sources.frames import SOURCES, Frame
+from trigpoint.edge.sources.picture_files import pictures_in, read_picture
 from trigpoint.geometry import CameraModel
 from trigpoint.node.node import Node
-from trigpoint.site.config import CameraConfig, Site, parse_site
+from trigpoint.site.config import CameraConfig, parse_site
+from trigpoint.site.target import Target, load_target
 from trigpoint.testing.memory_bus import MemoryBroker
 
 from .detection import one_thread
 from .views import gallery
 
-CAMERAS, RATE_HZ = 8, 10.0
+CAMERAS, RATE_HZ, SHOWN = 8, 10.0, 10
 _SECONDS = 10
 # Different pictures of each camera, played to and fro.
 _PICTURES = 24
+_CAMERA = """[cameras.{0}]
+source = "played://{0}"
+width = {1}
+height = {2}
+rate = {3}
+"""
+_SITE = 'site = "lab"\ntarget = "t.toml"\n{}[robots.r1]\nport = "loop://"\n'
 
 
 class PlayedFrames:
-    """`played://CAMERA`: pictures from memory, `RATE_HZ` a second by their stamps and the clock."""
+    """`played://CAMERA`: frames from memory, as fast as they are taken by the agent's clock."""
 
-    pictures: ClassVar[dict[str, Iterator[Frame]]] = {}
-    lens: ClassVar[CameraModel]
+    played: ClassVar[dict[str, Iterator[Frame]]] = {}
+    lens: ClassVar[CameraModel | None] = None
 
     def __init__(self, url: str, camera: CameraConfig, *, clock: Clock) -> None:
         del camera
-        self._frames = self.pictures[url.partition("://")[2]]
+        self._frames = self.played[url.partition("://")[2]]
         self._clock = clock
 
     @property
-    def intrinsics(self) -> CameraModel:
-        """The lab's."""
+    def intrinsics(self) -> CameraModel | None:
+        """The lab's; stills do not tell."""
         return self.lens
 
     @property
@@ -49,7 +66,7 @@ class PlayedFrames:
         return 0
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """All pictures, at the rate or as fast as they are taken."""
+        """All of them, at the rate of the agent's clock."""
         for frame in self._frames:
             if self._clock.wait(stopping, 1 / RATE_HZ):
                 return
@@ -59,6 +76,34 @@ class PlayedFrames:
         """Nothing is held open."""
 
 
+def played(
+    frames: dict[str, Iterator[Frame]], target: Target, size: tuple[int, int]
+) -> tuple[float, list[Node]]:
+    """Play every camera's frames through an agent; what it worked, seconds, and its nodes."""
+    cameras = "".join(_CAMERA.format(name, *size, RATE_HZ) for name in frames)
+    site = parse_site(_SITE.format(cameras), directory=Path())
+    SOURCES["played"] = f"{__name__}:{PlayedFrames.__name__}"
+    PlayedFrames.played = frames
+
+    def through(stack: ExitStack) -> list[Node]:
+        bus, nodes = stack.enter_context(MemoryBroker().session()), list[Node]()
+        for name in frames:
+            node = Node(bus, site=site.name, kind="edge", name=name)
+            agent = EdgeNode(bus, node, site, name, [target], clock=WorkClock())
+            stack.enter_context(node)
+            agent.start()
+            nodes.append(node)
+        for node in nodes:
+            node.wait()
+        return nodes
+
+    try:
+        with ExitStack() as stack:
+            return worked(lambda: through(stack))
+    finally:
+        del SOURCES["played"]
+
+
 def run(effort: float = 1.0) -> list[Row]:
     """Both kinds of target."""
     seconds = share_of(_SECONDS, effort)
@@ -66,58 +111,51 @@ def run(effort: float = 1.0) -> list[Row]:
         return [row for target in ("charuco", "checkerboard") for row in _rows(target, seconds)]
 
 
-def _rows(target: str, seconds: int) -> list[Row]:
-    with ExitStack() as stack:
-        stack.enter_context(_played(target, seconds))
-        took, nodes = worked(lambda: _agent(stack, target))
-    pictures = sum(node.health.total("pictures") for node in nodes)
+def _rows(choice: str, seconds: int) -> list[Row]:
+    pictures = gallery(choice)
+    (before_robot,) = pictures.sequences(1, _PICTURES)
+    PlayedFrames.lens = lens = next(iter(pictures.world.cameras.values())).model
+    empty = [view.picture for view in pictures.without_faces(_PICTURES)]
+    shown = [[view.picture for _, view in before_robot], *[empty] * (CAMERAS - 1)]
+    frames = {f"c{number}": _to_and_fro(own, seconds) for number, own in enumerate(shown)}
+    took, nodes = played(frames, pictures.target, (lens.width, lens.height))
+    count = sum(node.health.total("pictures") for node in nodes)
     given_up = sum(node.health.lost("given_up") for node in nodes)
-    load = took * CAMERAS * RATE_HZ / pictures
-    what = f"{CAMERAS} cameras at {RATE_HZ:.0f} Hz, {target}"
+    load = took * CAMERAS * RATE_HZ / count
+    what = f"{CAMERAS} cameras at {RATE_HZ:.0f} Hz, {choice}"
     return [
         Row("agent", f"{what}, of a core", "cores", load, 1.0, "one core"),
-        Row("agent", f"{what}, given up", "pictures", given_up, pictures, "all pictures"),
+        Row("agent", f"{what}, given up", "pictures", given_up, count, "all pictures"),
     ]
 
 
-def _played(target: str, seconds: int) -> ExitStack:
-    """The pictures of every camera under `played://`, until it is closed."""
-    pictures, stack = gallery(target), ExitStack()
-    (before_robot,) = pictures.sequences(1, _PICTURES)
-    PlayedFrames.lens = next(iter(pictures.world.cameras.values())).model
-    shown = [[view.picture for _, view in before_robot]]
-    empty = [view.picture for view in pictures.without_faces(_PICTURES)]
-    shown += [empty] * (CAMERAS - 1)
-    for number, own in enumerate(shown):
-        to_and_fro = itertools.cycle([*own, *own[-2:0:-1]])
-        PlayedFrames.pictures[f"c{number}"] = (
-            Frame(next(to_and_fro), to_ns((1 + index) / RATE_HZ))
-            for index in range(round(seconds * RATE_HZ))
+def _to_and_fro(own: list[np.ndarray], seconds: int) -> Iterator[Frame]:
+    pictures = itertools.cycle([*own, *own[-2:0:-1]])
+    for index in range(round(seconds * RATE_HZ)):
+        yield Frame(next(pictures), to_ns((1 + index) / RATE_HZ))
+
+
+def _stills(folder: Path, size: tuple[int, int]) -> Iterator[Frame]:
+    """Every picture of a folder for its second, cut to (width, height)."""
+    for number, file in enumerate(pictures_in(folder)):
+        picture = np.ascontiguousarray(read_picture(file)[: size[1], : size[0]])
+        for again in range(SHOWN):
+            yield Frame(picture, to_ns((1 + SHOWN * number + again) / RATE_HZ))
+
+
+def main(
+    folders: Annotated[list[Path], typer.Argument(help="Each a camera's pictures.")],
+    target: Annotated[Path, typer.Option(help="The target in them: one face in each picture.")],
+) -> None:
+    """Play folders of stills through an agent."""
+    for folder in folders:
+        shapes = [read_picture(file).shape[:2] for file in pictures_in(folder)]
+        height, width = np.min(shapes, axis=0).tolist()
+        frames = {"c1": _stills(folder, (width, height))}
+        with one_thread():
+            _, [node] = played(frames, load_target(target), (width, height))
+        pictures, faces = node.health.total("pictures"), node.health.total("faces")
+        typer.echo(
+            f"{folder.name}: a face published in {faces} of {pictures} pictures "
+            f"({faces / pictures:.3f}), {node.health.lost('given_up')} given up in part"
         )
-    SOURCES["played"] = f"{__name__}:{PlayedFrames.__name__}"
-    stack.callback(SOURCES.pop, "played")
-    return stack
-
-
-def _agent(stack: ExitStack, target: str) -> list[Node]:
-    """The agent's nodes, after all pictures went through them."""
-    bus = stack.enter_context(MemoryBroker().session())
-    site, nodes = _site(), list[Node]()
-    for name in site.cameras:
-        node = Node(bus, site=site.name, kind="edge", name=name)
-        agent = EdgeNode(bus, node, site, name, [gallery(target).target], clock=WorkClock())
-        stack.enter_context(node)
-        agent.start()
-        nodes.append(node)
-    for node in nodes:
-        node.wait()
-    return nodes
-
-
-def _site() -> Site:
-    cameras = "\n".join(
-        f'[cameras.c{number}]\nsource = "played://c{number}"\nrate = {RATE_HZ}'
-        for number in range(CAMERAS)
-    )
-    text = f'site = "lab"\ntarget = "t.toml"\n{cameras}\n[robots.r1]\nport = "loop://"\n'
-    return parse_site(text, directory=Path())

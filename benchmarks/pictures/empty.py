@@ -1,21 +1,13 @@
 """Pictures in which no target is, though many look like one: floors, windows, keyboards, boards of
 other makes, noise. Each is a pure function of its number.
-
-`python -m benchmarks.pictures.empty [--count N] [--first K]` counts what is sighted in them.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Annotated
 
 import cv2
 import numpy as np
-import typer
 
-from benchmarks.timing import worked
-from trigpoint.edge.detector import detector_for
-from trigpoint.site.target import Face, Pattern, Target
-
-from .views import gallery
+from trigpoint.site.target import Face, Pattern
 
 WIDTH, HEIGHT = 640, 480
 # Kalibr's own: 6 x 6 tags.
@@ -162,34 +154,3 @@ def _slope(random: _Random) -> np.ndarray:
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, WIDTH), np.linspace(-0.5, 0.5, HEIGHT))
     along, down = random.uniform(-0.5, 0.5, 2)
     return 1 + along * x + down * y
-
-
-def main(
-    count: Annotated[int, typer.Option(help="How many pictures.", min=1)] = 10_000,
-    first: Annotated[int, typer.Option(help="The first one's number.", min=0)] = 0,
-) -> None:
-    """Look for the lab's checkerboards and ChArUco boards, and for an AprilGrid of Kalibr's, in
-    pictures that show none."""
-    cv2.setNumThreads(1)
-    targets = {name: gallery(name).target for name in ("checkerboard", "charuco")}
-    targets["aprilgrid"] = Target("sheet", (APRILGRID,))
-    detectors = {name: detector_for([target]) for name, target in targets.items()}
-    wrong = dict.fromkeys(detectors, 0)
-    seconds: dict[str, list[float]] = {name: [] for name in detectors}
-    for number, picture in enumerate(empty_pictures(count, first=first), first):
-        for name, detector in detectors.items():
-            took, found = worked(lambda d=detector, p=picture: d.detect(p))
-            seconds[name].append(took)
-            wrong[name] += len(found)
-            if found:
-                typer.echo(f"{name}: {len(found)} sighted in picture {number}")
-    for name in detectors:
-        took = 1e3 * np.array(seconds[name])
-        typer.echo(
-            f"{name}: {wrong[name]} false sightings in {count} pictures; {took.mean():.1f} ms a "
-            f"picture, {took.max():.0f} ms at most"
-        )
-
-
-if __name__ == "__main__":
-    typer.run(main)

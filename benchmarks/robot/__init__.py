@@ -1,1 +1,1 @@
-"""The robot bridge: latency, the gate, protocols under nonsense."""
+"""The robot bridge: latency from exposure to correction."""

@@ -1,19 +1,19 @@
 """From exposure to correction through the whole site, beside the sum of its parts measured alone.
 
-    python -m benchmarks.robot.latency [--seconds 90]
+    python -m benchmarks latency [--seconds 90]
 
 The lab's programs run as they do in a site: three simulated cameras' agent, fusion, the bridge and
 the robot; a correction has come when the robot has taken it over. All the time beside it each part
 runs alone, so that it waits for cores as the whole does: an agent of another site (exposure,
 picture, detection, bus), the filter over the same drive (taking in and computing), and a bridge
-(bus, judging, line).
+with its robot, which is corrected from here (bus, judging, line).
 """
 
-import argparse
 import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -21,14 +21,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Annotated
+from uuid import UUID
 
 import numpy as np
+import typer
 
 from benchmarks.machine import machine
 from trigpoint.base.clock import to_ns
-from trigpoint.bus.bus import Subscription
+from trigpoint.bus.bus import Bus, Subscription
 from trigpoint.contract import topics
-from trigpoint.contract.cdr import decode
+from trigpoint.contract.cdr import decode, encode
+from trigpoint.contract.correction import CorrectionMark, encode_mark
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, PoseEstimate, Sightings
 from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
@@ -38,13 +42,12 @@ from trigpoint.tools.simulation.site_files import sim_url, write_site
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.zenoh import open_bus
 
-from .bridge import measured
-
 CAMERAS = ("c1", "c2", "c3")
 _HEARD = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.CORRECTION)
 _START_S = 15.0
 # From exposure to the sightings on the bus, about.
 _DETECTED_NS = to_ns(0.07)
+_CORRECT_EVERY_S = 0.1
 
 
 @dataclass(slots=True)
@@ -115,23 +118,60 @@ class Lab:
         return heard
 
     @property
-    def corrections_ms(self) -> list[float]:
-        """How late the robot took over each correction, by its own journal."""
+    def taken(self) -> list[dict]:
+        """The corrections that the robot took over, by its own journal."""
         notes = [json.loads(line) for line in self.journal.read_text().splitlines()]
-        taken = [note for note in notes if note["kind"] == "correction"]
-        return [(note["at_ns"] - note["stamp_ns"]) / 1e6 for note in taken]
+        return [note for note in notes if note["kind"] == "correction"]
 
 
 def whole_ms(folder: Path, seconds: float) -> tuple[list[float], Heard]:
     """The whole site: how late the robot took over each correction, and what was heard."""
     lab = Lab(folder, "lab")
     heard = lab.run(("firmware", "fusion", "edge", "robot"), seconds)
-    return lab.corrections_ms, heard
+    return [(note["at_ns"] - note["stamp_ns"]) / 1e6 for note in lab.taken], heard
 
 
 def agent_ms(folder: Path, seconds: float) -> list[float]:
     """How late an agent's sightings are on the bus, where there is nothing else."""
     return Lab(folder, "alone").run(("edge",), seconds).sightings_ms
+
+
+def bridged_ms(folder: Path, seconds: float) -> list[float]:
+    """How long corrections take from the bus to a robot whose bridge has nothing else beside it."""
+    lab, stopping, put_ns = Lab(folder, "bridge"), threading.Event(), dict[int, int]()
+    with open_bus(load_site(lab.site)) as bus:
+        thread = threading.Thread(target=_correct, args=(bus, lab.name, stopping, put_ns))
+        thread.start()
+        try:
+            lab.run(("firmware", "robot"), seconds)
+        finally:
+            stopping.set()
+            thread.join()
+    return [(note["at_ns"] - put_ns[note["sequence"]]) / 1e6 for note in lab.taken]
+
+
+def _correct(bus: Bus, site: str, stopping: threading.Event, put_ns: dict[int, int]) -> None:
+    """Tell the robot where its odometry has it, ten times a second; `put_ns`: when, by number."""
+    map_id, pose_sigma2 = UUID(int=7), np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4])
+    bus.serve(topics.command_key(site, "fusion/map"), lambda _: _map_answer(map_id))
+    corrections = bus.publisher(topics.CORRECTION, topics.CORRECTION.key(site, "r1"))
+    odometry = bus.subscribe(topics.ODOMETRY, topics.ODOMETRY.key(site, "r1"))
+    number = 0
+    while not stopping.wait(_CORRECT_EVERY_S):
+        payloads = []
+        while (sample := odometry.take(0.0)) is not None:
+            payloads.append(sample.payload)
+        if len(payloads) < 2:
+            continue
+        at, number = decode(topics.ODOMETRY.type_name, payloads[-2]), number + 1
+        assert isinstance(at, Odometry)
+        estimate = PoseEstimate(at.stamp_ns, "map", at.pose, pose_sigma2)
+        put_ns[number] = time.time_ns()
+        corrections.put(encode(estimate), attachment=encode_mark(CorrectionMark(map_id, number)))
+
+
+def _map_answer(map_id: UUID) -> bytes:
+    return json.dumps({"map_id": str(map_id)}).encode()
 
 
 def filtered_ms(folder: Path, seconds: float) -> list[float]:
@@ -185,26 +225,28 @@ def drive(world: World, until_ns: int) -> list[tuple[int, str, Message]]:
     return sorted((row for row in rows if row[0] < until_ns), key=lambda row: row[0])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=90.0)
-    seconds, before = parser.parse_args().seconds, machine()
+def main(seconds: Annotated[float, typer.Option(help="Of the drive.")] = 90.0) -> None:
+    """From exposure to correction through the whole site, beside the sum of its parts."""
+    before = machine()
     with (
         tempfile.TemporaryDirectory() as name,
-        ProcessPoolExecutor(3, mp_context=get_context("spawn")) as pool,
+        ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool,
     ):
         folder = Path(name)
         running = pool.submit(whole_ms, folder / "whole", seconds)
         agent = pool.submit(agent_ms, folder / "agent", seconds)
         filtered = pool.submit(filtered_ms, folder / "filter", seconds)
-        time.sleep(_START_S)
-        run, told = measured(50.0, seconds)
+        bridged = pool.submit(bridged_ms, folder / "bridge", seconds)
         parts = {
             "agent": agent.result(),
             "filter": filtered.result(),
-            "bridge": list(run.correction_ms(told)),
+            "bridge": bridged.result(),
         }
         whole, heard = running.result()
+    if not (whole and heard.corrections_ms and all(parts.values())):
+        raise SystemExit(
+            f"no correction in {seconds:.0f} s; say more --seconds, or free the machine"
+        )
     _tell(parts, whole, heard)
     print(f"{before.summary}; {machine().load:.1f} at the end")
 
@@ -220,7 +262,3 @@ def _tell(parts: dict[str, list[float]], whole: list[float], heard: Heard) -> No
     ratio = most / sum(mark[1] for mark in marks.values())
     print(f"exposure to correction at the robot: p50 {half:.1f}, p95 {most:.1f} ms ({len(whole)})")
     print(f"p95 over the sum of the parts' p95: {ratio:.2f}")
-
-
-if __name__ == "__main__":
-    main()

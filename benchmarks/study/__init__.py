@@ -1,5 +1,3 @@
-"""The accuracy study: simulated sessions of every situation against the Cramér-Rao bound.
-
-`python -m benchmarks.study run` works sessions out and keeps a JSON line for each, `report` writes
-docs/background/accuracy.md from them, `show` prints the measures of one situation.
+"""The study: simulated sessions of every situation against the Cramér-Rao bound, and drawn
+compositions against their truth. `store` keeps and runs both, `command` is their command line.
 """

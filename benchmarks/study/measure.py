@@ -22,7 +22,7 @@ GROSS = 8.0
 DECIDED_M = 0.25
 
 
-class Measure(msgspec.Struct, frozen=True):
+class Measure(msgspec.Struct, frozen=True, tag=True):
     """One session. `efficiency` and `honesty`: eᵀP⁻¹e/6n, P the bound and the estimator's own joint
     covariance, None where no camera was located; `distance` and `distance_bound`: mean error of the
     distances between cameras, metres, and what the bound expects of it; `seconds`: processor time

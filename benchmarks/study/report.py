@@ -8,11 +8,10 @@ import numpy as np
 from benchmarks.machine import machine
 
 from .dance import Point
-from .figures import draw_dance, draw_distances, draw_ratios
 from .measure import DECIDED_M, GROSS, Measure
-from .runs import ESTIMATORS
 from .situations import SITUATIONS
-from .summary import Ratio, Summary, summary_of
+from .store import ESTIMATORS
+from .summary import Ratio, Summary, bold_count, page_table, summary_of
 
 _HEAD = """# Accuracy
 
@@ -52,32 +51,25 @@ and 0.9 to 1.1) by more than two standard errors.
 
 
 def write_report(measures: Mapping[str, list[Measure]], points: list[Point], docs: Path) -> Path:
-    """Write the page and its figures; return its path. `points`: dance and loop in equal time."""
+    """Write the page; return its path. `points`: dance and loop in equal time."""
     docs.mkdir(parents=True, exist_ok=True)
     of_smoother = {
         n: [m for m in found if m.estimator == "smoother"] for n, found in measures.items()
     }
     summaries = {name: summary_of(found) for name, found in of_smoother.items() if found}
-    draw_ratios(docs / "accuracy-situations.svg", summaries)
-    draw_dance(docs / "accuracy-dance.svg", points)
     most = max(summary.sessions for summary in summaries.values())
     head = _HEAD.format(seeds=most, gross=GROSS, decided=100 * DECIDED_M)
-    parts = [head, _situations(summaries), "![situations](accuracy-situations.svg)\n"]
-    if of_smoother.get("drive"):
-        draw_distances(docs / "accuracy-distances.svg", of_smoother["drive"])
-        parts += [_drive(summaries["drive"]), "![distances](accuracy-distances.svg)\n"]
-    parts += [_dance(points, summaries), "![dance](accuracy-dance.svg)\n", _estimators(measures)]
+    parts = [head, _situations(summaries)]
+    if "drive" in summaries:
+        parts += [_drive(summaries["drive"])]
+    parts += [_dance(points, summaries), _estimators(measures)]
     path = docs / "accuracy.md"
     path.write_text("\n".join([*parts, f"Measured on {machine().summary}.\n"]), encoding="utf-8")
     return path
 
 
 def _situations(summaries: Mapping[str, Summary]) -> str:
-    rows = [
-        "| situation | sessions | error / bound | error / own | distance, bound (cm) | wrong "
-        "| undetermined | time (s) |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for name, s in summaries.items():
         goal = SITUATIONS[name].goal
         low, high = goal.honesty
@@ -87,32 +79,33 @@ def _situations(summaries: Mapping[str, Summary]) -> str:
             _ratio(s.efficiency, 0.0, goal.efficiency),
             _ratio(s.honesty, low, high),
             f"{100 * s.distance:.2f}, {100 * s.distance_bound:.2f}",
-            _count(s.wrong + s.made_up),
-            _count(s.undetermined) + (f", {s.left_open} rightly" if s.left_open else ""),
+            bold_count(s.wrong + s.made_up),
+            bold_count(s.undetermined) + (f", {s.left_open} rightly" if s.left_open else ""),
             f"{s.seconds:.2f}",
         ]
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append(cells)
     total = sum(s.sessions for s in summaries.values())
     wrong = sum(s.wrong + s.made_up for s in summaries.values())
     undetermined = sum(s.undetermined for s in summaries.values())
-    rows += [
+    head = (
+        "situation | sessions | error / bound | error / own | distance, bound (cm) | wrong "
+        "| undetermined | time (s)"
+    )
+    lines = [
+        *page_table(head, rows),
         "",
         f"Of {total} sessions {wrong} have a wrong camera, {undetermined} one that is "
         "undetermined though the data decide.",
         "",
     ]
-    return "\n".join(rows)
+    return "\n".join(lines)
 
 
 def _ratio(ratio: Ratio, low: float, high: float) -> str:
-    text = f"{ratio.value:.3f} ± {ratio.error:.3f}"
+    text = ratio.told(3)
     allowance = 2 * (0.0 if np.isnan(ratio.error) else ratio.error)
     is_met = low - allowance <= ratio.value <= high + allowance
     return text if is_met else f"**{text}**"
-
-
-def _count(count: int) -> str:
-    return f"**{count}**" if count else "0"
 
 
 def _drive(s: Summary) -> str:
@@ -128,13 +121,13 @@ def _dance(points: list[Point], summaries: Mapping[str, Summary]) -> str:
         "## Dance or loop\n",
         "The paper left open whether turning before each camera or going around more often is the "
         "better use of the same time. The bound of the distance error for both:\n",
-        "| seconds | circles a camera | the dance (cm) | going around (cm) |",
-        "| --- | --- | --- | --- |",
     ]
-    lines += [
-        f"| {p.seconds:.0f} | {circles} | {100 * p.dance:.2f} | {100 * p.loop:.2f} |"
+    rows = [
+        (f"{p.seconds:.0f}", str(circles), f"{100 * p.dance:.2f}", f"{100 * p.loop:.2f}")
         for circles, p in enumerate(points)
     ]
+    head = "seconds | circles a camera | the dance (cm) | going around (cm)"
+    lines += page_table(head, rows)
     if "dance" in summaries and "loop" in summaries:
         dance, loop = summaries["dance"], summaries["loop"]
         lines.append(
@@ -147,13 +140,7 @@ def _dance(points: list[Point], summaries: Mapping[str, Summary]) -> str:
 
 def _estimators(measures: Mapping[str, list[Measure]]) -> str:
     """One table of all estimators over the sessions that all of them worked out."""
-    lines = [
-        "## Estimators\n",
-        "On the same sessions:\n",
-        "| situation | estimator | sessions | error / bound | error / own | distance (cm) | wrong "
-        "| undetermined | time (s) |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for name, found in measures.items():
         by = {e: {m.seed: m for m in found if m.estimator == e} for e in ESTIMATORS}
         present = [e for e in ESTIMATORS if by[e]]
@@ -166,12 +153,35 @@ def _estimators(measures: Mapping[str, list[Measure]]) -> str:
                 SITUATIONS[name].title,
                 estimator,
                 str(s.sessions),
-                f"{s.efficiency.value:.3f} ± {s.efficiency.error:.3f}",
-                f"{s.honesty.value:.3f} ± {s.honesty.error:.3f}",
+                s.efficiency.told(3),
+                s.honesty.told(3),
                 f"{100 * s.distance:.2f}",
                 str(s.wrong),
                 str(s.undetermined),
                 f"{s.seconds:.2f}",
             ]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, ""]) if len(lines) > 4 else ""
+            rows.append(cells)
+    head = (
+        "situation | estimator | sessions | error / bound | error / own | distance (cm) | wrong "
+        "| undetermined | time (s)"
+    )
+    lines = ["## Estimators\n", "On the same sessions:\n", *page_table(head, rows), ""]
+    return "\n".join(lines) if rows else ""
+
+
+def line_of(m: Measure) -> str:
+    """One session in a line."""
+    notes = {
+        "wrong": m.wrong,
+        "undetermined": m.undetermined,
+        "rightly undetermined": m.left_open,
+        "made up": m.made_up,
+        "moved": m.earlier,
+    }
+    ratios = [f"{np.sqrt(s):.3f}" if s is not None else "–" for s in (m.efficiency, m.honesty)]
+    said = [f"{what} {','.join(names)}" for what, names in notes.items() if names]
+    return (
+        f"{m.situation} {m.seed} {m.estimator}: error/bound {ratios[0]}, error/own {ratios[1]}, "
+        f"distance {100 * m.distance:.2f} of {100 * m.distance_bound:.2f} cm, {m.seconds:.2f} s, "
+        f"{'; '.join([*said, f'{m.rejected} rejected'])}"
+    )

@@ -1,6 +1,6 @@
 """What many sessions of one situation say together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,13 @@ class Ratio:
 
     value: float
     error: float
+
+    def told(self, digits: int) -> str:
+        """For people."""
+        if np.isnan(self.value):
+            return "–"
+        error = "" if np.isnan(self.error) else f" ± {self.error:.{digits}f}"
+        return f"{self.value:.{digits}f}{error}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +44,8 @@ def summary_of(measures: list[Measure]) -> Summary:
     """Of one situation and estimator; at least one measure."""
     return Summary(
         sessions=len(measures),
-        efficiency=_ratio([m.efficiency for m in measures if m.efficiency is not None]),
-        honesty=_ratio([m.honesty for m in measures if m.honesty is not None]),
+        efficiency=ratio_of([m.efficiency for m in measures]),
+        honesty=ratio_of([m.honesty for m in measures]),
         distance=_mean(measures, lambda m: m.distance),
         distance_bound=_mean(measures, lambda m: m.distance_bound),
         seconds=_mean(measures, lambda m: m.seconds),
@@ -49,7 +56,20 @@ def summary_of(measures: list[Measure]) -> Summary:
     )
 
 
-def _ratio(squares: list[float]) -> Ratio:
+def page_table(head: str, rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of Markdown; `head` with its bars."""
+    rule = " | ".join(["---"] * (head.count("|") + 1))
+    return [f"| {line} |" for line in (head, rule, *map(" | ".join, rows))]
+
+
+def bold_count(count: int) -> str:
+    """Bold where there are any."""
+    return f"**{count}**" if count else "0"
+
+
+def ratio_of(found: Iterable[float | None]) -> Ratio:
+    """Of the squares of all sessions that have one."""
+    squares = [square for square in found if square is not None]
     if not squares:
         return Ratio(np.nan, np.nan)
     value = float(np.sqrt(np.mean(squares)))

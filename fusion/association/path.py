@@ -66,8 +66,12 @@ class RobotPath:
         cell = tuple(np.round(scales / _SCALE_STEP).astype(int).tolist())
         if cell not in self._steps:
             about = _SCALE_STEP * np.array(cell, dtype=float)
-            motion = self.track.motion(self.stamps_ns, about)
-            self._steps[cell] = Steps(motion.earlier_from_later, motion.by_scale, about)
+            if len(self.stamps_ns) > 1:
+                motion = self.track.motion(self.stamps_ns, about)
+                self._steps[cell] = Steps(motion.earlier_from_later, motion.by_scale, about)
+            else:  # its first sighting is at its first odometry reading
+                nowhere = Pose(np.zeros((0, 3, 3)), np.zeros((0, 3)))
+                self._steps[cell] = Steps(nowhere, np.zeros((0, 6, 2)), about)
         return self._steps[cell]
 
 

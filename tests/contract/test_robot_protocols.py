@@ -1,5 +1,7 @@
 """What every robot protocol must do, whatever it speaks."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,15 +11,16 @@ from trigpoint.base.clock import to_ns
 from trigpoint.geometry import Pose
 from trigpoint.robot.firmware.endpoint import FirmwareEndpoint
 from trigpoint.robot.line.protocol import PROTOCOLS, Protocol, Reading, Setup, Takes, make_protocol
-from trigpoint.robot.line.protocols.create2 import checksum
+from trigpoint.robot.line.protocols.create2 import DIAMETER_M, TICKS, TRACK_M, checksum
 from trigpoint.robot.line.protocols.mavlink_frames import dialect
 from trigpoint.site.config import RobotConfig, WheelConfig
 
 START_NS = to_ns(100.0)
+WHEELS = WheelConfig(0.1, 0.3, 1000)
 
 
-def opened(name: str) -> Protocol:
-    config = RobotConfig(port="x", protocol=name, wheels=WheelConfig(0.1, 0.3, 1000))
+def opened(name: str, wheels: WheelConfig = WHEELS) -> Protocol:
+    config = RobotConfig(port="x", protocol=name, wheels=wheels)
     return make_protocol(Setup("r1", config, 7))
 
 
@@ -92,6 +95,10 @@ def mavlink_bytes() -> bytes:
     return b"".join(frames)
 
 
+def arduino_bytes() -> bytes:
+    return b"".join(b"%d %d\r\n" % (100 + 10 * k, 100 + 10 * k) for k in range(20))
+
+
 CHECKED = {"trigpoint": trigpoint_bytes, "create2": create2_bytes, "mavlink": mavlink_bytes}
 """Protocols whose frames carry a check; ros_arduino_bridge's lines have none."""
 
@@ -129,6 +136,95 @@ def test_damaged_bytes_cost_one_or_two_readings_and_make_up_none(
     assert len(found) >= 17
     if name != "create2":
         assert set(found) <= taken
+
+
+Damage = tuple[str, float, bytes]
+Stream = list[tuple[int, list[Damage]]]
+DAMAGES = st.tuples(
+    st.sampled_from(["flipped", "cut", "doubled", "replaced"]),
+    st.floats(0.0, 1.0),
+    st.binary(min_size=1, max_size=9),
+)
+STREAMS = st.lists(st.tuples(st.integers(0, 17), st.lists(DAMAGES, max_size=2)), max_size=12)
+"""Stretches of three sound frames, from the one of a number on, and what becomes of each."""
+
+
+def damaged(data: bytes, damages: list[Damage]) -> bytes:
+    for kind, share, noise in damages:
+        at, length = int(share * (len(data) - 1)), len(noise)
+        head, here, rest = data[:at], data[at : at + length], data[at + length :]
+        match kind:
+            case "flipped":
+                data = head + bytes([data[at] ^ (1 << (noise[0] % 8))]) + data[at + 1 :]
+            case "cut":
+                data = head + rest
+            case "doubled":
+                data = head + here + here + rest
+            case _:
+                data = head + noise + rest
+    return data
+
+
+def heard(
+    name: str, sound: bytes, stream: Stream, wheels: WheelConfig
+) -> tuple[bytes, list[Reading]]:
+    """All bytes of a damaged stream, and what the protocol reads in them."""
+    frame = len(sound) // 20
+    pieces = [damaged(sound[frame * k : frame * (k + 3)], damages) for k, damages in stream]
+    pieces.insert(0, sound[:frame])
+    protocol, events = opened(name, wheels), []
+    for k, piece in enumerate(pieces):
+        now_ns = START_NS + k * to_ns(0.1)
+        protocol.data_to_send(now_ns)
+        events += protocol.receive(piece, now_ns)
+    return b"".join(pieces), [event for event in events if isinstance(event, Reading)]
+
+
+@pytest.mark.parametrize("name", ["trigpoint", "mavlink"])
+@settings(max_examples=200)
+@given(stream=STREAMS)
+def test_damaged_stream_has_no_reading_that_was_not_sent(name: str, stream: Stream) -> None:
+    for reading in heard(name, CHECKED[name](), stream, WHEELS)[1]:
+        x, *rest = reading.pose.translation.tolist()
+        assert x in range(20)
+        assert reading.firmware_ns == round(x) * to_ns(0.02)
+        assert rest == [0.0, 0.0]
+        np.testing.assert_array_equal(reading.pose.rotation, np.eye(3))
+
+
+def create2_counts(data: bytes) -> set[tuple[int, int]]:
+    """The encoders' counts in all frames that a byte-wise look finds, whatever lies around them."""
+    frames = [data[k : k + 9] for k in range(len(data) - 8)]
+    return {
+        (frame[3] << 8 | frame[4], frame[6] << 8 | frame[7])
+        for frame in frames
+        if frame[:3] == b"\x13\x06\x2b" and frame[5] == 44 and sum(frame) % 256 == 0
+    }
+
+
+@settings(max_examples=200)
+@given(stream=STREAMS)
+def test_damaged_counters_lead_from_sound_counts_to_sound_counts(stream: Stream) -> None:
+    wheels = WheelConfig(DIAMETER_M, TRACK_M, TICKS)
+    data, found = heard("create2", create2_bytes(), stream, wheels)
+    sound, wrap, tick_m = create2_counts(data), 1 << 16, np.pi * DIAMETER_M / TICKS
+    reached = sound
+    for before, after in pairwise(found):
+        elapsed_s = (after.firmware_ns - before.firmware_ns) / 1e9
+        way = float(after.linear[0]) * elapsed_s / tick_m
+        turn = 0.5 * TRACK_M * float(after.angular[2]) * elapsed_s / tick_m
+        left, right = round(way - turn), round(way + turn)
+        reached = reached & {((a - left) % wrap, (b - right) % wrap) for a, b in sound}
+        reached = {((a + left) % wrap, (b + right) % wrap) for a, b in reached}
+        assert reached
+
+
+@settings(max_examples=200)
+@given(stream=STREAMS)
+def test_damaged_lines_without_a_check_are_read_or_left_out(stream: Stream) -> None:
+    for reading in heard("ros_arduino_bridge", arduino_bytes(), stream, WHEELS)[1]:
+        assert np.isfinite(reading.pose.translation).all()
+        assert np.isfinite(reading.linear).all()
 
 
 @pytest.mark.parametrize("name", list(PROTOCOLS))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from support.builders import eventually
@@ -130,7 +131,6 @@ def test_router_that_says_nothing_does_not_hold_a_stop_up(
 def test_stops_at_drawn_moments_leave_a_network_or_say_why_not(
     field: Field, bus: Bus, stack: ExitStack
 ) -> None:
-    """A few of the two hundred that `python -m benchmarks.endurance.stops` draws."""
     draw = random.Random(4)
     going: Drive | None = None
     for words in (
@@ -145,6 +145,39 @@ def test_stops_at_drawn_moments_leave_a_network_or_say_why_not(
                 check_stop(program, took_s)
     assert going is not None
     going.close()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_two_hundred_stops_of_four_programs_at_drawn_moments(
+    tmp_path: Path, free_port: Callable[[], int], stack: ExitStack
+) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    noise = np.random.default_rng(1).integers(0, 255, (480, 640), np.uint8)
+    cv2.imwrite(str(pictures / "0.png"), noise)
+    for number in range(1, 1000):
+        (pictures / f"{number}.png").symlink_to(pictures / "0.png")
+    more = '\n[cameras.folder]\nsource = "dir://pictures"\nintrinsics = "estimate"\n'
+    session = make_session(lab_plan("charuco", seconds=120.0))
+    field = lay_out(tmp_path, free_port(), session, more=more)
+    stack.enter_context(meeting_point(field))
+    stack.callback(Drive(field).close)
+    draw = random.Random(1)
+    for number in range(200):
+        words = draw.choice(
+            [
+                ("fusion", "--out", str(field.folder / f"network{number}")),
+                ("record", "--out", str(field.folder / f"session{number}")),
+                ("edge", "--camera", "folder"),
+                ("view", "--web"),
+            ]
+        )
+        with running(field, *words) as program:
+            time.sleep(draw.uniform(0.0, 6.0))
+            assert program.process.poll() is None, program.said
+            took_s = program.stop(draw.choice(SIGNALS), to_group=draw.random() < 0.5)
+            check_stop(program, took_s)
 
 
 def check_stop(program: Program, took_s: float) -> None:

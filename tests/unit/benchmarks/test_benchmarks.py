@@ -6,17 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fusion.corridor import Corridor
 from benchmarks.machine import machine
 from benchmarks.network import messages
 from benchmarks.report import write_report
-from benchmarks.table import BENCHMARKS, NEEDED, Row, formatted, open_benchmark
+from benchmarks.table import BENCHMARKS, Row, formatted
+from trigpoint.contract.messages import Odometry, Sightings
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_every_name_of_the_table_opens(name: str) -> None:
-    if name in NEEDED:
-        pytest.importorskip(NEEDED[name])
-    assert callable(open_benchmark(name))
+    if not BENCHMARKS[name].is_installed:
+        pytest.skip(f"{BENCHMARKS[name].needs} is not installed")
+    assert callable(BENCHMARKS[name].open())
 
 
 def test_a_benchmark_gives_rows_with_both_sides_and_their_ratio() -> None:
@@ -39,3 +41,15 @@ def test_a_row_against_nothing_has_no_ratio_and_is_printed_and_written(tmp_path:
     report = json.loads(path.read_text(encoding="utf-8"))
     assert report["rows"][0]["ratio"] is None
     assert report["machine"]["cores"] >= 1
+
+
+def test_a_robot_of_a_load_stands_where_it_arrived_and_is_seen_there() -> None:
+    corridor = Corridor(10, 87.5, stands_s=2.0)  # once round
+    messages = [m for _, m in corridor.messages() if isinstance(m, Odometry | Sightings)]
+    last_ns = messages[-1].stamp_ns
+    standing = [m for m in messages if m.stamp_ns > last_ns - 1_500_000_000]
+    poses = [m.pose.translation for m in standing if isinstance(m, Odometry)]
+    assert len(poses) == 30
+    assert all((pose == poses[0]).all() for pose in poses)
+    assert any(isinstance(m, Sightings) and m.faces for m in standing)
+    assert corridor.measured_from_s == 87.5

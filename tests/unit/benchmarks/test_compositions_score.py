@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.compositions.kept import keep, kept
 from benchmarks.compositions.recipe import Recipe
-from benchmarks.compositions.report import line_of, summary_lines, write_report
+from benchmarks.compositions.report import line_of_score, summary_lines, write_report
 from benchmarks.compositions.score import Outcome, Score, score_of, scored
 from benchmarks.compositions.session import Composition, session_of
+from benchmarks.study.store import Store
 from trigpoint.geometry import Pose
 
 _SIGMA = 0.01
@@ -64,7 +64,7 @@ def test_a_camera_many_of_its_sigmas_off_is_wrong(tmp_path: Path, session: Compo
     score = _judged(tmp_path, session, {"c1": np.zeros(6), "c2": off})
     assert [camera.name for camera in score.wrong] == ["c2"]
     assert score.honesty is None
-    assert "c2 wrong by 9 cm (9 sigmas)" in line_of(score)
+    assert "c2 wrong by 9 cm (9 sigmas)" in line_of_score(score)
 
 
 def test_a_camera_without_a_pose_that_names_the_true_place_has_it_among_its_alternatives(
@@ -102,10 +102,11 @@ def test_scores_are_kept_and_a_torn_line_is_passed_over(
     tmp_path: Path, session: Composition
 ) -> None:
     score = _judged(tmp_path, session, {"c1": np.zeros(6)})
-    keep(tmp_path / "scores", score)
+    store = Store(tmp_path / "scores")
+    store.add(score)
     with (tmp_path / "scores" / "loop-alike.jsonl").open("ab") as file:
         file.write(b'{"sources": "x", "sc')
-    assert kept(tmp_path / "scores", "loop-alike") == [score]
+    assert store.kept("loop-alike", Score) == [score]
 
 
 def test_the_page_counts_and_names_what_is_wrong(tmp_path: Path, session: Composition) -> None:

@@ -255,3 +255,13 @@ def test_robots_that_look_and_drive_alike_are_left_out_by_name() -> None:
     assert results.network.located == []
     assert pipeline.left_out["untold_robot"] > 0
     assert "give each robot its own target" in pipeline.last_problem
+
+
+def test_first_sighting_at_the_first_and_only_odometry_reading() -> None:
+    whole = make_session(lab_plan("charuco", seconds=5.0))
+    seen = next(message for _, message in whole.messages if isinstance(message, Sightings))
+    robot, first = next(item for item in whole.messages if isinstance(item[1], Odometry))
+    camera = next(node for node, message in whole.messages if message is seen)
+    at_once = replace(seen, stamp_ns=first.stamp_ns)
+    session = replace(whole, messages=[(robot, first), (camera, at_once)])
+    assert_sound(session, offline(session))

@@ -1,21 +1,19 @@
-"""Does the robot bridge's gate refuse every bad correction and hardly any good one?
-
-    python -m benchmarks.robot.corrections [--good 100000] [--bad 10000] [--seed 1]
+"""The gate refuses every bad correction, and no true one.
 
 A robot drives a winding way whose odometry errs as the site file says; true corrections with the
 errors that they claim come ten times a second, and between them bad ones of every kind. Errors of
-consecutive corrections are independent, or hang together over `--memory` seconds, as those of one
-camera do. Nothing random is left to chance: the seed decides.
+consecutive corrections are independent, or hang together over five seconds, as those of one camera
+do. Nothing random is left to chance: the seed decides.
 """
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from uuid import UUID
 
 import numpy as np
+import pytest
 
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.correction import CorrectionMark
@@ -31,16 +29,9 @@ BEGIN_NS = to_ns(1000.0)
 PERIOD_NS = to_ns(0.02)
 AGE_NS = to_ns(0.1)
 EVERY = 5  # readings from one correction to the next
+_DRIVES = 20
 # Sigmas of corrections, m and rad: what fusion claims in the demo is at the lower end.
 SIGMAS = [(0.005, 0.005), (0.01, 0.01), (0.05, 0.03)]
-
-
-@dataclass
-class Count:
-    """What came of one kind."""
-
-    approved: int = 0
-    refused: int = 0
 
 
 class Drive:
@@ -183,54 +174,37 @@ KINDS: dict[str, Bad] = {
 }
 
 
-def run(good: int, bad: int, seed: int, memory_s: float) -> tuple[Count, dict[str, Count]]:
-    """(the good ones, the bad ones by kind)."""
-    goods, bads = Count(), {kind: Count() for kind in KINDS}
-    names, done = list(KINDS), 0
-    drives, each = 20, good // 20
-    reasons: Counter[str] = Counter()
-    for number in range(drives):
-        drive = Drive(seed * 1000 + number, memory_s, SIGMAS[number % len(SIGMAS)])
+def judged(good: int, bad: int, memory_s: float) -> tuple[Counter[str], Counter[str]]:
+    """Of the good ones those refused, by the reason; of the bad ones those approved, by kind."""
+    names, done, each = list(KINDS), 0, good // _DRIVES
+    refused, approved = Counter[str](), Counter[str]()
+    for number in range(_DRIVES):
+        drive = Drive(1000 + number, memory_s, SIGMAS[number % len(SIGMAS)])
         drive.place()
         for k in range(each):
             for _ in range(EVERY):
                 drive.advance()
             verdict = drive.judge(drive.good())
-            goods.approved += isinstance(verdict, Approved)
             if isinstance(verdict, Refused):
-                goods.refused += 1
-                reasons[verdict.reason] += 1
+                refused[verdict.reason] += 1
             while done * good < bad * (number * each + k + 1):
                 kind = names[done % len(names)]
                 drive.advance()
-                result = KINDS[kind](drive)
-                bads[kind].approved += isinstance(result, Approved)
-                bads[kind].refused += isinstance(result, Refused)
+                if isinstance(KINDS[kind](drive), Approved):
+                    approved[kind] += 1
                 done += 1
-    if reasons:
-        print(f"  good ones refused for: {dict(reasons)}")
-    return goods, bads
+    return refused, approved
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--good", type=int, default=100_000)
-    parser.add_argument("--bad", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    for memory_s in (0.0, 5.0):
-        print(
-            f"errors that hang together over {memory_s:g} s" if memory_s else "errors by themselves"
-        )
-        goods, bads = run(arguments.good, arguments.bad, arguments.seed, memory_s)
-        accepted = sum(count.approved for count in bads.values())
-        total = sum(count.approved + count.refused for count in bads.values())
-        print(f"  good: {goods.refused} of {goods.approved + goods.refused} refused")
-        print(f"  bad:  {accepted} of {total} accepted")
-        for kind, count in bads.items():
-            if count.approved:
-                print(f"    {kind}: {count.approved} of {count.approved + count.refused} accepted")
-
-
-if __name__ == "__main__":
-    main()
+@pytest.mark.parametrize("memory_s", [0.0, 5.0])
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        (400, 3 * len(KINDS)),
+        pytest.param(100_000, 10_000, marks=[pytest.mark.long, pytest.mark.timeout(7200)]),
+    ],
+)
+def test_every_true_correction_is_approved_and_no_bad_one(
+    good: int, bad: int, memory_s: float
+) -> None:
+    assert judged(good, bad, memory_s) == (Counter(), Counter())

@@ -1,0 +1,301 @@
+"""What live fusion costs under a load: updates, its thread, its solver, memory and checkpoint.
+
+    python -m benchmarks load [NAME…] [--minutes M]
+
+Robots drive round a ring of cameras and may then stand. Messages are taken as the node takes them,
+in turns of 20 ms of the session: decoded, fused, stored where the checkpoint wants them,
+corrections encoded, with the solver in its own process. They come as quickly as they are used and
+the solver is waited for every 30 s of the session; or by the clock, where nothing waits for it.
+What is measured is what comes after the first lap, from which on all cameras are located (the
+whole where that is not reached), or the standstill. Times are the processor's.
+"""
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from benchmarks.report import tell
+from benchmarks.table import Row
+from benchmarks.timing import worked_s
+from trigpoint.base.clock import SystemClock, to_ns, to_seconds
+from trigpoint.contract import cdr
+from trigpoint.contract.messages import Sightings
+from trigpoint.fusion.inbox import INPUT_TOPICS, Input
+from trigpoint.fusion.live.memory import return_large_arrays
+from trigpoint.fusion.live.solver_process import SolverProcess
+from trigpoint.fusion.map_storage import MapStorage
+from trigpoint.fusion.pipeline import Pipeline
+
+from .corridor import EPOCH_NS, Corridor
+
+_TURN_NS = to_ns(0.02)
+_TELL_S, _MOST_LATE_S = 30.0, 60.0
+_POLL_S = 0.05
+_MEASURED_LAPS = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A drive; `by_the_clock`: its messages come when they are due."""
+
+    corridor: Corridor
+    by_the_clock: bool = False
+
+
+def _ring(cameras: int, robots: int, pictures_hz: float) -> Load:
+    """A lap of cameras that tell of empty pictures too, and a fifth of one that is measured."""
+    lap_s = Corridor(cameras, 0.0).lap_s
+    seconds = (1 + _MEASURED_LAPS) * lap_s
+    return Load(Corridor(cameras, seconds, robots, pictures_hz, 50.0, is_empty_told=True))
+
+
+LOADS: dict[str, Load] = {
+    "short": Load(Corridor(10, 180.0)),
+    "hour": Load(Corridor(100, 3600.0)),
+    "1-robot": _ring(10, 1, 5.0),
+    "3-robots": _ring(10, 3, 5.0),
+    "10-robots": _ring(10, 10, 5.0),
+    "10-seldom": _ring(10, 10, 0.2),
+    "30-cameras": _ring(30, 3, 10.0),
+    "crowd": Load(Corridor(30, 330.0, 10, 5.0, 50.0, is_empty_told=True), by_the_clock=True),
+    "drives": Load(Corridor(10, 1200.0, odometry_hz=50.0)),
+    "stands": Load(Corridor(10, 262.5, odometry_hz=50.0, stands_s=1800.0)),
+}
+
+
+@dataclass(slots=True)
+class Span:
+    """A part of a session: what its turns took, and how late after its messages were due each turn
+    with sightings was done; `memory`: MB of the estimator and of its solver, every 30 s."""
+
+    messages: int = 0
+    sightings: int = 0
+    pictures: int = 0
+    kept: int = 0
+    spent_s: float = 0.0
+    updates_ms: list[float] = field(default_factory=list)
+    late_s: list[float] = field(default_factory=list)
+    memory: list[tuple[float, float]] = field(default_factory=list)
+
+    def told(self, passed_s: float) -> str:
+        """For people; `passed_s`: of the session."""
+        late = f" {1e3 * np.median(self.late_s):.0f} ms after due" if self.late_s else ""
+        update = f"{np.median(self.updates_ms):.1f} ms" if self.updates_ms else "–"
+        return (
+            f"{self.sightings / passed_s:.1f} sightings/s, an update {update}{late}; the thread "
+            f"{100 * self.spent_s / passed_s:.0f} %"
+        )
+
+
+Turn = list[tuple[str, Input, str, bytes]]
+"""Node, message, its type and its payload."""
+
+
+def run(effort: float = 1.0) -> list[Row]:
+    """Two laps of a few cameras; the longer loads are runs of their own."""
+    return measured("short", minutes=3 * effort)
+
+
+def measured(name: str, *, minutes: float | None = None, tells: bool = False) -> list[Row]:
+    """A load's rows, from a process of its own, whose memory is then the estimator's."""
+    load = LOADS[name]
+    if minutes is not None:
+        load = replace(load, corridor=replace(load.corridor, duration_s=60 * minutes))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_driven, name, load, tells).result()
+
+
+def _driven(name: str, load: Load, tells: bool) -> list[Row]:
+    return_large_arrays()  # as the command does it
+    solver = SolverProcess(load.corridor.inputs.data_set())
+    try:
+        with TemporaryDirectory() as folder:
+            return _Drive(load, solver, Path(folder), tells=tells).go(name)
+    finally:
+        solver.close()
+
+
+class _Drive:
+    """Feeds a pipeline, and notes what its turns take."""
+
+    def __init__(self, load: Load, solver: SolverProcess, folder: Path, *, tells: bool) -> None:
+        self._load, self._solver, self._tells = load, solver, tells
+        inputs = load.corridor.inputs
+        self._site = inputs.site.name
+        self._path = folder / "checkpoint.bin"
+        self._storage = MapStorage(self._path, inputs.site, SystemClock(), knows=lambda _: True)
+        self._pipeline = Pipeline(inputs, is_live=False, solver=solver)
+        self._pipeline.resumed(is_new=True)
+        self._asked_s, self._answer_s = 0.0, float("nan")
+        self._begin()
+
+    def go(self, name: str) -> list[Row]:
+        """All of it; its rows."""
+        from_s, told_s, now_s = self._load.corridor.measured_from_s, 0.0, 0.0
+        session = turns(self._load.corridor)
+        if self._load.by_the_clock:
+            session = iter(list(session))  # made beforehand, which takes about as long
+        began_s = time.monotonic()
+        for now_ns, turn in session:
+            before_s, now_s = now_s, to_seconds(now_ns - EPOCH_NS)
+            if before_s < from_s <= now_s:
+                self._begin()
+            late_s = self._taken_late_s(now_ns, turn, began_s + now_s)
+            if now_s - told_s >= _TELL_S or late_s > _MOST_LATE_S:
+                self._pause(now_s, now_s - told_s)
+                told_s = now_s
+            if late_s > _MOST_LATE_S:
+                typer.echo("the turns are a minute late: this is not carried", err=True)
+                break
+        self._storage.close()
+        what = f"{name}, min {from_s / 60:.1f} to {now_s / 60:.1f}"
+        return list(self._rows(what, now_s - from_s))
+
+    def _begin(self) -> None:
+        """What is measured begins here."""
+        self._span, self._lately = Span(memory=[self._memory_mb()]), Span()
+        self._solver_s, self._stored = worked_s(self._solver.pid), self._stored_mb()
+
+    def _pause(self, now_s: float, passed_s: float) -> None:
+        """Listen to the solver, note the memory, and tell of the time since the last pause."""
+        self._listen()
+        self._span.memory.append(self._memory_mb())
+        if self._tells:
+            mine, solvers = self._span.memory[-1]
+            answer = f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""
+            typer.echo(
+                f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self._pipeline.located_count} "
+                f"located; {mine:.0f} + {solvers:.0f} MB{answer}",
+                err=True,
+            )
+        self._lately = Span()
+
+    def _taken_late_s(self, now_ns: int, turn: Turn, due_s: float) -> float:
+        """Take a turn, by the clock not before it is due; how late it was done then."""
+        if not self._load.by_the_clock:
+            self._take(now_ns, turn)
+            return 0.0
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        self._take(now_ns, turn)
+        late_s = time.monotonic() - due_s
+        for span in (self._span, self._lately) if _seen(turn) else ():
+            span.late_s.append(late_s)
+        return late_s
+
+    def _take(self, now_ns: int, turn: Turn) -> None:
+        begin_s, kept = time.thread_time(), list[tuple[str, Input, bytes]]()
+        for node, message, type_name, payload in turn:
+            if self._pipeline.push(node, cdr.decode(type_name, payload)):
+                kept.append((node, message, payload))
+        for output in self._pipeline.advance(now_ns):
+            cdr.encode(output.message)
+        took_s = time.thread_time() - begin_s
+        for node, message, payload in kept:
+            key = INPUT_TOPICS[type(message)].key(self._site, node)
+            self._storage.store(key, payload, message)
+        seen = _seen(turn)
+        for span in (self._span, self._lately):
+            span.messages, span.spent_s = span.messages + len(turn), span.spent_s + took_s
+            span.sightings += seen
+            span.pictures += sum(isinstance(message, Sightings) for _, message, *_ in turn)
+            span.kept += sum(isinstance(message, Sightings) for _, message, _ in kept)
+            if seen:
+                span.updates_ms.append(1e3 * took_s)
+
+    def _listen(self) -> None:
+        """Ask the solver for everything, and wait for it where nothing comes by the clock."""
+        if not self._load.by_the_clock:
+            self._pipeline.reports.ask()
+            while not self._pipeline.reports.is_answered:
+                time.sleep(_POLL_S)
+                self._pipeline.advance()
+        elif self._asked_s and not self._pipeline.reports.is_answered:
+            self._answer_s = time.monotonic() - self._asked_s
+        else:
+            self._pipeline.reports.ask()
+            self._asked_s = time.monotonic()
+
+    def _rows(self, what: str, passed_s: float) -> Iterator[Row]:
+        span, memory = self._span, [*self._span.memory, self._memory_mb()]
+        solver = (worked_s(self._solver.pid) - self._solver_s) / passed_s
+
+        def row(text: str, unit: str, ours: float, other: float, against: str) -> Row:
+            return Row("load", f"{what}: {text}", unit, ours, other, against)
+
+        goal = "the goal of 99 % at 100 cameras"
+        middle, most = np.percentile(span.updates_ms or [np.nan], [50, 99]).tolist()
+        yield row("an update, 50 %", "ms", middle, 20.0, goal)
+        yield row("an update, 99 %", "ms", most, 20.0, goal)
+        yield row(
+            f"longest of {len(span.updates_ms)}",
+            "ms",
+            max(span.updates_ms, default=np.nan),
+            20.0,
+            goal,
+        )
+        yield row("messages", "1/s", span.messages / passed_s, span.sightings / passed_s, "seen")
+        yield row("the thread", "cores", span.spent_s / passed_s, 1.0, "one core")
+        yield row("the solver", "cores", solver, 1.0, "one core")
+        full = span.sightings / span.spent_s
+        yield row("sightings that fill the thread", "1/s", full, span.sightings / passed_s, "seen")
+        for who, series in zip(("estimator", "solver"), zip(*memory, strict=True), strict=True):
+            yield row(f"resident, {who}", "MB", series[-1], series[0], "at the begin")
+        yield row(
+            "checkpoint, added", "MB", self._stored_mb() - self._stored, passed_s / 60, "minutes"
+        )
+        yield row("pictures kept", "pictures", span.kept, span.pictures, "all that came")
+        cameras = self._load.corridor.cameras
+        yield row("located", "cameras", self._pipeline.located_count, cameras, "all")
+        if span.late_s:
+            middle, most = (1e3 * np.percentile(span.late_s, [50, 99])).tolist()
+            yield row("done after due, 50 %", "ms", middle, 20.0, "a turn")
+            yield row("done after due, 99 %", "ms", most, 20.0, "a turn")
+
+    def _memory_mb(self) -> tuple[float, float]:
+        return _resident_mb("self"), _resident_mb(self._solver.pid)
+
+    def _stored_mb(self) -> float:
+        return self._path.stat().st_size / 1e6
+
+
+def turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
+    """The session cut into turns: until when, and what came."""
+    until_ns, turn = EPOCH_NS + _TURN_NS, Turn()
+    for node, message in corridor.messages():
+        while message.stamp_ns >= until_ns:
+            yield until_ns, turn
+            until_ns, turn = until_ns + _TURN_NS, Turn()
+        topic = INPUT_TOPICS[type(message)]
+        turn.append((node, message, topic.type_name, cdr.encode(message)))
+
+
+def _seen(turn: Turn) -> int:
+    return sum(isinstance(message, Sightings) and bool(message.faces) for _, message, *_ in turn)
+
+
+def _resident_mb(process: int | str) -> float:
+    for line in Path(f"/proc/{process}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024
+    raise KeyError(process)
+
+
+def main(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(LOADS)}.")
+    ] = None,
+    minutes: Annotated[float | None, typer.Option(help="Of driving, if others.")] = None,
+) -> None:
+    """Drive round a corridor, and say what it costs."""
+    if unknown := [name for name in names or [] if name not in LOADS]:
+        raise typer.BadParameter(f"no load «{unknown[0]}»; choose of {', '.join(LOADS)}")
+    for name in names or ["short"]:
+        tell(measured(name, minutes=minutes, tells=True))

@@ -1,0 +1,83 @@
+"""Pictures in which no board of ours is: none may be sighted in any of them.
+
+Drawn ones (`empty`) and the photographs that scikit-image ships, among them another one's
+chessboard, at several sizes and turned, in which boards of many sizes are looked for.
+"""
+
+from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from benchmarks.timing import worked
+from trigpoint.edge.detector import detector_for
+from trigpoint.site.target import Face, Pattern, Target
+
+from .detection import one_thread
+from .empty import APRILGRID, empty_pictures
+from .photographs import photographs
+from .views import gallery
+
+# Small ones are found by chance most easily.
+_SIZES = ((4, 3), (5, 4), (7, 4), (8, 5), (9, 7), (10, 7), (18, 8))
+_SCALES, _TURNS_DEG = (0.5, 1.0, 2.0), (0.0, 30.0)
+_HERE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def scenes() -> Iterator[tuple[str, np.ndarray]]:
+    """Every photograph at every size, upright and turned."""
+    for name, picture in photographs().items():
+        for scale in _SCALES:
+            height, width = (max(8, round(scale * side)) for side in picture.shape)
+            sized = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+            for turn in _TURNS_DEG:
+                matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
+                turned = cv2.warpAffine(
+                    sized, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE
+                )
+                yield f"{name} x {scale:g}, {turn:.0f} degrees", turned
+
+
+def count_sighted(pictures: Iterable[tuple[str, np.ndarray]], targets: dict[str, Target]) -> None:
+    """Look for each target in every picture, and say what is sighted."""
+    detectors = {name: detector_for([target]) for name, target in targets.items()}
+    wrong = dict.fromkeys(detectors, 0)
+    seconds: dict[str, list[float]] = {name: [] for name in detectors}
+    for scene, picture in pictures:
+        for name, detector in detectors.items():
+            took, found = worked(lambda d=detector, p=picture: d.detect(p))
+            seconds[name].append(took)
+            wrong[name] += len(found)
+            if found:
+                typer.echo(f"{name}: {len(found)} sighted in {scene}")
+    for name, took_s in seconds.items():
+        took = 1e3 * np.array(took_s)
+        typer.echo(
+            f"{name}: {wrong[name]} false sightings in {len(took)} pictures; {took.mean():.1f} ms "
+            f"a picture, {took.max():.0f} ms at most"
+        )
+
+
+def main(
+    count: Annotated[int, typer.Option(help="How many drawn pictures.", min=1)] = 10_000,
+    first: Annotated[int, typer.Option(help="The first one's number.", min=0)] = 0,
+) -> None:
+    """Look for boards in drawn pictures and photographs that show none."""
+    lab = {name: gallery(name).target for name in ("checkerboard", "charuco")}
+    lab["aprilgrid"] = Target("sheet", (APRILGRID,))
+    boards = {
+        f"checkerboard {columns} x {rows}": Target(
+            "sheet", (Face(0, Pattern.CHECKERBOARD, columns, rows, 0.03, *_HERE),)
+        )
+        for columns, rows in _SIZES
+    }
+    drawn = enumerate(empty_pictures(count, first=first), first)
+    with one_thread():
+        count_sighted(((f"picture {number}", picture) for number, picture in drawn), lab)
+        if find_spec("skimage"):
+            count_sighted(scenes(), boards | lab)
+        else:
+            typer.echo("photographs: left out; pip install -c constraints.txt -e '.[bench]'")
