@@ -1,6 +1,6 @@
 """Whether robots are corrected as well as the map of that says.
 
-`python -m benchmarks.fusion.accuracy_map [--cells N] [--sessions N] [--target T]` calibrates a
+`python -m benchmarks accuracy_map [--cells N] [--sessions N] [--target T]` calibrates a
 simulated hall of eight cameras; then it draws cells and headings, and for each of them where the
 cameras truly are, from the network's own joint covariance; shows the robot to them by the simulated
 lab's rules; and lets fusion's alignment and filter correct it by those sightings and the network.
@@ -9,11 +9,12 @@ robot against those that it says can't be done without. With `--sessions` the ca
 not drawn but those that calibrations of so many drives truly made.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from benchmarks.machine import machine
 from trigpoint.fusion.coverage.boards import Carried
@@ -175,29 +176,30 @@ def joined(parts: Sequence[Drawn]) -> Drawn:
     return Drawn(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
 
 
-def main() -> None:
+def main(
+    cells: Annotated[int, typer.Option(min=1, help="How many are drawn.")] = 10_000,
+    seed: Annotated[int, typer.Option(help="Of the drawing.")] = 1,
+    sessions: Annotated[
+        int, typer.Option(min=0, help="Calibrations whose true errors count; 0: errors are drawn.")
+    ] = 0,
+    target: Annotated[str, typer.Option(help="charuco or checkerboard.")] = "charuco",
+) -> None:
     """Measure, and print the lines."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--sessions", type=int, default=0)
-    parser.add_argument("--target", choices=("charuco", "checkerboard"), default="charuco")
-    chosen = parser.parse_args()
-    target: TargetChoice = chosen.target
-    if not chosen.sessions:
-        inputs, results = calibrated(hall(1, target))
-        print("\n".join(summary(drawn(inputs, results, chosen.cells, chosen.seed))))
+    kind: TargetChoice = "checkerboard" if target == "checkerboard" else "charuco"
+    if not sessions:
+        inputs, results = calibrated(hall(1, kind))
+        print("\n".join(summary(drawn(inputs, results, cells, seed))))
     else:
         parts = []
-        for seed in range(1, chosen.sessions + 1):
-            world = hall(seed, target)
+        for number in range(1, sessions + 1):
+            world = hall(number, kind)
             inputs, results = calibrated(world)
             poses = true_cameras(world, results)
-            some = chosen.cells // chosen.sessions
-            parts.append(drawn(inputs, results, some, seed, true_poses=poses))
+            some = cells // sessions
+            parts.append(drawn(inputs, results, some, number, true_poses=poses))
         print("\n".join(summary(joined(parts))))
     print(machine().summary)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)
