@@ -63,7 +63,10 @@ class StillHour:
         if self._happens(300):
             self._gamma, self._offset = random.uniform(0.7, 1.4), random.uniform(-10, 25)
         if self._happens(120):
-            self._zoom, self._zoom_until = random.uniform(-0.025, 0.025), second + random.uniform(1, 6)
+            self._zoom, self._zoom_until = (
+                random.uniform(-0.025, 0.025),
+                second + random.uniform(1, 6),
+            )
         if second > self._zoom_until:
             self._zoom = 0.0
         if self._happens(40):

@@ -120,9 +120,15 @@ class StillScene:
         return 255 * np.clip(shades * seen / 255, 0, 1) ** light.gamma + light.offset
 
     def _draw(self, seen: np.ndarray, blob: Blob, level: float) -> None:
-        size = (max(2, round(2 * blob.across * self.width)), max(2, round(2 * blob.down * self.width)))
+        size = (
+            max(2, round(2 * blob.across * self.width)),
+            max(2, round(2 * blob.down * self.width)),
+        )
         looks = level * cv2.resize(blob.looks, size).astype(np.float32)
-        left, top = round((blob.x - blob.across) * self.width), round((blob.y - blob.down) * self.width)
+        left, top = (
+            round((blob.x - blob.across) * self.width),
+            round((blob.y - blob.down) * self.width),
+        )
         x0, y0 = max(left, 0), max(top, 0)
         x1, y1 = min(left + size[0], self.width), min(top + size[1], self.height)
         if x1 <= x0 or y1 <= y0:
@@ -132,7 +138,9 @@ class StillScene:
             seen[y0:y1, x0:x1] = part
             return
         mask = np.zeros(size[::-1], np.uint8)
-        cv2.ellipse(mask, (size[0] // 2, size[1] // 2), (size[0] // 2, size[1] // 2), 0, 0, 360, 1, -1)
+        cv2.ellipse(
+            mask, (size[0] // 2, size[1] // 2), (size[0] // 2, size[1] // 2), 0, 0, 360, 1, -1
+        )
         inside = mask[y0 - top : y1 - top, x0 - left : x1 - left] > 0
         seen[y0:y1, x0:x1][inside] = part[inside]
 

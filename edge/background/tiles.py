@@ -127,9 +127,7 @@ def around(values: np.ndarray, places: np.ndarray, half: int) -> np.ndarray:
     return values[y[:, None, None] + reach[:, None], x[:, None, None] + reach]
 
 
-def _found(
-    tiles: Tiles, surfaces: np.ndarray, is_inside: np.ndarray, shift: np.ndarray
-) -> Matches:
+def _found(tiles: Tiles, surfaces: np.ndarray, is_inside: np.ndarray, shift: np.ndarray) -> Matches:
     """The peaks of correlations (n, side, side), to fractions of pixels."""
     count, side = surfaces.shape[:2]
     best = surfaces.reshape(count, -1).argmax(axis=1)

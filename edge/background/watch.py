@@ -59,6 +59,11 @@ class Nudge:
     shift: tuple[float, float]
     roll: float
 
+    def words(self, horizontal_fov_deg: float) -> str:
+        """It for people, through a lens of this field of view."""
+        turn_deg = math.hypot(*self.shift) * horizontal_fov_deg
+        return f"was turned or shifted: its picture by {100 * math.hypot(*self.shift):.1f} % of its width, as a turn of {turn_deg:.1f} degrees does"
+
 
 class BackgroundWatch:
     """One camera's background; nothing of it leaves this object. For one thread.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.model.dataset import Conclusions, Event
+from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
@@ -39,6 +39,13 @@ class TakeObservation:
 
 
 @dataclass(frozen=True, slots=True)
+class TakeMove:
+    """A move that a camera noticed itself (`Live.camera_moved`)."""
+
+    move: CameraMove
+
+
+@dataclass(frozen=True, slots=True)
 class LeaveOpen:
     """Locate none of these cameras (`Live.leave_open`)."""
 
@@ -55,7 +62,7 @@ class Report:
     """Report what is known now."""
 
 
-Order = TakeLens | TakeOdometry | TakeObservation | LeaveOpen | Finish | Report
+Order = TakeLens | TakeOdometry | TakeObservation | TakeMove | LeaveOpen | Finish | Report
 
 # -- from the one that solves ---------------------------------------------------------------------
 
