@@ -1,9 +1,10 @@
-"""Drawn hours before a camera that nobody touches: people, doors, lamps, sun, night, rain, focusing.
+"""Drawn hours before a camera: people, doors, lamps, sun, night, rain, focusing.
 
 What happens is drawn by the seed alone; a state is advanced second by second.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,8 @@ class StillHour:
     ) -> None:
         self._scene, self._looks, self._random = scene, looks, random
         self._level, self._level_end = random.choice([1.0, 0.7, 0.3, 0.05, 0.015], 2)
-        self._cloud = 0.0
+        self._cloud = self._now_s = 0.0
+        self._step_s = 1.0
         self._pools = random.uniform([0, 0, 0.1, -0.4], [1, 0.7, 0.4, 0.6], (5, 4))
         self._pools_on = random.random(5) < 0.5
         self._sun = random.uniform(-0.3, 0.3, 2)
@@ -38,25 +40,30 @@ class StillHour:
         looks = self._looks[self._random.integers(len(self._looks))]
         return Blob(x, y, across, down, looks, is_square=True)
 
-    def pictures(self, seconds: int = 3600) -> Iterator[np.ndarray]:
-        """One picture after the other, a second apart."""
-        for second in range(seconds):
-            self._advance(second)
-            stand = Stand(*self._random.normal(0, _SWAY_DEG, 2))
+    def pictures(
+        self, seconds: int = 3600, *, hz: int = 1, stand: Stand | None = None
+    ) -> Iterator[np.ndarray]:
+        """One picture after the other, `hz` a second; `stand`: where somebody has put the camera."""
+        put = stand or Stand()
+        for number in range(seconds * hz):
+            self._advance(1 / hz)
+            pan, tilt = self._random.normal(0, _SWAY_DEG, 2)
+            stands = replace(put, pan=put.pan + pan, tilt=put.tilt + tilt)
             yield self._scene.picture(
-                stand,
-                self._light(second / seconds),
+                stands,
+                self._light(number / (seconds * hz)),
                 self._blobs(),
                 zoom=self._zoom,
                 drops=self._drops if self._rains else None,
             )
 
     def _happens(self, every_s: float) -> bool:
-        return self._random.random() < 1 / every_s
+        return self._random.random() < self._step_s / every_s
 
-    def _advance(self, second: float) -> None:
-        random = self._random
-        self._cloud += -0.01 * self._cloud + random.normal(0, 0.03)
+    def _advance(self, step_s: float) -> None:
+        random, self._step_s = self._random, step_s
+        second = self._now_s = self._now_s + step_s
+        self._cloud += -0.01 * step_s * self._cloud + random.normal(0, 0.03 * step_s**0.5)
         for number in range(len(self._pools)):
             if self._happens(600):
                 self._pools_on[number] = not self._pools_on[number]
@@ -78,7 +85,7 @@ class StillHour:
         for door in range(2):
             if self._happens(90):
                 self._doors_open[door] = random.uniform(0, 1)
-        fresh = random.random(len(self._drops)) < 0.05
+        fresh = random.random(len(self._drops)) < 0.05 * step_s
         self._drops[fresh] = random.uniform([0, 0, 0.01], [1, 0.75, 0.04], (int(fresh.sum()), 3))
 
     def _walker(self) -> list[float]:
@@ -87,8 +94,9 @@ class StillHour:
         near = random.random() < 0.1
         across = random.uniform(0.3, 0.6) if near else random.uniform(0.03, 0.15)
         side = random.choice([-1, 1])
+        speed = side * random.uniform(0.05, 0.4)
         return [
-            0.5 - side * (0.5 + across), random.uniform(0.25, 0.5), side * random.uniform(0.05, 0.4),
+            0.5 - side * (0.5 + across), random.uniform(0.25, 0.5), speed,
             across, across * random.uniform(1.5, 3), float(random.integers(len(self._looks))),
             random.uniform(0, 1), random.exponential(15),
         ]  # fmt: skip
@@ -97,10 +105,10 @@ class StillHour:
         for walker in self._walkers:
             stands = (walker[0] - walker[6]) * np.sign(walker[2]) > 0 and walker[7] > 0
             if stands:
-                walker[7] -= 1
+                walker[7] -= self._step_s
                 walker[0] += self._random.normal(0, 0.003)
             else:
-                walker[0] += walker[2]
+                walker[0] += walker[2] * self._step_s
         self._walkers = [w for w in self._walkers if -1.5 < w[0] < 2.5]
 
     def _blobs(self) -> tuple[Blob, ...]:

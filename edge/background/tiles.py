@@ -19,7 +19,9 @@ LEAST_CORRELATION = 0.6
 """A tile that correlates less at its best place is not found."""
 SIGMA_PX = 0.12
 """What shadows, haze and the sway of a mount add to a tile's place, standard deviation."""
-_LEAST_LENGTH, _LEAST_VARIANCE = 1e-3, 1e-3
+_MOST_SIGMA_PX = 0.25
+"""A tile whose place is known less well could not tell a turn of 0.3 degrees; it is not found."""
+_LEAST_LENGTH, _LEAST_VARIANCE = 1e-3, 0.1
 _LEAST_CONTRAST = 2.0
 """Grey levels of the weaker gradient of a corner; below that a tile is noise."""
 
@@ -110,14 +112,14 @@ def _correlations(
     plain = patches - patches.mean(axis=(1, 2), keepdims=True)
     lengths = np.linalg.norm(plain, axis=(1, 2), keepdims=True)
     plain /= np.maximum(lengths, _LEAST_LENGTH)
-    windows = sliding_window_view(around(small, places, HALF + reach), plain.shape[1:], (1, 2))
     count, side = len(patches), 2 * reach + 1
-    products = windows.reshape(count, side * side, _PIXELS) @ plain.reshape(count, _PIXELS, 1)
-    size = (2 * HALF + 1, 2 * HALF + 1)
-    means = around(cv2.boxFilter(small, cv2.CV_32F, size), places, reach)
-    squares = around(cv2.sqrBoxFilter(small, cv2.CV_32F, size), places, reach)
-    spread = np.sqrt(_PIXELS * np.maximum(squares - means**2, _LEAST_VARIANCE))
-    return products.reshape(count, side, side) / spread
+    views = sliding_window_view(around(small, places, HALF + reach), plain.shape[1:], (1, 2))
+    windows = views.reshape(count, side * side, _PIXELS)
+    plain = plain.reshape(count, _PIXELS)
+    products, sums = np.moveaxis(windows @ np.stack([plain, np.ones_like(plain)], axis=2), 2, 0)
+    squares = np.einsum("nkp,nkp->nk", windows, windows)
+    spread = np.sqrt(np.maximum(squares - sums**2 / _PIXELS, _LEAST_VARIANCE))
+    return (products / spread).reshape(count, side, side)
 
 
 def around(values: np.ndarray, places: np.ndarray, half: int) -> np.ndarray:
@@ -130,24 +132,33 @@ def around(values: np.ndarray, places: np.ndarray, half: int) -> np.ndarray:
 def _found(tiles: Tiles, surfaces: np.ndarray, is_inside: np.ndarray, shift: np.ndarray) -> Matches:
     """The peaks of correlations (n, side, side), to fractions of pixels."""
     count, side = surfaces.shape[:2]
-    best = surfaces.reshape(count, -1).argmax(axis=1)
+    best = surfaces.reshape(count, side * side).argmax(axis=1)
     y, x = np.divmod(best, side)
     is_peak = (x > 0) & (x < side - 1) & (y > 0) & (y < side - 1)
     x, y, n = np.clip(x, 1, side - 2), np.clip(y, 1, side - 2), np.arange(count)
     near = surfaces[n[:, None, None], y[:, None, None] + _STEP[:, None], x[:, None, None] + _STEP]
     gradient, curvature = _quadratic(near.astype(float))
     peak = np.clip(near[:, 1, 1].astype(float), 1e-3, 1 - 1e-6)
-    inverse = np.linalg.inv(curvature)
-    fraction = np.clip(np.einsum("nij,nj->ni", inverse, gradient), -1.0, 1.0)
+    inverse = _inverse(curvature)
+    fraction = np.clip((inverse @ gradient[:, :, None])[..., 0], -1.0, 1.0)
     noise = (1 - peak**2) / (peak**2 * _PIXELS)
-    covariances = noise[:, None, None] * inverse + SIGMA_PX**2 * np.eye(2)
+    covariances = noise[:, None, None] * inverse + SIGMA_PX**2 * _IDENTITY
     shifts = np.stack([x, y], axis=1) - side // 2 + shift + fraction
-    is_found = is_inside & is_peak & (peak > LEAST_CORRELATION)
-    return Matches(tiles.middles, shifts, np.linalg.inv(covariances), is_inside, is_found)
+    is_sharp = covariances[:, 0, 0] + covariances[:, 1, 1] < 2 * _MOST_SIGMA_PX**2
+    is_found = is_inside & is_peak & is_sharp & (peak > LEAST_CORRELATION)
+    return Matches(tiles.middles, shifts, _inverse(covariances), is_inside, is_found)
+
+
+def _inverse(matrices: Array) -> Array:
+    """The inverses of symmetric matrices (n, 2, 2); a fifth of the time of NumPy's."""
+    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    rows = np.stack([yy, -xy, -xy, xx], axis=1) / (xx * yy - xy * xy)[:, None]
+    return rows.reshape(-1, 2, 2)
 
 
 _STEP = np.array([-1, 0, 1])
 _LEAST_CURVATURE = 1e-3
+_IDENTITY = np.eye(2)
 
 
 def _quadratic(near: Array) -> tuple[Array, Array]:

@@ -36,6 +36,8 @@ _ESTABLISHED = 30
 _FORGOTTEN_NS = to_ns(3600.0)
 """A background of which nothing was seen for so long, by light in which there is as much to see, is
 no more: the room was refurnished."""
+_BEGUN_AGAIN_NS = to_ns(10.0)
+"""The same before it is established: somebody stood in front."""
 _AROUND = 1.5
 """What carries a target reaches beyond it: its outline is enlarged by this about its middle."""
 
@@ -62,7 +64,11 @@ class Nudge:
     def words(self, horizontal_fov_deg: float) -> str:
         """It for people, through a lens of this field of view."""
         turn_deg = math.hypot(*self.shift) * horizontal_fov_deg
-        return f"was turned or shifted: its picture by {100 * math.hypot(*self.shift):.1f} % of its width, as a turn of {turn_deg:.1f} degrees does"
+        percent = 100 * math.hypot(*self.shift)
+        return (
+            f"was turned or shifted: its picture by {percent:.1f} % of its width, as a turn of "
+            f"{turn_deg:.1f} degrees does"
+        )
 
 
 class BackgroundWatch:
@@ -120,15 +126,17 @@ class BackgroundWatch:
 
     def _is_gone(self, small: np.ndarray, usable: np.ndarray, stamp_ns: int) -> bool:
         """Whether a hidden background is to be replaced by what is seen now."""
-        if not self._is_established:
-            return True
-        if stamp_ns - self._still_ns < _FORGOTTEN_NS:
+        hidden_ns = stamp_ns - self._still_ns
+        if not self.is_established:
+            return hidden_ns >= _BEGUN_AGAIN_NS
+        if hidden_ns < _FORGOTTEN_NS:
             return False
         assert self._reference is not None
         return len(tiles_of(small, usable)) >= self._reference.count
 
     @property
-    def _is_established(self) -> bool:
+    def is_established(self) -> bool:
+        """Whether the background was seen often enough for anything to be said of it."""
         return self._reference is not None and self._reference.established >= _ESTABLISHED
 
     def _is_due(self, stamp_ns: int) -> bool:
@@ -159,7 +167,7 @@ class BackgroundWatch:
         """Note a nudge; whether it is one. Before a background is established, a move belongs to the
         nudge before, or to the camera's being put up."""
         until_ns = self._still_ns
-        if not self._is_established:
+        if not self.is_established:
             if self.nudge is None:
                 return False
             until_ns = self.nudge.until_ns
