@@ -35,8 +35,8 @@ INPUT_TOPICS: dict[type[Message], Topic] = {
 
 
 class Inbox:
-    """Odometry, camera_info and sightings of a site, and the diagnostics of cameras that were moved,
-    as they come. Used by one thread at a time."""
+    """Odometry, camera_info and sightings of a site, and the diagnostics of cameras that were
+    moved, as they come. Used by one thread at a time."""
 
     def __init__(
         self,

@@ -43,7 +43,7 @@ class StillHour:
     def pictures(
         self, seconds: int = 3600, *, hz: int = 1, stand: Stand | None = None
     ) -> Iterator[np.ndarray]:
-        """One picture after the other, `hz` a second; `stand`: where somebody has put the camera."""
+        """One picture after the other, `hz` a second; `stand`: where somebody put the camera."""
         put = stand or Stand()
         for number in range(seconds * hz):
             self._advance(1 / hz)

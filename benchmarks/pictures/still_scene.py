@@ -1,4 +1,4 @@
-"""What a camera that stands still sees in drawn hours: real pictures, in light, weather and traffic.
+"""What a camera that stands still sees: real pictures, in light, weather and traffic.
 
 A picture of a room is the world; the camera sees its middle. It is turned by the homography of a
 rotation, and shifted with a depth that falls from the top to the bottom, as a floor's does.
@@ -81,8 +81,8 @@ class StillScene:
         zoom: float = 0.0,
         drops: np.ndarray | None = None,
     ) -> np.ndarray:
-        """`zoom`: the relative growth by focusing; `drops`: (n, 3) of rain on the glass, middles and
-        radii in shares of the width."""
+        """`zoom`: the relative growth by focusing; `drops`: (n, 3) of rain on the glass, middles
+        and radii in shares of the width."""
         seen = self._lit(self._seen(stand or Stand(), zoom), light or Light())
         for blob in blobs:
             self._draw(seen, blob, (light or Light()).level)

@@ -23,6 +23,8 @@ _ASTRAY = 0.05
 _BY_CHANCE = (0.01, 0.06)
 """A tile that shows nothing of the background is found where it was, or where the motion puts it,
 which is chosen so that most agree."""
+SURELY = math.log(20)
+"""What makes one of the three 20 : 1."""
 _TILES_A_THING = 3.0
 """So many neighbouring tiles are one witness: what covers or moves one mostly does all of them."""
 _GATE = -2 * math.log(0.01)
@@ -58,8 +60,8 @@ class Evidence:
 
 
 def evidence_of(here: np.ndarray, there: np.ndarray, seen: np.ndarray) -> Evidence:
-    """The evidence of tiles, (n,) bool each: `seen` those that could be looked for, of which none is
-    both `here` and `there`."""
+    """The evidence of tiles, (n,) bool each: `seen` those that could be looked for, of which none
+    is both `here` and `there`."""
     counts = np.array([here.sum(), there.sum(), (seen & ~here & ~there).sum()])
     still, moved, hidden = (
         float((table @ counts).max()) / _TILES_A_THING for table in (_STILL, _MOVED, _HIDDEN)

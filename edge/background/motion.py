@@ -19,8 +19,8 @@ _LEAST_TILES = 4
 class Motion:
     """`shift`: (2,) pixels, of the picture's middle; `roll`: radians; `zoom`: the relative growth.
 
-    A turn about the vertical or the level axis, or a shift of the camera, shifts the picture, a turn
-    about the line of sight rolls it, and a lens that focuses zooms it.
+    A turn about the vertical or the level axis, or a shift of the camera, shifts the picture; a
+    turn about the line of sight rolls it, and a lens that focuses zooms it.
     """
 
     shift: Array

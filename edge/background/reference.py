@@ -6,7 +6,7 @@ import numpy as np
 
 from trigpoint.geometry.rotation import Array
 
-from .evidence import Evidence, at_home, still_evidence, weighed
+from .evidence import SURELY, Evidence, at_home, still_evidence, weighed
 from .motion import Motion, coarse_shift, motion_of
 from .tiles import CELL, HALF, REACH, Matches, Tiles, around, match, tiles_of
 
@@ -24,8 +24,8 @@ _MOST_ZOOM = 0.003
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """`motion`: the likeliest one; `looked`: which tiles were looked at, `here`: which of those were
-    where they belong."""
+    """`motion`: the likeliest one; `looked`: which tiles were looked at, `here`: which of those
+    were where they belong."""
 
     evidence: Evidence
     motion: Motion
@@ -71,11 +71,13 @@ class Reference:
         if here.sum() > _PLAIN_SHARE * len(tiles):
             return Comparison(still_evidence(here), Motion.none(), looked, here)
         near = self._explained(match(tiles, small), looked)
-        start = coarse_shift(self._small, small)
-        if near.evidence.still > 0 or near.evidence.moved > 0 or not start.any():
+        if near.evidence.still > SURELY or not len(tiles):
             return near
-        far = self._explained(match(tiles, small, start=start), looked)
-        return far if far.evidence.moved > near.evidence.moved else near
+        starts = [np.rint(near.motion.shift).astype(int)]  # some tiles were just out of reach
+        if near.evidence.moved < SURELY:
+            starts.append(coarse_shift(self._small, small))
+        found = [self._explained(match(tiles, small, start=s), looked) for s in starts if s.any()]
+        return max([near, *found], key=lambda each: each.evidence.moved)
 
     def _explained(self, matches: Matches, looked: np.ndarray) -> Comparison:
         motion = motion_of(matches, self._middle) or Motion.none()

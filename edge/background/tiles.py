@@ -89,8 +89,9 @@ def _least_strength() -> float:
 def match(
     tiles: Tiles, small: np.ndarray, *, reach: int = REACH, start: np.ndarray | None = None
 ) -> Matches:
-    """Look for tiles in a small picture (h, w), up to `reach` pixels along each axis about their own
-    places, or about `start` (2,) whole pixels from there. A best place at the edge of that is none.
+    """Look for tiles in a small picture (h, w), up to `reach` pixels along each axis about their
+    own places, or about `start` (2,) whole pixels from there. A best place at the edge of that is
+    none.
 
     The correlation is normalised, so that neither gain nor offset of the light counts. Its
     curvature gives the covariance of a shift, as of a template in white noise.

@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.base.clock import to_ns
 from trigpoint.geometry.rotation import Array
 
+from .evidence import SURELY
 from .motion import Motion
 from .reference import Comparison, Reference
 from .small_picture import WIDTH, small_picture
@@ -29,8 +30,6 @@ where what speaks for it makes that 100 : 1."""
 _MOST_A_PICTURE = _DECISION / 3 + 1e-9
 """What one picture may say of that, in either direction: pictures within a second resemble each
 other, and at least three must agree."""
-_SURELY = math.log(20)
-"""The background shows where a picture makes that 20 : 1."""
 _ESTABLISHED = 30
 """So many pictures must have shown the background before anything can be said of it."""
 _FORGOTTEN_NS = to_ns(3600.0)
@@ -157,15 +156,15 @@ class BackgroundWatch:
             self._suspected_ns = stamp_ns
         more = max(-_MOST_A_PICTURE, min(evidence.moved, _MOST_A_PICTURE))
         self._suspicion = max(0.0, self._suspicion + more)
-        if evidence.still > _SURELY:
+        if evidence.still > SURELY:
             self._suspicion, self._still_ns, self.view = 0.0, stamp_ns, View.STILL
         else:
             self.view = View.SUSPECTED if self._suspicion else View.HIDDEN
         return self._suspicion >= _DECISION
 
     def _say(self, reference: Reference, motion: Motion) -> bool:
-        """Note a nudge; whether it is one. Before a background is established, a move belongs to the
-        nudge before, or to the camera's being put up."""
+        """Note a nudge; whether it is one. Before a background is established, a move belongs to
+        the nudge before, or to the camera's being put up."""
         until_ns = self._still_ns
         if not self.is_established:
             if self.nudge is None:

@@ -17,7 +17,6 @@ from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
 from .problem import CameraState, RobotState, State
 
-
 _MOST_TOLD = 64
 """So many told moves of a camera are kept."""
 
@@ -93,8 +92,8 @@ class Event:
 class Conclusions:
     """What was concluded from a session's sightings: the cameras that were moved; by robot, the
     odometry steps in which its track is broken, its noise (stated parts, slip, skid) and its
-    jitter; by camera, the factor on the stated sigma of its corners; and the moves that were `told` by
-    then."""
+    jitter; by camera, the factor on the stated sigma of its corners; and the moves that were `told`
+    by then."""
 
     moves: tuple[Move, ...]
     jumps: dict[str, tuple[tuple[int, int], ...]]

@@ -1,6 +1,7 @@
 """What a camera's agent says in its diagnostics when its camera was turned or shifted.
 
-Diagnostics are sent once a second and may be lost; so it is said again for as long as the agent runs.
+Diagnostics are sent once a second and may be lost; so it is said again for as long as the agent
+runs.
 """
 
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from trigpoint.contract.messages import Diagnostics
 
 NUDGED = "nudged_between"
-"""The value: the stamps, ns, of the last picture from the old place and of the first from the new."""
+"""The value: the stamps, ns, of the last picture from the old place and the first from the new."""
 NUDGES = "nudges"
 """The counter."""
 _EDGE = "edge/"

@@ -1,5 +1,5 @@
-"""A camera that noticed itself that it was turned: what it sees makes no correction until robots have
-shown where it is, and nothing else suffers."""
+"""A camera that noticed itself that it was turned: what it sees makes no correction until robots
+have shown where it is, and nothing else suffers."""
 
 from collections.abc import Sequence
 from dataclasses import replace
