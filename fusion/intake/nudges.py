@@ -12,7 +12,7 @@ def told_moves(data: DataSet, message: Diagnostics) -> Iterator[CameraMove]:
     the map began does not concern it: an agent tells of its last one for as long as it runs."""
     for nudge in nudges_in(message):
         move = CameraMove(nudge.camera, nudge.until_ns, nudge.since_ns)
-        is_before = bool(data.epoch_ns) and move.since_ns < data.epoch_ns
+        is_before = move.since_ns < data.epoch_ns if data.epoch_ns else not data.known.poses
         if nudge.camera in data.site.cameras and move not in data.told and not is_before:
             yield move
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_struct
 from support.fusion.drives import EPOCH_NS, Session, lab_plan, make_session
-from support.fusion.networks import assert_same_places
 from support.fusion.solvers import SlowSolver
 
 from trigpoint.base.clock import to_ns
@@ -22,7 +21,6 @@ from trigpoint.contract.messages import (
 )
 from trigpoint.contract.nudge import NUDGED, Nudge
 from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.geometry import Pose
 
 SECONDS, NUDGED_S, TOLD_S = 60.0, 25.2, 27.3
 TURN = np.array([0.0, 0.0, 0.0, 0.0, np.radians(0.3), 0.0])
@@ -180,6 +178,7 @@ def test_nudge_before_the_map_began_does_not_concern_it(session: Session) -> Non
 
 def test_nudge_that_goes_on_is_one(session: Session) -> None:
     pipeline = Pipeline(session.inputs, is_live=False)
+    corrections(pipeline, session.messages[:10])
     for since_s in (26.0, 27.0, 27.0):
         nudge = Nudge("c2", at_ns(25.0), at_ns(since_s))
         pipeline.push("", telling(nudge, at_ns(since_s + 1)))
@@ -187,8 +186,9 @@ def test_nudge_that_goes_on_is_one(session: Session) -> None:
     assert move.since_ns == at_ns(27.0)
 
 
-def test_nudge_makes_the_checkpoint(session: Session) -> None:
+def test_nudge_is_kept_once(session: Session) -> None:
     pipeline = Pipeline(session.inputs, is_live=False)
+    corrections(pipeline, session.messages[:10])
     told = telling(Nudge("c2", at_ns(25.0), at_ns(26.0)), at_ns(27.0))
     assert pipeline.push("", told)
     assert not pipeline.push("", told)
@@ -198,16 +198,3 @@ def test_camera_of_another_site_does_not_concern_it(session: Session) -> None:
     pipeline = Pipeline(session.inputs, is_live=False)
     assert not pipeline.push("", telling(Nudge("c9", at_ns(25.0), at_ns(26.0)), at_ns(27.0)))
     assert not pipeline.nudged
-
-
-def test_offline_tells_the_whole_map_at_once(session: Session) -> None:
-    """`calibrate` knows of it before the first sighting."""
-    first = Pipeline(session.inputs, is_live=False)
-    told = [("", telling(Nudge("c2", at_ns(NUDGED_S - 0.7), at_ns(NUDGED_S + 0.3)), at_ns(60.0)))]
-    corrections(first, [*told, *session.messages])
-    first.finish()
-    second = Pipeline(session.inputs, is_live=False)
-    corrections(second, with_nudge(session.messages))
-    second.finish()
-    assert_same_places(first.results().network, second.results().network)
-    assert isinstance(first.results().network.cameras["c2"].earlier[0].map_from_camera.pose, Pose)

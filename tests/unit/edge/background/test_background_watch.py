@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
+from support.pictures.rooms import room
 
 from benchmarks.pictures.still_hours import StillHour
 from benchmarks.pictures.still_scene import Blob, Light, Stand, StillScene
@@ -14,17 +14,6 @@ from trigpoint.geometry.rotation import Array
 
 BEFORE_S = 40
 SECOND = 10**9
-
-
-def room(seed: int) -> np.ndarray:
-    """A drawn wall of things: what is large and plain, and what is small and printed."""
-    random = np.random.default_rng(seed)
-    picture = np.full((480, 640), 150, np.uint8)
-    for _ in range(160):
-        x, y, across, down = random.integers([0, 0, 8, 8], [640, 480, 90, 90]).tolist()
-        grey = int(random.integers(20, 235))
-        cv2.rectangle(picture, (x, y), (x + across, y + down), (grey,), -1)
-    return cv2.GaussianBlur(picture, (0, 0), 1.2)
 
 
 def scene(seed: int = 1, sigma: float = 3.0) -> StillScene:
