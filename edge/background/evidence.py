@@ -14,7 +14,7 @@ import numpy as np
 from trigpoint.geometry.rotation import Array
 
 from .motion import Motion
-from .tiles import Matches
+from .tiles import SIGMA_PX, Matches
 
 _VISIBLE = np.array([0.9, 0.6, 0.3, 0.1])
 """Which share of the background shows is not known; the likeliest of these is taken."""
@@ -30,6 +30,8 @@ _TILES_A_THING = 3.0
 _GATE = -2 * math.log(0.01)
 """The squared distance (two degrees of freedom) that a tile's place exceeds once in a hundred."""
 _LEAST_TELLING = 4
+_LEAST_RADIUS_PX = 20.0
+_QUANTILES = np.linspace(0.1, 0.9, 9)
 _MOST_FOCUSING = 0.03
 """By this share a lens zooms at most when it focuses."""
 _PARALLAX, _MOST_PARALLAX_PX = 0.25, 1.0
@@ -90,10 +92,12 @@ def weighed(matches: Matches, motion: Motion, middle: Array) -> tuple[Evidence, 
     parallax = np.minimum(_PARALLAX * np.linalg.norm(expected, axis=1), _MOST_PARALLAX_PX)
     is_near = np.linalg.norm(matches.shifts - expected, axis=1) < parallax
     agrees = matches.is_found & (is_near | (to_motion < _GATE))
-    lens = focusing(matches.shifts[agrees], offsets[agrees]).shifts(offsets)
-    to_lens = matches.distances(lens)
+    lenses = [np.zeros_like(offsets), focusing(matches, offsets) * offsets]
+    to_lens = np.min([matches.distances(lens) for lens in lenses], axis=0)
     home = matches.is_found & (to_lens < _GATE)
-    tells = matches.apart(lens, expected) > _GATE
+    apart = np.min([matches.apart(lens, expected) for lens in lenses], axis=0)
+    nominal = np.min([np.sum((lens - expected) ** 2, axis=1) for lens in lenses], axis=0)
+    tells = np.where(matches.is_found, apart, nominal / SIGMA_PX**2) > _GATE
     if np.count_nonzero(tells & matches.is_found) < _LEAST_TELLING:
         return evidence_of(home, np.zeros_like(home), matches.is_inside), home
     agrees &= to_motion < to_lens
@@ -101,8 +105,17 @@ def weighed(matches: Matches, motion: Motion, middle: Array) -> tuple[Evidence, 
     return evidence_of(here, there, matches.is_inside & tells), home & ~agrees
 
 
-def focusing(shifts: Array, offsets: Array) -> Motion:
-    """The zoom alone that explains shifts (n, 2) of points (n, 2) from the middle best, as far as
-    lenses zoom when they focus."""
-    zoom = float(np.sum(shifts * offsets) / max(float(np.sum(offsets**2)), 1.0))
-    return Motion(np.zeros(2), 0.0, max(-_MOST_FOCUSING, min(zoom, _MOST_FOCUSING)))
+def focusing(matches: Matches, offsets: Array) -> float:
+    """The zoom that explains most tiles alone, as far as lenses zoom when they focus; `offsets`:
+    (n, 2) of the tiles from the middle. Each tile gives one that may be it."""
+    rows = matches.is_found & (np.linalg.norm(offsets, axis=1) > _LEAST_RADIUS_PX)
+    if not rows.any():
+        return 0.0
+    along = np.sum(matches.shifts[rows] * offsets[rows], axis=1)
+    single = along / np.sum(offsets[rows] ** 2, axis=1)
+    tried = np.quantile(single, _QUANTILES).clip(-_MOST_FOCUSING, _MOST_FOCUSING).tolist()
+    homes = [
+        np.count_nonzero(matches.is_found & (matches.distances(zoom * offsets) < _GATE))
+        for zoom in tried
+    ]
+    return tried[int(np.argmax(homes))]
