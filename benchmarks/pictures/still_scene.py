@@ -5,7 +5,7 @@ rotation, and shifted with a depth that falls from the top to the bottom, as a f
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -85,7 +85,8 @@ class StillScene:
         and radii in shares of the width."""
         seen = self._lit(self._seen(stand or Stand(), zoom), light or Light())
         for blob in blobs:
-            self._draw(seen, blob, (light or Light()).level)
+            shifted = self._shifted(blob, stand or Stand(), zoom)
+            self._draw(seen, shifted, (light or Light()).level)
         if drops is not None:
             seen = self._through(seen, drops)
         seen += self._random.normal(0.0, self._sigma, seen.shape).astype(np.float32)
@@ -118,6 +119,15 @@ class StillScene:
             far = np.hypot(self._columns / self.width - x, self._rows / self.width - y)
             shades += np.float32(strength) * np.exp(-((far / radius) ** 2))
         return 255 * np.clip(shades * seen / 255, 0, 1) ** light.gamma + light.offset
+
+    def _shifted(self, blob: Blob, stand: Stand, zoom: float) -> Blob:
+        """A thing in the room as it is seen by the turned camera, but for its roll."""
+        focal = self._focal / self.width
+        x = blob.x - focal * math.tan(math.radians(stand.pan)) - focal * stand.shift_m / _NEAR_M
+        y = blob.y + focal * math.tan(math.radians(stand.tilt))
+        half, grown = self.height / self.width / 2, 1 + zoom
+        x, y = 0.5 + grown * (x - 0.5), half + grown * (y - half)
+        return replace(blob, x=x, y=y, across=grown * blob.across, down=grown * blob.down)
 
     def _draw(self, seen: np.ndarray, blob: Blob, level: float) -> None:
         size = (

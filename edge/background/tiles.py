@@ -65,7 +65,7 @@ class Matches:
 
 def tiles_of(small: np.ndarray, is_usable: np.ndarray) -> Tiles:
     """The best corner of every cell of a small picture (h, w); `is_usable`: (h, w) bool."""
-    weaker = cv2.cornerMinEigenVal(small, 5, 3)
+    weaker = cv2.cornerMinEigenVal(small, 5, ksize=3)
     border = HALF + REACH + 1
     strength = np.where(is_usable, weaker, 0.0)[border:-border, border:-border]
     rows, columns = strength.shape[0] // CELL, strength.shape[1] // CELL
