@@ -79,6 +79,9 @@ BENCHMARKS: dict[str, Benchmark] = {
     "shown": Benchmark(
         "are stills that are shown to an agent published?", "pictures.agent", is_long=True
     ),
+    "nudged": Benchmark(
+        "are cameras that were moved noticed, and others not?", "pictures.nudged", is_long=True
+    ),
     "page": Benchmark(
         "what does the web page of a large site cost, and how late is it?",
         "network.board",

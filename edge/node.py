@@ -11,13 +11,15 @@ from trigpoint.base.clock import Clock, SteadyClock, to_seconds
 from trigpoint.base.errors import FrameError
 from trigpoint.bus.bus import Bus
 from trigpoint.contract.cdr import encode, warm_up
-from trigpoint.contract.messages import CameraInfo, Sightings
+from trigpoint.contract.messages import CameraInfo, FaceSighting, Sightings
+from trigpoint.contract.nudge import NUDGED, NUDGES, Nudge
 from trigpoint.contract.topics import CAMERA_INFO, IMAGE, SIGHTINGS, Topic, command_key
 from trigpoint.geometry import CameraModel
 from trigpoint.node.node import Node
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
 
+from .background.watch import BackgroundWatch
 from .image.picture import depth_words, eight_bits
 from .lens.calibration_service import CalibrationService
 from .lens.intrinsics import calibrated_lens, check_size, known_lens
@@ -70,6 +72,7 @@ class EdgeNode:
         self._followed = 0
         self._lost_ns: int | None = None
         self._watch = TargetWatch(camera, self._clock)
+        self._background = BackgroundWatch() if self._config.notice_nudges else None
         self._pause_s = _FIRST_PAUSE_S
         self._detection_ms = self._delay_ms = 0.0
         self._newest_ns = self._clock.elapsed_ns()
@@ -86,6 +89,7 @@ class EdgeNode:
         self._serve("calibrate", self._calibration.answer)
         self._node.health.gauge("detection_ms", lambda: self._detection_ms)
         self._node.health.gauge("delay_ms", lambda: self._delay_ms)
+        self._node.health.count(NUDGES, 0)
         self._node.health.gauge("picture_age_s", self._picture_age_s)
         self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
         self._pulse = self._node.watchdog.pulse(f"{self._node.label} sees", within_s=_PATIENCE_S)
@@ -234,6 +238,24 @@ class EdgeNode:
         self._node.health.lose("given_up", self._tracker.given_up - given_up)
         self._calibration.offer(faces, (width, height), frame.captured_ns)
         self._name_misdescribed()
+        self._look_behind(frame, faces)
+
+    def _look_behind(self, frame: Frame, faces: Sequence[FaceSighting]) -> None:
+        """Hold the picture against the camera's background, where that is wanted; report that the
+        camera was moved."""
+        if self._background is None:
+            return
+        outlines = [face.pixels for face in faces]
+        is_nudged = self._background.look(frame.picture, frame.captured_ns, outlines)
+        self._node.health.describe("background", self._background.view.value)
+        nudge = self._background.nudge
+        if not is_nudged or nudge is None:
+            return
+        told = Nudge(self._camera, nudge.until_ns, nudge.since_ns)
+        self._node.health.describe(NUDGED, told.words)
+        self._node.health.count(NUDGES)
+        words = f"camera {self._camera} {nudge.words(self._config.horizontal_fov)}"
+        self._node.health.fail(f"{words}; it makes no corrections until it has seen a robot again")
 
     def _name_misdescribed(self) -> None:
         """Report boards that the target file describes wrongly."""

@@ -7,11 +7,19 @@ from trigpoint.base.clock import Clock, to_ns
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bell, Bus, Sample, Subscription
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings, stamped
-from trigpoint.contract.topics import Topic
+from trigpoint.contract.messages import (
+    CameraInfo,
+    Diagnostics,
+    Message,
+    Odometry,
+    Sightings,
+    stamped,
+)
+from trigpoint.contract.nudge import may_tell_of_nudges
+from trigpoint.contract.topics import DIAGNOSTICS, Topic
 from trigpoint.node.node import Node
 
-from .diagnostics import Diagnostics
+from .diagnostics import Diagnostics as InputDiagnostics
 from .intake.admission import Admission
 
 # Samples are taken in for at most this long at once, and at most this many of a topic.
@@ -27,10 +35,16 @@ INPUT_TOPICS: dict[type[Message], Topic] = {
 
 
 class Inbox:
-    """Odometry, camera_info and sightings of a site, as they come. Used by one thread at a time."""
+    """Odometry, camera_info and sightings of a site, and the diagnostics of cameras that were
+    moved, as they come. Used by one thread at a time."""
 
     def __init__(
-        self, bus: Bus, node: Node, clock: Clock, admission: Admission, diagnostics: Diagnostics
+        self,
+        bus: Bus,
+        node: Node,
+        clock: Clock,
+        admission: Admission,
+        diagnostics: InputDiagnostics,
     ) -> None:
         self._bus, self._node, self._clock = bus, node, clock
         self._admission, self._diagnostics = admission, diagnostics
@@ -46,6 +60,8 @@ class Inbox:
             )
             self._subscriptions.append((topic, subscription))
             self._node.health.watch(topic.name, subscription)
+        told = self._bus.subscribe(DIAGNOSTICS, DIAGNOSTICS.key(site), bell=self._news)
+        self._subscriptions.append((DIAGNOSTICS, told))
 
     def wait(self, timeout_s: float) -> None:
         """Wait until something comes, or the time is over."""
@@ -56,7 +72,7 @@ class Inbox:
         """Whether no sample waits."""
         return not any(subscription.depth for _, subscription in self._subscriptions)
 
-    def messages(self) -> Iterator[tuple[Sample, Input]]:
+    def messages(self) -> Iterator[tuple[Sample, Input | Diagnostics]]:
         """What has come and is accepted, the topics in turn; bounded in number and time, so that
         more may wait."""
         for topic, sample in self._samples():
@@ -77,8 +93,10 @@ class Inbox:
                 break
         self._news.ring()  # for what is left
 
-    def _accepted(self, topic: Topic, sample: Sample) -> tuple[Sample, Input] | None:
+    def _accepted(self, topic: Topic, sample: Sample) -> tuple[Sample, Input | Diagnostics] | None:
         """The sample and its message; None where it is not to be used."""
+        if topic is DIAGNOSTICS and not may_tell_of_nudges(sample.payload):
+            return None
         try:
             if not topic.may_be(sample.encoding):
                 raise MessageError(f"its encoding is «{sample.encoding}», not «{topic.encoding}»")
@@ -86,6 +104,8 @@ class Inbox:
         except MessageError as reason:
             self._node.health.reject(sample, reason)
             return None
+        if isinstance(message, Diagnostics):
+            return sample, message
         assert isinstance(message, Input)
         if message.stamp_ns == 0 and not isinstance(message, CameraInfo):
             message = stamped(message, sample.received_ns)

@@ -7,7 +7,7 @@ from pathlib import Path
 from trigpoint.base.clock import Clock
 from trigpoint.base.errors import MessageError, OperationError
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.site.config import Site
 
 from .checkpoint import Checkpoint
@@ -52,14 +52,14 @@ class MapStorage:
             raise OperationError(
                 f"{self._path}: a checkpoint of another site ({key}); give another --out"
             )
-        if not self._knows(key):
+        if topic is not topics.DIAGNOSTICS and not self._knows(key):
             return None
         try:
             message = cdr.decode(topic.type_name, payload)
         except MessageError as reason:
             _log.error("%s: a message on %s is left out: %s", self._path, key, reason)
             return None
-        assert isinstance(message, CameraInfo | Odometry | Sightings)
+        assert isinstance(message, CameraInfo | Diagnostics | Odometry | Sightings)
         # All of the file came before it was written last.
         if message.stamp_ns > self._checkpoint.written_ns + AHEAD_NS:
             _log.error(

@@ -9,7 +9,7 @@ from dataclasses import replace
 from uuid import UUID
 
 from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
+from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 
 from .camera_announcements import CameraAnnouncements
 from .estimating import estimating
@@ -19,6 +19,7 @@ from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
+from .intake.nudges import nudged_words, told_moves
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
@@ -80,6 +81,7 @@ class Pipeline:
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
         self._doubted: frozenset[str] = frozenset()
+        self._placed: frozenset[str] = frozenset()
 
     @property
     def map_id(self) -> UUID | None:
@@ -114,6 +116,12 @@ class Pipeline:
         """Robot -> by how much its last odometry message is older than the one before it, for
         those that send old ones now."""
         return dict(self._stale_ns)
+
+    @property
+    def nudged(self) -> dict[str, str]:
+        """Camera that noticed that it was moved and is not located again -> that as text."""
+        told = {move.camera for move in self._data.told}
+        return {name: nudged_words(name) for name in told - self._placed}
 
     def waits_for(self, robot: str) -> bool:
         """Whether sightings wait for a robot's odometry."""
@@ -167,6 +175,8 @@ class Pipeline:
             return self._push_sightings(node, message)
         if isinstance(message, CameraInfo) and node in self.site.cameras:
             return self._push_camera_info(node, message)
+        if isinstance(message, Diagnostics):
+            return self._push_diagnostics(message)
         self._left_out.add(
             "unknown_sender", f"«{node}» is not in the site file; add it there or correct its name"
         )
@@ -187,6 +197,15 @@ class Pipeline:
                 robot, estimate, odom_from_base, self._estimator.particles
             )
         return True
+
+    def _push_diagnostics(self, message: Diagnostics) -> bool:
+        """Take that cameras noticed that they were moved; whether any of it is new."""
+        moves = list(told_moves(self._data, message))
+        for move in moves:
+            self._estimator.camera_moved(move)
+            self._note(Event("camera_nudged", nudged_words(move.camera)))
+            self._placed -= {move.camera}
+        return bool(moves)
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
         if camera in self.inputs.lenses:
@@ -344,6 +363,7 @@ class Pipeline:
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
         """Announce the cameras as they are estimated now."""
         cameras = self._estimator.cameras() if self._is_live else {}
+        self._placed = frozenset(cameras)
         if not cameras:
             return
         for name, camera in cameras.items():

@@ -15,6 +15,7 @@ from .events import EVIDENCE, window
 from .evidence import alternatives_of
 from .explanation import Alternative, CameraFinding, Explanation, Read
 from .mode import Mode
+from .modes import VisitModes
 from .world import World
 
 _SEVERAL = (
@@ -36,6 +37,10 @@ _LOOSE = (
     "position and orientation in the map: a robot was carried or a camera moved in this session, "
     "and nothing shows that the robot was not on its way here; drive from here past a camera that "
     "it met before"
+)
+_NUDGED = (
+    "position and orientation: it was turned or shifted, as its pictures show, and has not seen a "
+    "robot well enough since; drive past it"
 )
 _LATE = (
     "position and orientation in the map: not decided in time, since too much may have happened in "
@@ -77,6 +82,9 @@ class Outcome:
     def explanation(self) -> Explanation:
         seen = dict.fromkeys(v.visit.camera for v in self.best.visits)
         findings = {camera: self._finding(camera) for camera in seen}
+        for move in self.data.told:  # known from before, and not seen by any robot yet
+            if move.camera in self.data.known.poses and move.camera not in seen:
+                findings[move.camera] = CameraFinding((), _NUDGED)
         places = self._places(findings)
         return Explanation(
             observations=tuple(self.observations),
@@ -92,6 +100,8 @@ class Outcome:
     def _finding(self, camera: str) -> CameraFinding:
         if camera in self.undecided:
             return CameraFinding((), _LATE)
+        if self._told_since(camera):
+            return CameraFinding((), _NUDGED)
         alternatives = alternatives_of(
             place for world in self.worlds for place in world.places(camera, None)
         )
@@ -127,7 +137,7 @@ class Outcome:
             if camera in self.undecided | self.crowded:
                 continue
             last = self._last_place(camera)
-            if place == last:
+            if place == last and not self._told_since(camera):
                 if findings[camera].is_located:
                     found[camera, place] = self._state(
                         camera, place, findings[camera].alternatives[0].map_from_camera
@@ -159,6 +169,26 @@ class Outcome:
             default=0,
         )
 
+    def _told_since(self, camera: str) -> list[CameraMove]:
+        """The moves that a camera told of after it was last seen to be somewhere."""
+        mine = [
+            self.best.visits[n].visit.until_ns
+            for n in [*self.chosen.ties, *self.chosen.open]
+            if self.best.visits[n].visit.camera == camera
+        ]
+        return [
+            move
+            for move in self.data.told
+            if move.camera == camera and max(mine, default=-1) <= move.until_ns
+        ]
+
+    def _is_placed(self, found: VisitModes) -> bool:
+        """Whether a visit's camera was somewhere before all that was told of it."""
+        camera = found.visit.camera
+        used = [*self.chosen.ties, *self.chosen.open]
+        is_seen = any(self.best.visits[n].visit.camera == camera for n in used)
+        return is_seen or camera in self.data.known.poses
+
     def _mode_of(self, number: int) -> int:
         """The mode by which a visit is read."""
         if number in self.chosen.ties:
@@ -174,6 +204,9 @@ class Outcome:
             place = self.chosen.place_of(number)
             if place is None:
                 last = self._last_place(found.visit.camera)
+                told = self._told_since(found.visit.camera) if self._is_placed(found) else []
+                if told and found.visit.stamp_ns >= told[-1].since_ns:
+                    last += 1
                 reads |= {index: self._wrong(index, last) for index in found.visit.indices}
             else:
                 mode = found.modes[self._mode_of(number)]
@@ -234,7 +267,8 @@ class Outcome:
 
     def _moves(self) -> list[CameraMove]:
         found = []
-        for camera in dict.fromkeys(v.visit.camera for v in self.best.visits):
+        known = self.data.known.poses
+        for camera in dict.fromkeys([*(v.visit.camera for v in self.best.visits), *known]):
             numbers = [
                 n
                 for n in sorted([*self.chosen.ties, *self.chosen.open])
@@ -247,6 +281,8 @@ class Outcome:
                 if self.chosen.place_of(earlier) != self.chosen.place_of(later):
                     until, since = self.best.visits[earlier].visit, self.best.visits[later].visit
                     found.append(CameraMove(camera, until.until_ns, since.stamp_ns))
+            if (numbers or camera in known) and (told := self._told_since(camera)):
+                found.append(CameraMove(camera, told[0].until_ns, told[-1].since_ns))
         return found
 
 

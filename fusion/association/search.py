@@ -143,12 +143,46 @@ class Search:
         return self.events.moved(apart)
 
     def happened(self, hypothesis: Hypothesis) -> int:
-        """Return the number of lifts and moves in a hypothesis."""
+        """Return the number of lifts and moves in a hypothesis, but for moves that were told."""
         last: dict[str, int] = {}
         for number, place in hypothesis.places.items():
             camera = self.visits[number].visit.camera
             last[camera] = max(last.get(camera, 0), place)
-        return len(hypothesis.breaks) + sum(last.values())
+        return len(hypothesis.breaks) + sum(last.values()) - self._told_moves(hypothesis)
+
+    def _told_moves(self, hypothesis: Hypothesis) -> int:
+        """Return the number of moves in a hypothesis of which cameras told."""
+        count = 0
+        for camera in {move.camera for move in self.graph.data.told}:
+            numbers = self._of_camera(hypothesis, camera)
+            places = [hypothesis.place_of(n) for n in numbers]
+            if numbers and places[0]:  # known from before, and elsewhere then
+                count += self._is_told(None, numbers[0])
+            for (earlier, later), (old, new) in zip(
+                pairwise(numbers), pairwise(places), strict=True
+            ):
+                count += old != new and self._is_told(earlier, later)
+        return count
+
+    def _is_told(self, earlier: int | None, later: int) -> bool:
+        """Return whether the camera of two visits told that it was moved between them; None:
+        before all visits."""
+        visit = self.visits[later].visit
+        until_ns = -1 if earlier is None else self.visits[earlier].visit.until_ns
+        return any(
+            until_ns <= move.until_ns and move.since_ns <= visit.stamp_ns
+            for move in self.graph.data.told
+            if move.camera == visit.camera
+        )
+
+    def _is_while_moved(self, number: int) -> bool:
+        """Return whether a visit was while its camera was being moved, as it told."""
+        visit = self.visits[number].visit
+        return any(
+            move.until_ns < visit.stamp_ns and visit.until_ns < move.since_ns
+            for move in self.graph.data.told
+            if move.camera == visit.camera
+        )
 
     def lifted_elsewhere(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return the alternatives to a hypothesis in which one of its lifts is in another gap of
@@ -221,16 +255,19 @@ class Search:
         was wrong; and the join with that last place, None if there is none."""
         visit = self.visits[number]
         wrong = self._wrong(before, number)
-        if not visit.modes:
+        if not visit.modes or self._is_while_moved(number):
             return [wrong], None
         mine = self._of_camera(before, visit.visit.camera)
         if not mine and visit.visit.camera in self.graph.data.known.poses:
             moved = self.scored(replace(before, open=before.open | {number: 1}))
-            return [wrong, moved], _Join(before, number, 0, ())
+            is_told = self._is_told(None, number)
+            return [wrong, moved], None if is_told else _Join(before, number, 0, ())
         if not mine:  # whether it is wrong matters only at the camera's next visit
             return [self.scored(replace(before, open=before.open | {number: 0}))], None
         place = max(p for p in (before.place_of(n) for n in mine) if p is not None)
         there = tuple(n for n in mine if before.place_of(n) == place)
+        if self._is_told(max(there), number):
+            return [wrong, *self._opened(before, number, place + 1)], None
         found = [wrong]
         if not any(self._still_sees(n, visit.visit.stamp_ns) for n in there):
             found += self._opened(before, number, place + 1)

@@ -50,9 +50,10 @@ def visits_of(data: DataSet, observations: list[Observation]) -> list[Visit]:
     for index, observation in enumerate(observations):
         by_pair.setdefault((observation.camera, observation.robot), []).append(index)
     found = []
-    for (_, robot), indices in by_pair.items():
+    for (camera, robot), indices in by_pair.items():
         stamps = np.array([observations[i].stamp_ns for i in indices])
-        runs = np.split(np.array(indices), _ends(data, robot, stamps))
+        ends = {*_ends(data, robot, stamps), *_moved(data, camera, stamps)}
+        runs = np.split(np.array(indices), sorted(ends))
         found += [visit_of(observations, run.tolist()) for run in runs]
     return sorted(found, key=lambda visit: (visit.stamp_ns, visit.camera))
 
@@ -84,6 +85,15 @@ def telling_of_lenses(visits: list[Visit], cameras: Set[str]) -> list[Visit]:
         if visit.camera in cameras and len(visit.indices) >= _LEAST_TO_TELL:
             longest[visit.camera] = visit
     return list(longest.values())
+
+
+def _moved(data: DataSet, camera: str, stamps_ns: np.ndarray) -> list[int]:
+    """The rows of moments (n,) with which a camera begins or ends to be moved, as was told."""
+    told = [move for move in data.told if move.camera == camera]
+    begins = np.searchsorted(stamps_ns, [move.until_ns for move in told], side="right")
+    ends = np.searchsorted(stamps_ns, [move.since_ns for move in told])
+    rows = np.concatenate([begins, ends]).astype(int).tolist()
+    return [row for row in rows if 0 < row < len(stamps_ns)]
 
 
 def _ends(data: DataSet, robot: str, stamps_ns: np.ndarray) -> list[int]:

@@ -39,6 +39,7 @@ class Explainer:
         self._observations: list[Observation] = []
         self._undecided: frozenset[str] = frozenset()
         self.explanation: Explanation | None = None
+        self._is_told = False
         # How many observations the last explanation covers, and what it left unexplained; what has
         # come since, and what of that is unexplained.
         self._explained = 0
@@ -58,16 +59,20 @@ class Explainer:
         if cameras != self._undecided and self._observations:
             self._undecided, self._explained = cameras, -1
 
+    def camera_moved(self) -> None:
+        """Note that the data tell of another move of a camera."""
+        self._is_told = True
+
     @property
     def has_new(self) -> bool:
         """Whether anything that matters came since the last explanation."""
-        return len(self._observations) > self._explained
+        return len(self._observations) > self._explained or self._is_told
 
     @property
     def is_due(self) -> bool:
         """Whether everything is to be explained anew."""
         has_grown = len(self._observations) >= _GROWTH * self._explained + _LEAST_NEW
-        return has_grown or self.has_unexplained
+        return has_grown or self.has_unexplained or self._is_told
 
     @property
     def has_unexplained(self) -> bool:
@@ -84,7 +89,7 @@ class Explainer:
         their sigmas (2,) from a solution, of use where little is known of them beforehand;
         `is_draft`: only the likeliest explanation, from which the scales are estimated."""
         self._observations.sort(key=lambda observation: observation.stamp_ns)
-        self._explained = len(self._observations)
+        self._explained, self._is_told = len(self._observations), False
         self._came, self._open = Counter(), Counter()
         draft = with_solved_scales(self._data.draft(), self._data, scales or {})
         self.explanation = explain(
@@ -110,7 +115,8 @@ class Explainer:
         return {
             name: (self._reason(name) or _BEHIND_A_JUMP,)
             for name in self._data.site.cameras
-            if name not in placed and self._data.of_camera(name)
+            if name not in placed
+            and any(self._data.of_camera(place) for place in self._data.places_of(name))
         }
 
     def _reason(self, camera: str) -> str:

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from trigpoint.fusion.association.explanation import Alternative
+from trigpoint.fusion.model.dataset import CameraMove
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -75,6 +76,11 @@ class Live(Protocol):
 
     def collect(self, observation: Observation) -> None:
         """Take an observation for `finish` alone, where live results are not needed."""
+        ...
+
+    def camera_moved(self, move: CameraMove) -> None:
+        """Take that a camera noticed itself that it was moved: what it sees from then on makes no
+        correction, and spoils nothing, until sightings show where it is."""
         ...
 
     def leave_open(self, cameras: frozenset[str]) -> None:

@@ -13,7 +13,7 @@ from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.model.dataset import Conclusions, DataSet
+from trigpoint.fusion.model.dataset import CameraMove, Conclusions, DataSet
 from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
@@ -77,12 +77,21 @@ class FixedMap:
             placing.widen(crept)
 
     def add_observation(self, observation: Observation) -> Update:
+        if self.data.is_outdated(observation, ()):
+            words = (
+                f"camera {observation.camera} noticed that it was moved, and the fixed map does "
+            )
+            words += "not say where to: no corrections come of it until the map is learnt anew"
+            return Update(contradiction=words)
         seen = observation.scattering(self._scatter(observation))
         placed = self._placings[seen.robot].take(seen, self._cameras)
         if placed.problem:
             return Update(problem=f"a sighting of {seen.camera} is unusable ({placed.problem})")
         said = self._contradiction(seen) if placed.contradicts else None
         return Update(placed.correction, contradiction=said)
+
+    def camera_moved(self, move: CameraMove) -> None:
+        self.data.tell(move)
 
     def _scatter(self, observation: Observation) -> float:
         """By how much the camera's corners scatter more than stated: as was learnt, or as the

@@ -19,7 +19,7 @@ from trigpoint.fusion.estimators.interface import CameraEstimate, Trajectory, Up
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.current_filter import CurrentFilter
-from trigpoint.fusion.model.dataset import DataSet, Entry, Event
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -38,6 +38,7 @@ from .solver_messages import (
     Solver,
     Suggested,
     TakeLens,
+    TakeMove,
     TakeObservation,
     TakeOdometry,
 )
@@ -136,7 +137,7 @@ class Follower:
         self._located = solved.located
         self._recent = [r for r in self._recent if r.number is None or r.number > solved.count]
         current = CurrentFilter(self.data)
-        current.go_on_from(solved.known)
+        current.go_on_from(solved.known, told=solved.conclusions.told)
         current.shares = dict(solved.shares)
         missing = sorted((r.observation for r in self._recent), key=lambda o: o.stamp_ns)
         self._coming = _Coming(current, deque(missing))
@@ -186,6 +187,10 @@ class Follower:
     def is_idle(self) -> bool:
         """Whether the solver has answered everything."""
         return not self._asked or self.is_answered
+
+    def camera_moved(self, move: CameraMove) -> None:
+        if self.data.tell(move):
+            self._orders.append(TakeMove(move))
 
     def leave_open(self, cameras: frozenset[str]) -> None:
         self._solver.tell([LeaveOpen(cameras)])

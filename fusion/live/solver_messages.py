@@ -6,7 +6,7 @@ from typing import Protocol
 
 from trigpoint.contract.messages import OccupancyGrid
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.model.dataset import Conclusions, Event
+from trigpoint.fusion.model.dataset import CameraMove, Conclusions, Event
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.solver.filter import Filter
 from trigpoint.geometry import CameraModel, Pose
@@ -40,6 +40,13 @@ class TakeObservation:
 
 
 @dataclass(frozen=True, slots=True)
+class TakeMove:
+    """A move that a camera noticed itself (`Live.camera_moved`)."""
+
+    move: CameraMove
+
+
+@dataclass(frozen=True, slots=True)
 class LeaveOpen:
     """Locate none of these cameras (`Live.leave_open`)."""
 
@@ -56,7 +63,7 @@ class Report:
     """Report what is known now."""
 
 
-Order = TakeLens | TakeOdometry | TakeObservation | LeaveOpen | Finish | Report
+Order = TakeLens | TakeOdometry | TakeObservation | TakeMove | LeaveOpen | Finish | Report
 
 # -- from the one that solves ---------------------------------------------------------------------
 

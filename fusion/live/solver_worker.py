@@ -20,6 +20,7 @@ from .solver_messages import (
     Reported,
     Solved,
     TakeLens,
+    TakeMove,
     TakeObservation,
     TakeOdometry,
 )
@@ -41,6 +42,8 @@ class SolverWorker:
             self._smoother.add_odometry(order.robot, order.stamp_ns, order.odom_from_base)
         elif isinstance(order, TakeObservation):
             yield from self._take(order)
+        elif isinstance(order, TakeMove):
+            self._smoother.camera_moved(order.move)
         elif isinstance(order, LeaveOpen):
             self._smoother.leave_open(order.cameras)
         else:

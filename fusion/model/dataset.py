@@ -1,6 +1,6 @@
 """All input: the robots' odometry and the observations, and the verdicts on them."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,9 @@ from .known_cameras import KnownCameras
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
 from .problem import CameraState, RobotState, State
+
+_MOST_TOLD = 64
+"""So many told moves of a camera are kept."""
 
 
 @dataclass(slots=True)
@@ -77,13 +80,15 @@ class Event:
 class Conclusions:
     """What was concluded from a session's sightings: the cameras that were moved; by robot, the
     odometry steps in which its track is broken, its noise (stated parts, slip, skid) and its
-    jitter; and by camera, the factor on the stated sigma of its corners."""
+    jitter; by camera, the factor on the stated sigma of its corners; and the moves that were `told`
+    by then."""
 
     moves: tuple[Move, ...]
     jumps: dict[str, tuple[tuple[int, int], ...]]
     noise: dict[str, tuple[OdometryNoise, float, float]]
     jitter: dict[str, Jitter]
     corner_scale: dict[str, float]
+    told: tuple[CameraMove, ...] = ()
 
 
 @dataclass(slots=True)
@@ -94,7 +99,8 @@ class DataSet:
     time; `events`: not reported yet; `changes`: the lifts and moves that sightings show, each as
     the alternatives that explain them equally well; `jitter`: of robots whose pose in a picture
     deviates from their odometry's plane; `odometry_scale`: by robot the factors on the stated
-    sigmas of its odometry and on its slip; `corner_scale`: by camera the factor on the stated sigma
+    sigmas of its odometry and on its slip; `told`: moves that cameras noticed themselves, which
+    sightings need not show; `corner_scale`: by camera the factor on the stated sigma
     of its corners.
     """
 
@@ -110,6 +116,7 @@ class DataSet:
     jitter: dict[str, Jitter] = field(default_factory=dict)
     odometry_scale: dict[str, tuple[float, float]] = field(default_factory=dict)
     corner_scale: dict[str, float] = field(default_factory=dict)
+    told: list[CameraMove] = field(default_factory=list)
     _by_camera: dict[str, list[Entry]] = field(init=False, repr=False, default_factory=dict)
     _sorted: int = field(init=False, repr=False, default=0)
 
@@ -161,6 +168,34 @@ class DataSet:
                 return replace(observation, camera=move.name)
         return observation
 
+    def tell(self, move: CameraMove) -> bool:
+        """Note that a camera was moved, as it noticed itself; whether that is new. One that begins
+        as another began replaces it: the camera was still being moved."""
+        if move in self.told:
+            return False
+        self.told = [
+            told
+            for told in self.told
+            if (told.camera, told.until_ns) != (move.camera, move.until_ns)
+        ]
+        mine = [told for told in self.told if told.camera == move.camera]
+        if len(mine) >= _MOST_TOLD:
+            self.told.remove(mine[0])
+        self.told.append(move)
+        self.told.sort(key=lambda told: told.until_ns)
+        return True
+
+    def is_outdated(self, observation: Observation, known: Container[CameraMove]) -> bool:
+        """Whether an observation may be from another place of its camera than the one that is
+        known: after a move that was told, or while the camera was moved. `known`: the moves told
+        before its place was found."""
+        stamp_ns = observation.stamp_ns
+        return any(
+            told.until_ns < stamp_ns and (told not in known or stamp_ns < told.since_ns)
+            for told in self.told
+            if told.camera == self.site_camera(observation.camera)
+        )
+
     def places_of(self, camera: str) -> list[str]:
         """The names of a camera's places in order of time, its own name last."""
         return [*(move.name for move in self.moves if move.camera == camera), camera]
@@ -188,8 +223,8 @@ class DataSet:
             name: self.tracks[name].mended().noisy(robot.odometry, slip=SLIP, skid=0.0)
             for name, robot in self.site.robots.items()
         }
-        known = replace(self.known_at_start, poses=poses)
-        return DataSet(self.site, self.targets, dict(self.lenses), known, tracks)
+        known, lenses = replace(self.known_at_start, poses=poses), dict(self.lenses)
+        return DataSet(self.site, self.targets, lenses, known, tracks, told=list(self.told))
 
     def take_over(self, draft: "DataSet") -> None:
         """Replace the entries and the conclusions by a draft's."""
@@ -207,6 +242,7 @@ class DataSet:
             {name: (track.noise, track.slip, track.skid) for name, track in self.tracks.items()},
             dict(self.jitter),
             dict(self.corner_scale),
+            tuple(self.told),
         )
 
     def conclude(self, known: "Conclusions") -> None:

@@ -6,11 +6,12 @@ from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.base.words import counted, numberless
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import Message, Odometry, Sightings, stamped
+from trigpoint.contract.messages import Diagnostics, Message, Odometry, Sightings, stamped
+from trigpoint.contract.nudge import may_tell_of_nudges
 from trigpoint.recorder.session.recording import Recording
 
 _MOST_TIMES = 3
-_TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS)
+_TOPICS = (topics.CAMERA_INFO, topics.ODOMETRY, topics.SIGHTINGS, topics.DIAGNOSTICS)
 
 
 class SessionMessages:
@@ -25,6 +26,8 @@ class SessionMessages:
         stamp_ns = 0
         if isinstance(message, Odometry | Sightings):
             message = stamped(message, log_ns)
+            stamp_ns = message.stamp_ns
+        if isinstance(message, Diagnostics):
             stamp_ns = message.stamp_ns
         is_sightings = isinstance(message, Sightings)
         self._found.append((stamp_ns, is_sightings, len(self._found), node, message))
@@ -76,6 +79,8 @@ def messages_of(recording: Recording) -> SessionMessages:
     found = SessionMessages()
     for sample in recording.samples(_TOPICS):
         node = topics.node_of(sample.key)
+        if sample.topic is topics.DIAGNOSTICS and not may_tell_of_nudges(sample.payload):
+            continue
         try:
             message = cdr.decode(sample.topic.type_name, sample.payload)
         except MessageError as reason:

@@ -49,6 +49,7 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
         "time_offset_sigma",
     ): "prior sigma of the time offset, s; estimated above 0 (rtsp: 0.2)",
     (CameraConfig, "time_drift_sigma"): "of the clock's drift, s/s; only with a time offset",
+    (CameraConfig, "notice_nudges"): "true: it notices by its own background that it was turned",
     (CameraConfig, "creep_translation"): "m per √day that the mount may creep; 0: it does not",
     (CameraConfig, "creep_rotation"): "rad per √day",
     (CameraConfig, "line_delay"): "of a rolling shutter: s from one row to the next, like 30e-6",

@@ -145,6 +145,23 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "from the last picture's exposure until its sightings were sent",
         ),
         Metric(
+            "trigpoint_background_state",
+            "background",
+            "1 for what is seen of the still background: learning, still, hidden, suspected",
+            text="state",
+        ),
+        Metric(
+            "trigpoint_nudges_total",
+            "nudges.total",
+            "times that the camera was turned or shifted, as its background shows",
+        ),
+        Metric(
+            "trigpoint_nudged_info",
+            "nudged_between",
+            "1 for the last time: the stamps of the pictures before and after, ns",
+            text="between",
+        ),
+        Metric(
             "trigpoint_calibration_views",
             "calibration_views",
             "views kept for the command `calibrate`",

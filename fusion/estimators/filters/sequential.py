@@ -16,7 +16,7 @@ from trigpoint.fusion.estimators.explained_data import explained, left_open
 from trigpoint.fusion.estimators.explainer import Explainer
 from trigpoint.fusion.estimators.interface import CameraCount, CameraEstimate, Trajectory, Update
 from trigpoint.fusion.estimators.residuals import CameraResiduals
-from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict, base_from_faces
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.solver.filter import RobotEstimate, carried_on, is_placed
@@ -40,6 +40,7 @@ class SequentialEstimator:
         # Until when contradictions were reported, by camera or robot.
         self._told_ns: dict[str, int] = {}
         self._carried: dict[str, tuple[FilterState, RobotEstimate]] = {}
+        self._told: frozenset[CameraMove] = frozenset()
         self.iterations = 0
 
     # -- input ------------------------------------------------------------------------------------
@@ -51,6 +52,8 @@ class SequentialEstimator:
         return added
 
     def add_observation(self, observation: Observation) -> Update:
+        if observation.is_repeat and self._is_outdated(observation):
+            return Update()
         if observation.is_repeat:
             return Update(correction=self._known_place(observation))
         index, replay = len(self.data.entries), self._replay
@@ -58,6 +61,9 @@ class SequentialEstimator:
         if replay is None:
             self._explainer.take(observation, is_used=False)
             return Update()
+        if self._is_outdated(observation):
+            self._explainer.take(observation, is_used=False)
+            return self._explained_where_due(None)
         before = replay.copy()
         try:
             correction = replay.insert(index)
@@ -68,7 +74,16 @@ class SequentialEstimator:
             return Update(problem=f"a sighting of {observation.camera} is unusable ({reason})")
         verdict = self.data.entries[index].observation.verdict
         self._explainer.take(observation, is_used=verdict is Verdict.ACCEPTED)
-        if not self._explainer.has_unexplained:
+        return self._explained_where_due(correction)
+
+    def _is_outdated(self, observation: Observation) -> bool:
+        """Whether an observation may be from another place of its camera than the known one."""
+        return self.data.is_outdated(observation, self._told)
+
+    def _explained_where_due(self, correction: RobotEstimate | None) -> Update:
+        """The update by an observation; where much is unexplained by now, all of it anew."""
+        replay = self._replay
+        if replay is None or not self._explainer.has_unexplained:
             return Update(correction=correction)
         before_it = set(replay.filter_state.cameras)
         self.finish()
@@ -99,6 +114,11 @@ class SequentialEstimator:
 
     # -- all of it anew ---------------------------------------------------------------------------
 
+    def camera_moved(self, move: CameraMove) -> None:
+        if self.data.tell(move):
+            self._explainer.camera_moved()
+            self.finish()
+
     def leave_open(self, cameras: frozenset[str]) -> None:
         self._explainer.leave_open(cameras)
 
@@ -115,6 +135,7 @@ class SequentialEstimator:
         self._explainer.note(self.data.entries)
         events = Events(self.data.site.fusion.priors)
         replay.restart(state.cameras, left_open(state, explanation, events))
+        self._told = frozenset(self.data.told)
         self.iterations += 1
         if self.data.changes != before:
             report_changes(self.data, state)

@@ -4,14 +4,14 @@ A late sighting is inserted at its place in time, and the later ones are applied
 immutable and share what a step does not change, so that going back costs nothing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from trigpoint.fusion.estimators.interface import CameraEstimate
 from trigpoint.fusion.estimators.marginals import camera_estimates
 from trigpoint.fusion.estimators.robot_alignment import align_before
 from trigpoint.fusion.model.assembly import true_time_ns
-from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.gates import is_noise
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.solver.filter import Filter, RobotEstimate, carried_on, is_placed
@@ -44,6 +44,7 @@ class CurrentFilter:
         self.data = data
         self.known: Filter | None = None
         self._steps: list[_Step] = []
+        self._told: frozenset[CameraMove] = frozenset()
         self.shares: dict[tuple[str, str], tuple[int, float]] = {}
         # By robot: the filter, the robot's estimate carried on from it by odometry, and, where
         # scales are estimated, the filter carried on as far.
@@ -61,9 +62,16 @@ class CurrentFilter:
         if known is not None and known.is_worth_settling:
             self.known = known.settled()
 
-    def go_on_from(self, known: Filter | None, entries: Iterable[Entry] = ()) -> None:
-        """Replace the filter; `entries`: those whose shares are continued, in order."""
-        self.known = known
+    def go_on_from(
+        self,
+        known: Filter | None,
+        entries: Iterable[Entry] = (),
+        *,
+        told: Sequence[CameraMove] = (),
+    ) -> None:
+        """Replace the filter; `entries`: those whose shares are continued, in order; `told`: the
+        moves of cameras that it was told of."""
+        self.known, self._told = known, frozenset(told)
         self._steps.clear()
         for entry in entries:
             self._note_share(entry)
@@ -117,6 +125,8 @@ class CurrentFilter:
     def _is_located(self, observation: Observation) -> bool:
         known = self.known
         if known is None or not known.has_robot(observation.robot):
+            return False
+        if self.data.is_outdated(observation, self._told):
             return False
         return known.has_camera(observation.camera)
 
@@ -211,5 +221,6 @@ class CurrentFilter:
             return {}
         last_ns = max(self.known.stamps_ns.values(), default=self.data.epoch_ns)
         since_epoch_s = float(self.data.since_epoch_s(last_ns))
-        names = list(self.data.site.cameras)
+        gone = {told.camera for told in self.data.told if told not in self._told}
+        names = [name for name in self.data.site.cameras if name not in gone]
         return camera_estimates(self.known, names, since_epoch_s=since_epoch_s)

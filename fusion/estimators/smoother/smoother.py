@@ -20,7 +20,7 @@ from trigpoint.fusion.estimators.residuals import (
     chi2_per_dof,
     reprojection_rms_px,
 )
-from trigpoint.fusion.model.dataset import DataSet, Entry
+from trigpoint.fusion.model.dataset import CameraMove, DataSet, Entry
 from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import Added
 from trigpoint.fusion.model.trajectory import interpolated
@@ -89,6 +89,10 @@ class Smoother:
         """Whether so much is new, or unexplained, that everything is to be explained anew."""
         return self._explainer.is_due
 
+    def camera_moved(self, move: CameraMove) -> None:
+        if self.data.tell(move):
+            self._explainer.camera_moved()
+
     def leave_open(self, cameras: frozenset[str]) -> None:
         self._explainer.leave_open(cameras)
 
@@ -109,7 +113,7 @@ class Smoother:
             )
             return
         self._explainer.note(self.data.entries)
-        self._current.go_on_from(known, self.data.entries)
+        self._current.go_on_from(known, self.data.entries, told=self.data.told)
         self.solutions += 1
         if self.data.changes != before:
             report_changes(self.data, self._batch.state)

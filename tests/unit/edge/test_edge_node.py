@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from support.builders import eventually
 from support.pictures.boards import checkerboard, picture_of, placed, target_of, worst_error
+from support.pictures.rooms import room
 from support.site.edge_desk import EMPTY, SEEN, VIEW, Desk, desk, taken
 
+from benchmarks.pictures.still_scene import Stand, StillScene
 from trigpoint.base.clock import ManualClock
 from trigpoint.contract.messages import Picture, Sightings
 from trigpoint.contract.topics import IMAGE, SIGHTINGS, command_key
@@ -124,6 +126,29 @@ def test_target_is_said_when_it_is_first_seen_and_all_is_summed_up(
     assert caplog.text.count("camera c1 sees the target: 1 face, in picture ") == 1
     assert "camera c1: its source has come to its end" in caplog.text
     assert eventually(lambda: "camera c1: 11 pictures, " in caplog.text)
+
+
+def test_camera_that_is_turned_is_in_the_diagnostics_until_the_end(desk: Desk) -> None:
+    scene = StillScene(room(1), np.random.default_rng(1), width=640, height=480)
+    stands = [Stand()] * 40 + [Stand(pan=0.5)] * 5
+    pictures = [(number * 10**9, scene.picture(stand)) for number, stand in enumerate(stands, 1)]
+    node = desk.start(*pictures, camera="rate = 1.0\nnotice_nudges = true")
+    node.wait()
+    values = node.health.report().values
+    assert values["nudges.total"] == "1"
+    assert values["nudged_between"] == f"{40 * 10**9} {41 * 10**9}"
+    assert values["background"] == "still"
+    assert "camera c1 was turned or shifted" in values["last_error"]
+    assert "degrees" in values["last_error"]
+
+
+def test_camera_that_nobody_touches_says_so(desk: Desk) -> None:
+    node = desk.start((1000, EMPTY), (2000, EMPTY), camera="notice_nudges = true")
+    node.wait()
+    values = node.health.report().values
+    assert values["nudges.total"] == "0"
+    assert values["background"] == "learning"
+    assert "nudged_between" not in values
 
 
 def test_calibration_can_be_asked_for(desk: Desk) -> None:

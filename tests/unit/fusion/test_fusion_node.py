@@ -21,12 +21,15 @@ from trigpoint.contract import cdr, topics
 from trigpoint.contract.correction import decode_mark
 from trigpoint.contract.messages import (
     CameraInfo,
+    Diagnostics,
+    DiagnosticStatus,
     Message,
     OccupancyGrid,
     Odometry,
     PoseEstimate,
     Sightings,
 )
+from trigpoint.contract.nudge import NUDGED, Nudge
 from trigpoint.contract.topics import Topic
 from trigpoint.fusion.checkpoint import Checkpoint, read_checkpoint
 from trigpoint.fusion.estimators.results import Results
@@ -262,6 +265,24 @@ def test_what_does_not_fit_is_in_the_diagnostics(charuco: Session, tmp_path: Pat
         run.feed((("c1", strange), *charuco.messages[:10]))
         assert eventually(lambda: run.node.health.total("left_out.wrong_size") == 1)
         assert "320 × 240" in run.node.health.last_error
+
+
+def test_camera_that_said_that_it_was_nudged_is_in_the_diagnostics_also_after_a_kill(
+    charuco: Session, tmp_path: Path
+) -> None:
+    nudge = Nudge("c2", EPOCH_NS + 10**9, EPOCH_NS + 2 * 10**9)
+    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.words})
+    told = Diagnostics(nudge.since_ns, (status,))
+    with running(charuco.inputs, tmp_path) as run:
+        run.feed(charuco.messages[:60])
+        key = topics.DIAGNOSTICS.key("lab")
+        run.bus.publisher(topics.DIAGNOSTICS, key).put(cdr.encode(told))
+        assert eventually(lambda: "input: nudged c2" in run.node.health.held)
+        assert run.node.health.total("left_out.camera_nudged") == 1
+        run.keep(tmp_path / "checkpoint.bin")
+    with running(charuco.inputs, tmp_path) as run:
+        run.ask("fusion/map")
+        assert eventually(lambda: "input: nudged c2" in run.node.health.held)
 
 
 def test_announced_lenses_are_used(charuco: Session, tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     time_drift_sigma: NotNegative = 20e-6
     creep_translation: NotNegative = 2e-4
     creep_rotation: NotNegative = 2e-4
+    notice_nudges: bool = False
     line_delay: float = 0.0
     picture_rate: Positive = 2.0
     picture_quality: Annotated[int, Meta(ge=1, le=100)] = 80

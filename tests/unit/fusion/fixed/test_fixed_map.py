@@ -15,7 +15,8 @@ from support.fusion.fixed_maps import (
 )
 
 from trigpoint.base.clock import to_ns
-from trigpoint.contract.messages import Message
+from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message
+from trigpoint.contract.nudge import NUDGED, Nudge
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.fixed import map as fixed_map
 from trigpoint.fusion.fixed.network import FixedNetwork
@@ -94,6 +95,23 @@ def test_camera_that_was_moved_makes_no_wrong_correction_and_is_said(
     assert len(told) > 15  # by the two others
     assert pipeline.left_out["against_the_map"] > 3
     assert "camera c2 sees r1 elsewhere" in pipeline.problems["against_the_map"]
+
+
+def test_camera_that_says_that_it_was_moved_makes_no_correction(
+    drive: Session, fixed: FixedNetwork
+) -> None:
+    pipeline = Pipeline(drive.inputs, fixed=fixed)
+    messages, half = drive.messages, len(drive.messages) // 2
+    before = {camera for camera, _ in corrections(pipeline, messages[:half])}
+    now_ns = messages[half][1].stamp_ns  # pyright: ignore
+    nudge = Nudge("c2", now_ns - to_ns(1.0), now_ns)
+    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.words})
+    pipeline.push("", Diagnostics(now_ns, (status,)))
+    after = {camera for camera, _ in corrections(pipeline, messages[half:])}
+    assert "c2" in before
+    assert after
+    assert "c2" not in after
+    assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map"]
 
 
 def test_robot_that_began_before_a_moved_camera_is_found_out_by_the_others(

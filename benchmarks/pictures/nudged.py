@@ -1,0 +1,148 @@
+"""How soon a camera notices that it was nudged, how often wrongly, and at what cost.
+
+`python -m benchmarks.pictures.nudged` draws what cameras see, with real pictures as rooms: those
+that scikit-image ships, and with `--pictures` those of a folder. First nudges of several kinds in
+traffic and changing light, then hours in which nothing is touched.
+"""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from trigpoint.edge.background.watch import BackgroundWatch, View
+
+from .detection import one_thread
+from .photographs import photographs
+from .still_hours import StillHour
+from .still_scene import Stand, StillScene
+
+NUDGES = {
+    "turned by 0.3°": Stand(pan=0.21, tilt=0.21),
+    "turned by 0.5°": Stand(pan=0.35, tilt=-0.35),
+    "turned by 1°": Stand(pan=-1.0),
+    "turned by 5°": Stand(pan=4.0, tilt=3.0),
+    "rolled by 1°": Stand(roll=1.0),
+    "shifted by 2 cm": Stand(shift_m=0.02),
+}
+_ROOMS = ("coffee", "motorcycle_left", "rocket", "astronaut", "camera", "brick")
+_LOOKS = ("astronaut", "camera", "chelsea", "coins", "grass", "page", "motorcycle_right", "cell")
+_BEFORE_S, _AFTER_S, _IN_TIME_S = 45, 30, 3.0
+_PICTURES_HZ = 10
+
+
+def rooms(folder: Path | None, most: int = 12) -> dict[str, np.ndarray]:
+    """Grey pictures by name."""
+    found = {name: photographs()[name] for name in _ROOMS}
+    files = sorted(folder.rglob("*.jpg")) if folder is not None else []
+    for file in files[:: max(1, len(files) // most)][:most]:
+        picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        if picture is not None:
+            found[f"{file.parent.name}/{file.stem}"] = picture
+    return found
+
+
+def delay_of(
+    hour: StillHour, stand: Stand, random: np.random.Generator
+) -> tuple[float, bool, float]:
+    """After how many seconds a nudge in an hour's traffic is noticed, infinity: not in half a
+    minute; whether the background was seen right before it; and milliseconds a comparison."""
+    watch = BackgroundWatch()
+    for second, picture in enumerate(hour.pictures(_BEFORE_S)):
+        watch.look(picture, second * 10**9)
+    was_seen, worked = watch.is_established and watch.view is View.STILL, []
+    start_ns = round((_BEFORE_S + random.random()) * 1e9)
+    for number, picture in enumerate(hour.pictures(_AFTER_S, hz=_PICTURES_HZ, stand=stand)):
+        began = time.thread_time()
+        if watch.look(picture, start_ns + number * 10**9 // _PICTURES_HZ):
+            return number / _PICTURES_HZ, was_seen, float(np.mean(worked or [0.0]))
+        worked.append((time.thread_time() - began) * 1e3)
+        if number > 4 * _IN_TIME_S * _PICTURES_HZ and not was_seen:
+            break
+    return np.inf, was_seen, float(np.mean(worked))
+
+
+def nudges(worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int) -> Iterator[str]:
+    """A line for each kind of nudge."""
+    for number, (what, stand) in enumerate(NUDGES.items()):
+        seen, hidden = [], []
+        for trial in range(count):
+            random = np.random.default_rng([number, trial])
+            world = list(worlds.values())[trial % len(worlds)]
+            hour = StillHour(StillScene(world, random), looks, random)
+            delay_s, was_seen, _ = delay_of(hour, stand, random)
+            (seen if was_seen else hidden).append(delay_s)
+        delays = np.array(seen or [np.inf])
+        in_time = float(np.mean(delays <= _IN_TIME_S))
+        yield (
+            f"{what}: {len(seen)} with the background in sight: {in_time:.1%} noticed within 3 s, "
+            f"{np.mean(delays < np.inf):.1%} within 30 s, median "
+            f"{np.median(delays):.1f} s; {len(hidden)} hidden (night, people): "
+            f"{sum(delay < np.inf for delay in hidden)} within 12 s"
+        )
+
+
+def hours(
+    worlds: dict[str, np.ndarray], looks: list[np.ndarray], count: int, seconds: int
+) -> Iterator[str]:
+    """A line for each drawn hour in which nothing is touched, and one for all of them."""
+    alarms, seen_s, worst = 0, 0, 0.0
+    for hour in range(count):
+        random = np.random.default_rng([99, hour])
+        name = list(worlds)[hour % len(worlds)]
+        watch, highest, views = BackgroundWatch(), 0.0, dict.fromkeys(View, 0)
+        scene = StillScene(worlds[name], random)
+        for second, picture in enumerate(StillHour(scene, looks, random).pictures(seconds)):
+            watch.look(picture, second * 10**9)
+            views[watch.view] += 1
+            if watch.is_established:
+                highest = max(highest, watch.suspicion)
+        alarms, seen_s = alarms + watch.count, seen_s + views[View.STILL]
+        worst = max(worst, highest)
+        shares = ", ".join(f"{view} {number / seconds:.0%}" for view, number in views.items())
+        yield f"{name}: {watch.count} alarms, suspicion up to {highest:.2f}; {shares}"
+    yield (
+        f"{count * seconds / 3600:.1f} drawn hours, {seen_s / 3600:.1f} of them with the "
+        f"background in sight: {alarms} false alarms; suspicion up to {worst:.2f} of 1"
+    )
+
+
+def cost(world: np.ndarray) -> str:
+    """Milliseconds of work a comparison, the best of many, and the reference's memory."""
+    random = np.random.default_rng(5)
+    scene, watch = StillScene(world, random, width=640, height=480), BackgroundWatch()
+    worked = []
+    for second in range(200):
+        picture = scene.picture()
+        began = time.thread_time()
+        watch.look(picture, second * 10**9)
+        worked.append((time.thread_time() - began) * 1e3)
+    return (
+        f"a comparison at 640 × 480: {min(worked[1:]):.2f} ms at best, {np.median(worked):.2f} ms "
+        f"in the median; the reference takes {watch.size_bytes / 1e3:.0f} kB"
+    )
+
+
+def main(
+    pictures: Annotated[Path | None, typer.Option(help="A folder of rooms, jpg.")] = None,
+    count: Annotated[int, typer.Option(help="Nudges of each kind.")] = 60,
+    hour: Annotated[int, typer.Option(help="Drawn hours.")] = 12,
+    seconds: Annotated[int, typer.Option(help="Of each hour.")] = 3600,
+) -> None:
+    """Say how nudges are noticed."""
+    with one_thread():
+        worlds = rooms(pictures)
+        looks = [photographs()[name] for name in _LOOKS]
+        typer.echo(cost(worlds["coffee"]))
+        for line in nudges(worlds, looks, count):
+            typer.echo(line)
+        for line in hours(worlds, looks, hour, seconds):
+            typer.echo(line)
+
+
+if __name__ == "__main__":
+    typer.run(main)
