@@ -141,11 +141,13 @@ class Graph {
 public:
     explicit Graph(const Argument* given) : given_(given), poses_(given[POSES].array.rows<12>()) {
         size_ = 0;
+        const Index most = 6 * poses() + values();
         for (int which : {POSE_ROWS, VALUE_ROWS}) {
             const Array& rows = array(which);
             const Index count = rows.shape[0] * std::max<Index>(rows.shape[1], 1);
             for (Index i = 0; i < count; ++i) {
-                if (integers(which)[i] < (which == POSE_ROWS ? -1 : 0))
+                if (integers(which)[i] < (which == POSE_ROWS ? -1 : 0) ||
+                    integers(which)[i] >= most)
                     throw std::invalid_argument("a row that is none");
                 size_ = std::max<Index>(size_, integers(which)[i] + 1);
             }
@@ -153,7 +155,6 @@ public:
         checked(PRIOR_OF, 1, {poses()});
         checked(STEP_ENDS, 4, {poses(), poses(), std::max<Index>(values() - 1, 0), 2});
         checked(TIE_ENDS, 4, {poses(), poses(), values(), own() + 1});
-        if (size_ > 6 * poses() + values()) throw std::invalid_argument("rows with gaps");
         if (array(TIE_INFORMATION).shape[1] != 6 + own())
             throw std::invalid_argument("information of others");
         for (Index k = 0; k < array(TIE_ENDS).shape[0]; ++k) {
