@@ -44,6 +44,12 @@ def worked_s(process: int) -> float:
     return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
+def resident_mb(process: int | str) -> float:
+    """What of another process's memory is resident, MB; «self»: of this one."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
 def side_by_side(
     ours: Callable[[], object], other: Callable[[], object], *, times: int, rounds: int = ROUNDS
 ) -> tuple[float, float]:

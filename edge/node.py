@@ -252,10 +252,10 @@ class EdgeNode:
         if not is_nudged or nudge is None:
             return
         told = Nudge(self._camera, nudge.until_ns, nudge.since_ns)
-        self._node.health.describe(NUDGED, told.words)
+        self._node.health.describe(NUDGED, told.value)
         self._node.health.count(NUDGES)
         words = f"camera {self._camera} {nudge.words(self._config.horizontal_fov)}"
-        self._node.health.fail(f"{words}; it makes no corrections until it has seen a robot again")
+        self._node.health.fail(f"{words}; it makes no corrections until it is located again")
 
     def _name_misdescribed(self) -> None:
         """Report boards that the target file describes wrongly."""

@@ -22,8 +22,8 @@ from .inputs import load_fixed, load_inputs
 from .live.memory import return_large_arrays
 from .live.solver_messages import Solver
 from .live.solver_process import START_S, SolverProcess
+from .model.inputs import Inputs
 from .node import KIND, NAME, FusionNode
-from .pipeline import Inputs
 
 _log = logging.getLogger(__name__)
 

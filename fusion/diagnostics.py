@@ -77,7 +77,7 @@ class Diagnostics:
             grown_ns = self._grown_ns.get(reason)
             if grown_ns is not None and now_ns - grown_ns < _TOLD_NS:
                 found[reason] = text
-        found |= {f"nudged {camera}": text for camera, text in pipeline.nudged.items()}
+        found |= {f"nudged {camera}": text for camera, text in pipeline.nudges.open.items()}
         for part in (self._stale, self._silent, self._apart):
             found |= dict(part(pipeline, now_ns))
         return found

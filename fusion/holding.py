@@ -7,7 +7,7 @@ stored any more.
 import json
 from enum import StrEnum
 
-from trigpoint.base.errors import InputError
+from trigpoint.base.errors import InputError, OperationError
 from trigpoint.fusion.fixed.network import FixedNetwork
 
 
@@ -52,10 +52,24 @@ class Holding:
         """Hold a network; None: learn again."""
         self.fixed, self.is_asked = fixed, False
 
-    @property
-    def answer(self) -> bytes:
-        """What the command answers."""
+    def answered(self, request: bytes, *, has_map: bool) -> bytes:
+        """Take a request (`wish_of`) and answer it. Raises InputError where it is none,
+        OperationError where there is no map to hold."""
+        wish = wish_of(request)
+        if wish is False and self.learns and not has_map:
+            raise OperationError("no camera is located yet; there is no map to hold fixed")
+        if wish is not None and wish != self.learns:
+            self.want(learns=wish)
         return json.dumps({"learn": self.learns, "map": self.state}).encode()
+
+    def check_is_learnt(self, command: str) -> None:
+        """Raise OperationError where the map is not given up; `command`: the key that learns it
+        again."""
+        if self.state is not MapState.LEARNT:
+            raise OperationError(
+                f"the map is {self.state} (learn = false) and is not given up; send "
+                f'{{"learn": true}} to {command} first'
+            )
 
 
 def wish_of(request: bytes) -> bool | None:

@@ -12,8 +12,8 @@ from trigpoint.site.target import Target, load_target
 from .checkpoint import CHECKPOINT, has_messages
 from .estimators.registry import check_estimator
 from .fixed.network import FixedNetwork
+from .model.inputs import Inputs
 from .model.known_cameras import Creep, KnownCameras, known_cameras
-from .pipeline import Inputs
 
 
 def load_inputs(site: Site, *, network: Path | None = None) -> Inputs:

@@ -25,7 +25,7 @@ from .diagnostics import Diagnostics
 from .estimators.results import Results
 from .fair_lock import FairLock
 from .fixed.network import FixedNetwork
-from .holding import Holding, MapState, wish_of
+from .holding import Holding
 from .inbox import Inbox
 from .intake.admission import Admission
 from .last_solution import WRITING_S, save_last
@@ -33,8 +33,9 @@ from .live.coverage_thread import CoverageThread
 from .live.guidance_thread import GuidanceThread
 from .live.solver_messages import Solver
 from .map_storage import MapStorage
+from .model.inputs import Inputs
 from .output import Output
-from .pipeline import Inputs, Pipeline
+from .pipeline import Pipeline
 from .publishing import Publishing
 from .solver.snapshot import GuidanceWorld
 
@@ -109,12 +110,12 @@ class FusionNode:
         ):
             self._bus.serve(command_key(name, path), answer)
         self._node.work("estimates", self._run, within_s=_TURN_MOST_S)
-        if self._make_solver is None:  # the solver also makes the suggestions and the map
+        if self._make_solver is None:  # a solver also makes the suggestions
             guide = GuidanceThread(self._bus, self._node, name, self._guidance_world)
             self._node.work("guides", guide.run, within_s=_GUIDE_S)
-            announced = AnnouncedMap(self._site, self._inputs.targets)
-            cover = CoverageThread(self._bus, self._node, name, announced, self._results)
-            self._node.work("covers", cover.run, within_s=_GUIDE_S)
+        announced = AnnouncedMap(self._site, self._inputs.targets)
+        cover = CoverageThread(self._bus, self._node, name, announced, self._covered)
+        self._node.work("covers", cover.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
         """Write the results, solved to the end where that is quick enough for a stop.
@@ -209,9 +210,12 @@ class FusionNode:
         with self._lock:
             return self._pipeline.guidance_world()
 
-    def _results(self) -> Results | None:
+    def _covered(self) -> Results | None:
+        """What the map of corrections is made of; None where a solver makes it, or of nothing."""
         with self._lock:
-            return self._pipeline.results() if self._pipeline.located_count else None
+            if self._solver is not None or not self._pipeline.located_count:
+                return None
+            return self._pipeline.results()
 
     def _report(self) -> None:
         """Put what was left out, and what is wrong or went wrong, into the diagnostics."""
@@ -381,11 +385,7 @@ class FusionNode:
 
     def _answer_reset(self, _request: bytes) -> bytes:
         with self._lock:
-            if self._holding.state is not MapState.LEARNT:
-                raise OperationError(
-                    f"the map is {self._holding.state} (learn = false) and is not given up; send "
-                    f'{{"learn": true}} to {command_key(self._site.name, "fusion/learn")} first'
-                )
+            self._holding.check_is_learnt(command_key(self._site.name, "fusion/learn"))
             self._open_storage.restart()
             self._pipeline = self._new_pipeline()
             self._diagnostics.restart()
@@ -395,14 +395,9 @@ class FusionNode:
         return b"{}"
 
     def _answer_learn(self, request: bytes) -> bytes:
-        wish = wish_of(request)
         self._wait_for_the_checkpoint()
         with self._lock:
-            if wish is False and self._holding.learns and not self._pipeline.located_count:
-                raise OperationError("no camera is located yet; there is no map to hold fixed")
-            if wish is not None and wish != self._holding.learns:
-                self._holding.want(learns=wish)
-            return self._holding.answer
+            return self._holding.answered(request, has_map=self._pipeline.located_count > 0)
 
     def _answer_clock(self, _request: bytes) -> bytes:
         return json.dumps({"now_ns": self._clock.now_ns()}).encode()

@@ -4,7 +4,7 @@
 node feeds it from the bus, `calibrate` from a recording.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import replace
 from uuid import UUID
 
@@ -17,9 +17,10 @@ from .estimators.residuals import CameraResiduals
 from .estimators.results import Results, map_id_of
 from .fixed.network import FixedNetwork
 from .intake.arrivals import Arrivals
+from .intake.event_log import EventLog
 from .intake.left_out import LeftOut
 from .intake.message_intake import Intake
-from .intake.nudges import nudged_words, told_moves
+from .intake.nudges import Nudges
 from .intake.robot_identity import RobotIdentification
 from .intake.standstills import Standstills
 from .live.follower import Follower
@@ -36,8 +37,6 @@ from .solver.snapshot import GuidanceWorld
 
 # The most sightings kept of cameras whose intrinsics have not come yet.
 _MOST_EARLY = 4096
-# The most events whose texts are kept.
-_MOST_EVENTS = 100
 
 
 class Pipeline:
@@ -72,7 +71,7 @@ class Pipeline:
         )
         self.arrivals = Arrivals(inputs.site, data.tracks)
         self._left_out = LeftOut()
-        self._events = deque[Event](maxlen=_MOST_EVENTS)
+        self._events = EventLog(self._left_out)
         self._outputs: list[Output] = []
         self._used_ns = 0
         self._schedule = SettlingSchedule()
@@ -81,7 +80,7 @@ class Pipeline:
         self._early: list[tuple[str, Sightings]] = []
         self._stale_ns: dict[str, int] = {}
         self._doubted: frozenset[str] = frozenset()
-        self._placed: frozenset[str] = frozenset()
+        self.nudges = Nudges(data, is_fixed=fixed is not None)
 
     @property
     def map_id(self) -> UUID | None:
@@ -106,22 +105,15 @@ class Pipeline:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know of the session, as text: each event (at most the last
-        `_MOST_EVENTS`), the last problem with messages for each reason, and what they lacked."""
-        events = (event.text for event in self._events)
-        return [*events, *self.problems.values(), *self.arrivals.mended]
+        """What a user should know of the session, as text: each event (at most the last hundred),
+        the last problem with messages for each reason, and what they lacked."""
+        return [*self._events.texts, *self.problems.values(), *self.arrivals.mended]
 
     @property
     def stale_ns(self) -> dict[str, int]:
         """Robot -> by how much its last odometry message is older than the one before it, for
         those that send old ones now."""
         return dict(self._stale_ns)
-
-    @property
-    def nudged(self) -> dict[str, str]:
-        """Camera that noticed that it was moved and is not located again -> that as text."""
-        told = {move.camera for move in self._data.told}
-        return {name: nudged_words(name) for name in told - self._placed}
 
     def waits_for(self, robot: str) -> bool:
         """Whether sightings wait for a robot's odometry."""
@@ -157,7 +149,7 @@ class Pipeline:
     @property
     def messages_left_out(self) -> dict[str, int]:
         """What of `left_out` are messages: all but the events."""
-        kinds = {event.kind for event in self._events}
+        kinds = self._events.kinds
         return {reason: count for reason, count in self.left_out.items() if reason not in kinds}
 
     # -- input ------------------------------------------------------------------------------------
@@ -200,11 +192,10 @@ class Pipeline:
 
     def _push_diagnostics(self, message: Diagnostics) -> bool:
         """Take that cameras noticed that they were moved; whether any of it is new."""
-        moves = list(told_moves(self._data, message))
+        moves = self.nudges.new_in(message)
         for move in moves:
             self._estimator.camera_moved(move)
-            self._note(Event("camera_nudged", nudged_words(move.camera)))
-            self._placed -= {move.camera}
+            self._events.add(Event("camera_nudged", self.nudges.words(move.camera)))
         return bool(moves)
 
     def _push_camera_info(self, camera: str, message: CameraInfo) -> bool:
@@ -307,7 +298,7 @@ class Pipeline:
     def _attend(self, follower: Follower) -> None:
         for news in follower.attend():
             if isinstance(news, Event):
-                self._note(news)
+                self._events.add(news)
             else:
                 self._outputs.append(output_of(news))
         if follower.take_new_camera():
@@ -337,7 +328,7 @@ class Pipeline:
             self._left_out.add("unusable", update.problem)
         if update.contradiction is not None:
             self._left_out.add("against_the_map", update.contradiction)
-        self._note_events()
+        self._events.take_from(self._data)
         if update.correction is not None and not is_late:
             self._correct(observation, update.correction)
         if update.located:
@@ -349,21 +340,10 @@ class Pipeline:
         elif (map_id := self.map_id) is not None:
             self._outputs += self._robots.correction(map_id, observation.robot, estimate)
 
-    def _note_events(self) -> None:
-        """Count and report the changes of the site."""
-        events, self._data.events = self._data.events, []
-        for event in events:
-            self._note(event)
-
-    def _note(self, event: Event) -> None:
-        self._left_out.add(event.kind)
-        self._events.append(event)
-        self._left_out.last_problem = event.text
-
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
         """Announce the cameras as they are estimated now."""
         cameras = self._estimator.cameras() if self._is_live else {}
-        self._placed = frozenset(cameras)
+        self.nudges.locate(cameras)
         if not cameras:
             return
         for name, camera in cameras.items():
@@ -383,7 +363,7 @@ class Pipeline:
         while self._intake.tell_by_place(self._estimator, is_end=True):
             self._use_rest()
             self._explain_all()
-        self._note_events()
+        self._events.take_from(self._data)
         self._take_cameras(self._data.last_ns, is_urgent=True)
         self._outputs += self._cameras.rest()
         return self.advance()

@@ -199,7 +199,3 @@ def main(
             parts.append(drawn(inputs, results, some, number, true_poses=poses))
         print("\n".join(summary(joined(parts))))
     print(machine().summary)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,19 +1,9 @@
 """A hall without inner walls, whose cameras see the same floor from several sides, and a robot that
 drives through all of it; and its network as `calibrate` finds it."""
 
-from pathlib import Path
-
-from trigpoint.contract.messages import Odometry
+from benchmarks.study.session import fed, plain_inputs
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.pipeline import Inputs, Pipeline
-from trigpoint.site.config import (
-    BusConfig,
-    CameraConfig,
-    FusionConfig,
-    RecorderConfig,
-    RobotConfig,
-    Site,
-)
+from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.tools.simulation.disturbance import Disturbance
 from trigpoint.tools.simulation.in_memory import simulated
 from trigpoint.tools.simulation.world import World
@@ -57,34 +47,7 @@ def hall(seed: int, target: TargetChoice) -> World:
     return World("hall", file, seed=seed, target=target)
 
 
-def inputs_of(world: World) -> Inputs:
-    """What an estimator is told of a world: its lenses, and its robots' odometry noise."""
-    cameras = {
-        name: CameraConfig(f"sim://{name}", camera.model.width, camera.model.height)
-        for name, camera in world.cameras.items()
-    }
-    site = Site(
-        name="hall",
-        cameras=cameras,
-        robots={n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()},
-        bus=BusConfig(),
-        fusion=FusionConfig(),
-        recorder=RecorderConfig(),
-        directory=Path(),
-        text="",
-        default_target="target.toml",
-    )
-    targets = {robot: world.target(robot) for robot in world.robots}
-    return Inputs(site, targets, {n: camera.model for n, camera in world.cameras.items()})
-
-
 def calibrated(world: World) -> tuple[Inputs, Results]:
     """A drive through the world, worked out as `calibrate` does."""
-    inputs = inputs_of(world)
-    pipeline = Pipeline(inputs, is_live=False)
-    for node, message in simulated(world, Disturbance()).messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
-    pipeline.finish()
-    return inputs, pipeline.results()
+    inputs = plain_inputs(world)
+    return inputs, fed(inputs, simulated(world, Disturbance()).messages).results()

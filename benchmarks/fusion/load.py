@@ -24,7 +24,7 @@ import typer
 
 from benchmarks.report import tell
 from benchmarks.table import Row
-from benchmarks.timing import worked_s
+from benchmarks.timing import resident_mb, worked_s
 from trigpoint.base.clock import SystemClock, to_ns, to_seconds
 from trigpoint.contract import cdr
 from trigpoint.contract.messages import Sightings
@@ -260,7 +260,7 @@ class _Drive:
             yield row("done after due, 99 %", "ms", most, 20.0, "a turn")
 
     def _memory_mb(self) -> tuple[float, float]:
-        return _resident_mb("self"), _resident_mb(self._solver.pid)
+        return resident_mb("self"), resident_mb(self._solver.pid)
 
     def _stored_mb(self) -> float:
         return self._path.stat().st_size / 1e6
@@ -279,13 +279,6 @@ def turns(corridor: Corridor) -> Iterator[tuple[int, Turn]]:
 
 def _seen(turn: Turn) -> int:
     return sum(isinstance(message, Sightings) and bool(message.faces) for _, message, *_ in turn)
-
-
-def _resident_mb(process: int | str) -> float:
-    for line in Path(f"/proc/{process}/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1024
-    raise KeyError(process)
 
 
 def main(

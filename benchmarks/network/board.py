@@ -1,4 +1,4 @@
-"""`PYTHONPATH=tests python -m benchmarks.network.board`: what the page costs, of a large site.
+"""`PYTHONPATH=tests python -m benchmarks page`: what the page costs, of a large site.
 
 A process publishes 100 cameras and 30 robots at 10 Hz over Zenoh, `trigpoint board` serves them, a
 socket counts what one page takes, and Chromium, where there is one, shows the page: how long after
@@ -27,12 +27,12 @@ import typer
 from support.builders import site_text
 from support.site.board_site import BoardSite, Truth
 
+from benchmarks.timing import resident_mb, worked_s
 from trigpoint.site.config import load_site
 from trigpoint.zenoh import open_bus
 
 _FILES = ("", "board.css", "board.js", "map.js", "tables.js", "looking.js", "mark.svg")
 _SETTLED_S = 8.0
-_TICKS = os.sysconf("SC_CLK_TCK")
 _ROUND_M = 10.0
 """Robot r1 goes a metre a second along x, over and over: where it is says when that was sent."""
 
@@ -72,7 +72,7 @@ def main(
             rows |= _transfer(address, process.pid, seconds)
             rows |= _to_the_page(address, seconds)
             rows |= _to_pixels(address, seconds)
-            rows["server's memory, MB"] = _resident(process.pid)
+            rows["server's memory, MB"] = resident_mb(process.pid)
         finally:
             process.terminate()
             process.wait(20)
@@ -129,9 +129,9 @@ def _transfer(address: str, pid: int, seconds: float) -> dict[str, float]:
             f"GET /events HTTP/1.1\r\nHost: {host}\r\nAccept-Encoding: gzip\r\n\r\n".encode()
         )
         state = _taken(page, 0.5)
-        busy_s, begin_s = _busy_s(pid), time.monotonic()
+        busy_s, begin_s = worked_s(pid), time.monotonic()
         steady = _taken(page, seconds)
-        share = (_busy_s(pid) - busy_s) / (time.monotonic() - begin_s)
+        share = (worked_s(pid) - busy_s) / (time.monotonic() - begin_s)
     return {
         "transfer at start: files, kB": start / 1e3,
         "transfer at start: first half second, kB": state / 1e3,
@@ -196,17 +196,3 @@ def _to_pixels(address: str, seconds: float) -> dict[str, float]:
         browser.close()
     late_ms = [1e3 * ((now_ms / 1e3 - at_m) % _ROUND_M) for at_m, now_ms in found]
     return _quantiles("message to pixels", late_ms)
-
-
-def _busy_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
-
-
-def _resident(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-if __name__ == "__main__":
-    typer.run(main)

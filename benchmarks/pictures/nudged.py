@@ -1,6 +1,6 @@
 """How soon a camera notices that it was nudged, how often wrongly, and at what cost.
 
-`python -m benchmarks.pictures.nudged` draws what cameras see, with real pictures as rooms: those
+`python -m benchmarks nudged` draws what cameras see, with real pictures as rooms: those
 that scikit-image ships, and with `--pictures` those of a folder. First nudges of several kinds in
 traffic and changing light, then hours in which nothing is touched.
 """
@@ -142,7 +142,3 @@ def main(
             typer.echo(line)
         for line in hours(worlds, looks, hour, seconds):
             typer.echo(line)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,5 +1,6 @@
 """One simulated session of a situation: what the estimator gets, and what an oracle knows."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -87,8 +88,13 @@ def plain_inputs(world: World) -> Inputs:
 
 def worked_out(session: StudySession) -> Pipeline:
     """A pipeline after the whole session, as `calibrate` does it."""
-    pipeline = Pipeline(session.inputs, is_live=False)
-    for node, message in session.messages:
+    return fed(session.inputs, session.messages)
+
+
+def fed(inputs: Inputs, messages: Iterable[tuple[str, Message]]) -> Pipeline:
+    """A pipeline after all these messages, finished."""
+    pipeline = Pipeline(inputs, is_live=False)
+    for node, message in messages:
         pipeline.push(node, message)
         if isinstance(message, Odometry):
             pipeline.advance()

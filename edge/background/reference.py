@@ -17,7 +17,7 @@ _NEWEST_SHARE = 1 / 16
 _MOST_MISSES = 30
 """A tile that was not where it was so often in a row is given up: a thing was put there."""
 _RENEWED_EVERY = 30
-"""New tiles are looked for every so many comparisons."""
+"""New tiles are looked for every so many pictures that are learnt."""
 _MOST_ZOOM = 0.003
 """Nothing is learnt while the lens is focused further than this from where it was."""
 
@@ -48,7 +48,6 @@ class Reference:
         self._counts = np.ones(len(self._tiles), int)
         self._misses = np.zeros(len(self._tiles), int)
         self.established = 0
-        self._compared = 0
 
     @property
     def count(self) -> int:
@@ -89,14 +88,13 @@ class Reference:
         if abs(comparison.motion.zoom) > _MOST_ZOOM:
             return
         self.established += 1
-        self._compared += 1
         self._small = small
         rows = np.flatnonzero(comparison.looked)
         seen, missed = rows[comparison.here], rows[~comparison.here]
         self._blend(small, seen)
         self._misses[seen] = 0
         self._misses[missed] += 1
-        if self._compared % _RENEWED_EVERY == 0:
+        if self.established % _RENEWED_EVERY == 0:
             self._renew(small, is_usable)
 
     def _blend(self, small: np.ndarray, rows: np.ndarray) -> None:

@@ -18,6 +18,7 @@ from .events import Events, window
 from .graph import Break, Graph, Place, Placed, Tie, Variant
 from .hypothesis import Hypothesis
 from .minimum import placed
+from .told_moves import ToldMoves, of_camera
 
 # A partial explanation may win back what its score has lost so far, and no window bounds how much.
 # So the hypotheses within the window are kept, and of those behind it a few of the best that differ
@@ -54,6 +55,7 @@ class Search:
     def __init__(self, graph: Graph, events: Events, budget: Budget) -> None:
         self.graph, self.events, self.budget = graph, events, budget
         self.visits, self.is_cut = graph.visits, False
+        self.told = ToldMoves(graph)
         self._open_score = [
             _log_sum([mode.evidence for mode in v.modes]) + events.pose_score for v in self.visits
         ]
@@ -148,41 +150,7 @@ class Search:
         for number, place in hypothesis.places.items():
             camera = self.visits[number].visit.camera
             last[camera] = max(last.get(camera, 0), place)
-        return len(hypothesis.breaks) + sum(last.values()) - self._told_moves(hypothesis)
-
-    def _told_moves(self, hypothesis: Hypothesis) -> int:
-        """Return the number of moves in a hypothesis of which cameras told."""
-        count = 0
-        for camera in {move.camera for move in self.graph.data.told}:
-            numbers = self._of_camera(hypothesis, camera)
-            places = [hypothesis.place_of(n) for n in numbers]
-            if numbers and places[0]:  # known from before, and elsewhere then
-                count += self._is_told(None, numbers[0])
-            for (earlier, later), (old, new) in zip(
-                pairwise(numbers), pairwise(places), strict=True
-            ):
-                count += old != new and self._is_told(earlier, later)
-        return count
-
-    def _is_told(self, earlier: int | None, later: int) -> bool:
-        """Return whether the camera of two visits told that it was moved between them; None:
-        before all visits."""
-        visit = self.visits[later].visit
-        until_ns = -1 if earlier is None else self.visits[earlier].visit.until_ns
-        return any(
-            until_ns <= move.until_ns and move.since_ns <= visit.stamp_ns
-            for move in self.graph.data.told
-            if move.camera == visit.camera
-        )
-
-    def _is_while_moved(self, number: int) -> bool:
-        """Return whether a visit was while its camera was being moved, as it told."""
-        visit = self.visits[number].visit
-        return any(
-            move.until_ns < visit.stamp_ns and visit.until_ns < move.since_ns
-            for move in self.graph.data.told
-            if move.camera == visit.camera
-        )
+        return len(hypothesis.breaks) + sum(last.values()) - self.told.count_in(hypothesis)
 
     def lifted_elsewhere(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return the alternatives to a hypothesis in which one of its lifts is in another gap of
@@ -255,18 +223,18 @@ class Search:
         was wrong; and the join with that last place, None if there is none."""
         visit = self.visits[number]
         wrong = self._wrong(before, number)
-        if not visit.modes or self._is_while_moved(number):
+        if not visit.modes or self.told.is_during(number):
             return [wrong], None
-        mine = self._of_camera(before, visit.visit.camera)
+        mine = of_camera(before, self.visits, visit.visit.camera)
         if not mine and visit.visit.camera in self.graph.data.known.poses:
             moved = self.scored(replace(before, open=before.open | {number: 1}))
-            is_told = self._is_told(None, number)
+            is_told = self.told.is_between(None, number)
             return [wrong, moved], None if is_told else _Join(before, number, 0, ())
         if not mine:  # whether it is wrong matters only at the camera's next visit
             return [self.scored(replace(before, open=before.open | {number: 0}))], None
         place = max(p for p in (before.place_of(n) for n in mine) if p is not None)
         there = tuple(n for n in mine if before.place_of(n) == place)
-        if self._is_told(max(there), number):
+        if self.told.is_between(max(there), number):
             return [wrong, *self._opened(before, number, place + 1)], None
         found = [wrong]
         if not any(self._still_sees(n, visit.visit.stamp_ns) for n in there):
@@ -281,7 +249,7 @@ class Search:
         open ones are then tied in the graph, by each combination of their modes (at most
         `_MOST_PAIRS`)."""
         camera = self.visits[number].visit.camera
-        others = self._of_camera(before, camera)
+        others = of_camera(before, self.visits, camera)
         if camera not in self.graph.own_prior or not others:
             return [self.scored(replace(before, open=before.open | {number: place}))]
         alone = [n for n in others if n in before.open]
@@ -314,10 +282,6 @@ class Search:
         determined."""
         found = self.placed([(hypothesis, hypothesis.variant(hypothesis.breaks))])
         return found[0] if found else self.scored(replace(hypothesis, is_stale=False))
-
-    def _of_camera(self, hypothesis: Hypothesis, camera: str) -> list[int]:
-        used = [*hypothesis.ties, *hypothesis.open]
-        return sorted(n for n in used if self.visits[n].visit.camera == camera)
 
     def _tied(self, joins: Sequence[tuple[_Join, frozenset[Break]]]) -> list[list[Hypothesis]]:
         """Return, for each join with its breaks, a hypothesis by each pair of modes that agree."""

@@ -78,11 +78,11 @@ class FixedMap:
 
     def add_observation(self, observation: Observation) -> Update:
         if self.data.is_outdated(observation, ()):
-            words = (
-                f"camera {observation.camera} noticed that it was moved, and the fixed map does "
+            return Update(
+                contradiction=f"camera {observation.camera} noticed that it was moved, and the "
+                "fixed map does not say where to: no corrections come of it until the map is "
+                "learnt anew"
             )
-            words += "not say where to: no corrections come of it until the map is learnt anew"
-            return Update(contradiction=words)
         seen = observation.scattering(self._scatter(observation))
         placed = self._placings[seen.robot].take(seen, self._cameras)
         if placed.problem:
@@ -139,7 +139,8 @@ class FixedMap:
     def cameras(self) -> dict[str, CameraEstimate]:
         if not self._estimates:
             self._estimates = self.fixed.estimates(self._cameras)
-        return self._estimates
+        gone = {move.camera for move in self.data.told}
+        return {name: each for name, each in self._estimates.items() if name not in gone}
 
     @property
     def known(self) -> KnownCameras:

@@ -82,7 +82,8 @@ class Placing:
                 verdicts[each], corrections[each] = each.use(observation)
             except (LinAlgError, ValueError) as reason:
                 return Placed(problem=str(reason))
-        contradicts = any(verdicts[e] is Verdict.REJECTED for e in self._found if e is self._best)
+        best = self._best
+        contradicts = best is not None and verdicts[best] is Verdict.REJECTED
         if not self._found or set(verdicts.values()) == {Verdict.REJECTED}:
             self._begin(observation, cameras)
         self._prune()

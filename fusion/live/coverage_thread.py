@@ -3,6 +3,7 @@
 import os
 import queue
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -25,7 +26,6 @@ class CoverageWork:
     def __init__(self, announced: AnnouncedMap, say: Callable[[OccupancyGrid], None]) -> None:
         self._announced, self._say = announced, say
         self._newest: queue.Queue[Results] = queue.Queue(maxsize=1)
-        self._never = threading.Event()
         threading.Thread(target=self._run, name="fusion coverage", daemon=True).start()
 
     def take(self, results: Results) -> None:
@@ -42,7 +42,7 @@ class CoverageWork:
             grid = self._announced.anew(found.network, found.covariance, found.trajectories)
             if grid is not None:
                 self._say(grid)
-            self._never.wait(PERIOD_S)
+            time.sleep(PERIOD_S)
 
 
 class CoverageThread:

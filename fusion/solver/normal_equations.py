@@ -58,7 +58,7 @@ class ChainEquations:
 @dataclass(slots=True)
 class NormalEquations:
     """Half the Hessian and the gradient of the cost Σ|r/σ|² at a state; `log_determinant`: of the
-    pictures' covariance with their jitter (`PictureJitter.log_determinant`)."""
+    pictures' covariance with their jitter (`model/prediction.corner_equations`)."""
 
     chains: dict[str, ChainEquations]
     dense: Array

@@ -18,7 +18,15 @@ from starlette.routing import Route
 from trigpoint.base.errors import InputError, OperationError
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.tools.web.access import Guard
-from trigpoint.tools.web.answers import SEND_S, EventStream, Guarded, json_answer, kept, packaged
+from trigpoint.tools.web.answers import (
+    MARK,
+    SEND_S,
+    EventStream,
+    Guarded,
+    json_answer,
+    kept,
+    packaged,
+)
 
 from .feed import Feed, TooManyPagesError
 from .history import History
@@ -33,7 +41,7 @@ ASSETS = {
     "map.js": "text/javascript",
     "tables.js": "text/javascript",
     "looking.js": "text/javascript",
-    "mark.svg": "image/svg+xml",
+    MARK: "image/svg+xml",
 }
 _LOGIN_DELAY_S = 1.0
 _MOST_FORM = 4096
@@ -115,10 +123,7 @@ class _Pages:
             page = feed.join(ways)
         except TooManyPagesError as reason:
             return PlainTextResponse(str(reason), 503)
-        is_packed = "gzip" in request.headers.get("accept-encoding", "")
-        return self._board.guard.let_in(
-            EventStream(page, lambda: feed.leave(page), is_packed=is_packed)
-        )
+        return self._board.guard.let_in(EventStream(request, page, lambda: feed.leave(page)))
 
     async def past(self, request: Request) -> Response:
         try:

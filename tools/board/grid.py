@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trigpoint.contract.topics import TOPICS
 from trigpoint.geometry import Pose
 
 from .entities import Fields
 from .floor import matrix
 
-GRID = next((one for one in TOPICS if one.type_name == "nav_msgs/msg/OccupancyGrid"), None)
-"""The key of that map, where this version's contract has it."""
 _BEST, _WORST = np.array([28, 122, 90]), np.array([179, 38, 30])
 _ALPHA = 120
 _MOST_CELLS = 16_000_000

@@ -89,12 +89,6 @@ class Pictures:
             while self._watches:
                 self._watches.popitem()[1].close()
 
-    @property
-    def watched(self) -> list[str]:
-        """The cameras that are looked at."""
-        with self._lock:
-            return sorted(self._watches)
-
     def _watch(self, camera: str) -> _Watch:
         if camera not in self._cameras:
             raise InputError(f"the site file has no camera «{camera}»")

@@ -5,14 +5,19 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from trigpoint import CONTRACT, __version__
 from trigpoint.base.clock import to_seconds
 from trigpoint.base.errors import BusError, MessageError
 from trigpoint.bus.bus import Bus, Sample, Subscription
 from trigpoint.contract import topics
-from trigpoint.contract.messages import Diagnostics, DiagnosticStatus, Message, PoseEstimate
+from trigpoint.contract.messages import (
+    Diagnostics,
+    DiagnosticStatus,
+    Message,
+    OccupancyGrid,
+    PoseEstimate,
+)
 from trigpoint.contract.topics import Topic, alive_key, node_of
 from trigpoint.node.health import Health
 from trigpoint.recorder.writing.intake import sound_message
@@ -24,7 +29,7 @@ from .alarms import Alarms
 from .entities import Fields
 from .feed import Feed
 from .floor import Floor
-from .grid import GRID, GridPicture, grid_picture
+from .grid import GridPicture, grid_picture
 from .history import History
 from .pictures import Pictures
 from .scene import Scene
@@ -41,7 +46,7 @@ _READ = (
     topics.ROBOT_POSE,
     topics.CORRECTION,
     topics.SUGGESTION,
-    *((GRID,) if GRID is not None else ()),
+    topics.COVERAGE_GRID,
 )
 
 _log = logging.getLogger(__name__)
@@ -136,9 +141,8 @@ class Reader:
         message = self._sound(topic, sample)
         if message is None:
             return
-        if topic is GRID:
-            grid: Any = message
-            self._grid = grid_picture(grid.cell_m, grid.origin, grid.values)
+        if isinstance(message, OccupancyGrid):
+            self._grid = grid_picture(message.cell_m, message.origin, message.values)
             return
         self._scene.take(topic, name, message, sample.received_ns)
         if isinstance(message, PoseEstimate) and topic is not topics.CORRECTION:

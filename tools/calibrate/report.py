@@ -19,6 +19,8 @@ from trigpoint.tools.report.calibration.page import calibration_page
 
 REPORT = "report.html"
 _NEXT_POSES = 3
+_CELL_M = 0.2
+"""Of the page's map of corrections: a quarter of the cells that `coverage` works out."""
 
 
 def write_report(
@@ -60,7 +62,7 @@ def _corrected(pipeline: Pipeline, results: Results) -> tuple[AccuracyMap, ...]:
     known = known_network(results.network, results.covariance)
     ways = [poses.translation[:, :2] for _, poses in results.trajectories.values()]
     driven = np.unique(np.round(np.concatenate(ways), 1), axis=0)
-    floor = floor_about(driven, most_cells=MOST_CELLS)
+    floor = floor_about(driven, cell_m=_CELL_M, most_cells=MOST_CELLS)
     wanted = floor.near(driven, DRIVEN_M)
     site = pipeline.site
     return tuple(

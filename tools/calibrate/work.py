@@ -8,7 +8,8 @@ from trigpoint.base.errors import InputError, OperationError
 from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.inputs import load_inputs
-from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.model.inputs import Inputs
+from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.recorder.session.recording import Recording, open_recording
 from trigpoint.site.config import load_site
 from trigpoint.site.option import site_here

@@ -201,7 +201,7 @@ class Look:
             coverage=self._guide.coverage,
             views=len(views),
             is_working=taking.is_working,
-            lens=found and lens_of(found, is_good=found is taking.good),
+            lens=found and lens_of(found),
             trouble=taking.trouble,
             written=str(self._wishes.out) if self._written else "",
         )
@@ -244,7 +244,7 @@ class Look:
         words = f"the lens is in {self._wishes.out}" if self._written else missing
         return replace(
             shown,
-            lens=found and lens_of(found, is_good=bool(self._written)),
+            lens=found and lens_of(found),
             written=str(self._wishes.out) if self._written else "",
             advice="",
             next="",

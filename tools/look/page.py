@@ -19,7 +19,7 @@ from starlette.routing import Route
 
 from trigpoint.edge.picture_sender import encode_jpeg
 from trigpoint.tools.web.access import Access, Guard
-from trigpoint.tools.web.answers import EventStream, Guarded, kept, packaged
+from trigpoint.tools.web.answers import MARK, EventStream, Guarded, kept, packaged
 from trigpoint.tools.web.serving import served
 
 from .shown import Shown
@@ -28,7 +28,7 @@ ASSETS = {
     "look.html": "text/html",
     "look.css": "text/css",
     "look.js": "text/javascript",
-    "mark.svg": "image/svg+xml",
+    MARK: "image/svg+xml",
 }
 MOST_PAGES = 8
 _KEPT = 4
@@ -145,8 +145,7 @@ def app_of(moments: Moments, guard: Guard) -> Starlette:
         page = moments.join()
         if page is None:
             return PlainTextResponse(f"{MOST_PAGES} pages are open already; close one", 503)
-        is_packed = "gzip" in request.headers.get("accept-encoding", "")
-        return EventStream(page, lambda: moments.leave(page), is_packed=is_packed)
+        return EventStream(request, page, lambda: moments.leave(page))
 
     async def picture(request: Request) -> Response:
         data = await run_in_threadpool(moments.jpeg, request.path_params["stamp"])

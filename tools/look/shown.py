@@ -34,7 +34,6 @@ class Lens(Struct, frozen=True):
     summary: str
     rows: list[tuple[str, str]]
     open: list[str]
-    is_good: bool
 
 
 class Shown(Struct, frozen=True):
@@ -97,7 +96,7 @@ def wanted_of(needs: Sequence[Need]) -> list[Wanted]:
     return [Wanted(need.kind.value, need.name, round(min(need.share, 1.0), 2)) for need in needs]
 
 
-def lens_of(found: Calibration, *, is_good: bool) -> Lens:
+def lens_of(found: Calibration) -> Lens:
     """A lens with its RMS and sigmas."""
     camera, known = found.camera, found.known
     names = parameter_names(camera.model)
@@ -114,4 +113,4 @@ def lens_of(found: Calibration, *, is_good: bool) -> Lens:
         f"{camera.model.value} of {counted(len(found.used), 'view')}: RMS {found.fit.rms_px:.2f} "
         f"px a corner, {100 * covered_share(found):.0f} % of the picture covered"
     )
-    return Lens(summary, rows, [str(doubt) for doubt in found.doubts], is_good)
+    return Lens(summary, rows, [str(doubt) for doubt in found.doubts])

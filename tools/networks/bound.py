@@ -8,8 +8,8 @@ from trigpoint.base.errors import InputError
 from trigpoint.contract.messages import CameraInfo, Odometry, Sightings
 from trigpoint.fusion.intake.message_intake import Intake
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.model.problem import CameraState
-from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import Pose
 from trigpoint.map.network import decode_tum
 from trigpoint.recorder.session.recording import Recording

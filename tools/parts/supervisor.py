@@ -6,9 +6,9 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import BinaryIO, Self
 
+from trigpoint.base.closing import Closing
 from trigpoint.base.errors import InputError, OperationError, TrigpointError
 
 from .output import Output
@@ -105,7 +105,7 @@ class Part:
         return True
 
 
-class Supervisor:
+class Supervisor(Closing):
     """All parts; leaving the context stops them. `say` gets one line for the user at a time."""
 
     def __init__(
@@ -132,16 +132,12 @@ class Supervisor:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Stop all; where somebody is in a hurry (a second Ctrl-C), kill them."""
         try:
             self.stop()
         except BaseException:
-            self._kill()  # somebody is in a hurry: a second Ctrl-C
+            self._kill()
             raise
 
     @property
@@ -167,7 +163,7 @@ class Supervisor:
         Raises OperationError where a part does not stay alive, InputError where it refused a file.
         """
         fallen = [part for part in self.parts if not part.is_running]
-        for part in list(fallen):
+        for part in fallen:
             if not part.spec.needed:
                 self._let_go(part)
                 continue

@@ -15,7 +15,7 @@ from trigpoint.contract.messages import (
 )
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.image.picture import as_grey
-from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.recorder.session.bag import PICTURES, Bag, BagMessage, RawImage
 from trigpoint.tools.pictures.bag import grey_of
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from trigpoint.base.errors import InputError
 from trigpoint.fusion.inputs import load_inputs, make_inputs
-from trigpoint.fusion.pipeline import Inputs
+from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.geometry import CameraModel
 from trigpoint.recorder.session.recording import Recording
 from trigpoint.site.camera_info import parse_camera_info

@@ -10,6 +10,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from trigpoint.base.errors import OperationError, writing
+from trigpoint.edge.sources.frames import without_password
 from trigpoint.site.config import load_site
 from trigpoint.tools.parts.specs import trigpoint
 
@@ -84,9 +85,12 @@ def _robot_words(questions: Questions) -> list[str]:
 
 def _look(questions: Questions, site: Path) -> None:
     """A page that shows what the first camera sees."""
-    source = next(iter(load_site(site).cameras.values())).source
-    if questions.confirm(f"Look at {source} first? Ctrl-C there goes on here", default=False):
-        _run("look", source, is_service=True)
+    loaded = load_site(site)
+    source = next(iter(loaded.cameras.values())).source
+    target = [word for name in loaded.target_names[:1] for word in ("--target", loaded.path(name))]
+    text = f"Look at {without_password(source)} first? Ctrl-C there goes on here"
+    if questions.confirm(text, default=False):
+        _run("look", source, *map(str, target), is_service=True)
 
 
 def _go_up(questions: Questions, directory: Path, site: tuple[str, ...]) -> None:
@@ -112,7 +116,8 @@ def _has_robot(site: Path) -> bool:
 def _run(*words: str, is_service: bool = False) -> None:
     """Run another command and show it. Raises OperationError where it fails; a service is ended by
     Ctrl-C, which is not for us then."""
-    typer.echo(f"$ trigpoint {' '.join(words)}")
+    shown = " ".join(map(without_password, words))
+    typer.echo(f"$ trigpoint {shown}")
     sys.stdout.flush()
     before = signal.signal(signal.SIGINT, lambda *_: None) if is_service else None
     try:
@@ -121,7 +126,7 @@ def _run(*words: str, is_service: bool = False) -> None:
         if is_service:
             signal.signal(signal.SIGINT, before)
     if status and not is_service:
-        raise OperationError(f"`trigpoint {' '.join(words)}` failed; see what it says above")
+        raise OperationError(f"`trigpoint {shown}` failed; see what it says above")
 
 
 def _become(*words: str) -> NoReturn:

@@ -15,14 +15,17 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .access import DAY_S, Guard
 
+_PACKAGE = "trigpoint.tools.web"
+MARK = "mark.svg"
+"""The picture in the corner of every page."""
 SEND_S = 5.0
 """A page that takes nothing for so long is hung up on."""
 
 
 def packaged(package: str, names: Iterable[str]) -> dict[str, bytes]:
-    """The files of a package's page, by name."""
-    folder = resources.files(package).joinpath("page")
-    return {name: folder.joinpath(name).read_bytes() for name in names}
+    """The files of a package's page, by name, and `MARK`, which all pages share."""
+    own, common = (resources.files(each).joinpath("page") for each in (package, _PACKAGE))
+    return {name: (common if name == MARK else own).joinpath(name).read_bytes() for name in names}
 
 
 def version_of(files: dict[str, bytes]) -> str:
@@ -67,7 +70,8 @@ class EventStream(Response):
     """Server-sent events until the page goes, or does not read; a day at most, so that the browser
     comes again and its login is prolonged. `leave`: called when the page has gone."""
 
-    def __init__(self, page: Page, leave: Callable[[], None], *, is_packed: bool) -> None:
+    def __init__(self, request: Request, page: Page, leave: Callable[[], None]) -> None:
+        is_packed = "gzip" in request.headers.get("accept-encoding", "")
         self._page, self._leave = page, leave
         packing = {"Content-Encoding": "gzip"} if is_packed else {}
         headers = {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no", **packing}

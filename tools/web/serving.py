@@ -30,9 +30,7 @@ def served(app: ASGIApp, access: Access, port: int) -> Iterator[str]:
     """
     with _bound(access.host, port) as listening:
         server = uvicorn.Server(_config(app, access))
-        thread = threading.Thread(
-            target=server.run, kwargs={"sockets": [listening]}, name="board pages"
-        )
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="pages")
         thread.start()
         try:
             scheme = "https" if access.is_encrypted else "http"

@@ -25,7 +25,7 @@ class Nudge:
     since_ns: int
 
     @property
-    def words(self) -> str:
+    def value(self) -> str:
         """It as the value in the diagnostics."""
         return f"{self.until_ns} {self.since_ns}"
 

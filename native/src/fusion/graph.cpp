@@ -182,10 +182,7 @@ public:
                 const Index row = integers(POSE_ROWS)[6 * i + k];
                 shift[k] = row < 0 ? 0 : by[row];
             }
-            const Pose moved = pose(i).disturbed(shift);
-            Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(&poses_(i, 0)) =
-                moved.rotation;
-            poses_.row(i).tail<3>() = moved.translation;
+            put_pose(pose(i).disturbed(shift), &poses_(i, 0), &poses_(i, 9), 0);
         }
         for (Index i = 0; i < values(); ++i) {
             const double limit = numbers(BOUNDS)[i];
@@ -207,7 +204,7 @@ private:
     Index own() const { return array(TIE_VALUES).shape[1]; }
     Pose pose(Index i) const { return pose_of(&poses_(i, 0)); }
 
-    // Every row of an array of integers within these bounds, from -1.
+    // Refuses integers beyond these limits; of several, only from the third on may they be -1.
     void checked(int which, int width, std::vector<Index> limits) const {
         for (Index i = 0; i < array(which).shape[0]; ++i)
             for (int k = 0; k < width; ++k) {
@@ -347,7 +344,7 @@ TRIGPOINT_KERNEL(tp_graph_minimum) {
     return factor.is_positive() && std::isfinite(score[0]) && std::isfinite(score[1]);
 }
 
-// (factor, rows (k,), covariance (k, k)): 0; see `minimum.Factor.covariance`.
+// (factor, rows (k,), covariance (k, k)): 0; see `factor.Factor.covariance`.
 TRIGPOINT_KERNEL(tp_factor_covariance) {
     const auto& factor = *static_cast<Factor*>(arguments[0].object);
     const Index count = arguments[1].array.shape[0], size = factor.scale.size();

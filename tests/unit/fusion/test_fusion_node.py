@@ -271,7 +271,7 @@ def test_camera_that_said_that_it_was_nudged_is_in_the_diagnostics_also_after_a_
     charuco: Session, tmp_path: Path
 ) -> None:
     nudge = Nudge("c2", EPOCH_NS + 10**9, EPOCH_NS + 2 * 10**9)
-    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.words})
+    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.value})
     told = Diagnostics(nudge.since_ns, (status,))
     with running(charuco.inputs, tmp_path) as run:
         run.feed(charuco.messages[:60])

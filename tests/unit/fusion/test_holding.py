@@ -24,6 +24,7 @@ from trigpoint.fusion.fixed.network import FixedNetwork
 from trigpoint.fusion.holding import wish_of
 from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.fusion.inputs import load_fixed
+from trigpoint.fusion.live import coverage_thread
 from trigpoint.fusion.node import FusionNode
 from trigpoint.fusion.pipeline import Inputs
 from trigpoint.map.network import decode_network, load_network
@@ -99,14 +100,17 @@ def not_learning(inputs: Inputs) -> Inputs:
 
 
 def test_fixed_map_corrects_without_a_solver_and_writes_nothing(
-    charuco: Session, charuco_results: Results, tmp_path: Path
+    charuco: Session, charuco_results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(coverage_thread, "PERIOD_S", 0.2)
     solvers, fixed = Solvers(charuco.inputs), fixed_network(charuco_results)
     inputs = not_learning(charuco.inputs)
     with running(inputs, tmp_path, solver=solvers, fixed=fixed) as run:
         corrections = run.bus.subscribe(topics.CORRECTION, topics.CORRECTION.expression("lab"))
+        grids = run.bus.subscribe(topics.COVERAGE_GRID, topics.COVERAGE_GRID.expression("lab"))
         run.feed(charuco.messages[:300])
         assert eventually(lambda: corrections.depth > 5)
+        assert eventually(lambda: grids.depth > 0, timeout_s=60.0)
         map_id = run.ask("fusion/map")["map_id"]
         sample = corrections.take(0.0)
         assert sample is not None

@@ -34,7 +34,7 @@ def at_ns(seconds: float) -> int:
 
 def telling(nudge: Nudge, stamp_ns: int) -> Diagnostics:
     """What a camera's agent says once a second."""
-    status = DiagnosticStatus(0, f"edge/{nudge.camera}", "", "host", {NUDGED: nudge.words})
+    status = DiagnosticStatus(0, f"edge/{nudge.camera}", "", "host", {NUDGED: nudge.value})
     return Diagnostics(stamp_ns, (status,))
 
 
@@ -115,10 +115,10 @@ def test_nudged_camera_makes_no_correction_until_it_is_located_again(
     messages = with_nudge(session.messages)
     told = next(i for i, (_, m) in enumerate(messages) if isinstance(m, Diagnostics))
     corrections(pipeline, messages[: told + 1])
-    assert set(pipeline.nudged) == {"c2"}
+    assert set(pipeline.nudges.open) == {"c2"}
     silent: dict[int, PoseEstimate] = {}
     rest = iter(messages[told + 1 :])
-    while pipeline.nudged:
+    while pipeline.nudges.open:
         silent |= corrections(pipeline, [next(rest)])
     assert not by_camera(session, silent, "c2")
     again = corrections(pipeline, list(rest))
@@ -165,7 +165,7 @@ def test_camera_that_was_nudged_and_saw_no_robot_since_is_undetermined(
     assert network.located == [name for name in session.plan.cameras if name != "c2"]
     assert "turned or shifted" in record.undetermined[0]
     assert len(record.earlier) == 1
-    assert set(pipeline.nudged) == {"c2"}
+    assert set(pipeline.nudges.open) == {"c2"}
 
 
 def test_nudge_before_the_map_began_does_not_concern_it(session: Session) -> None:
@@ -173,7 +173,7 @@ def test_nudge_before_the_map_began_does_not_concern_it(session: Session) -> Non
     corrections(pipeline, session.messages[:200])
     nudge = Nudge("c2", at_ns(-9.0), at_ns(-8.0))
     assert not pipeline.push("", telling(nudge, at_ns(20.0)))
-    assert not pipeline.nudged
+    assert not pipeline.nudges.open
 
 
 def test_nudge_that_goes_on_is_one(session: Session) -> None:
@@ -197,4 +197,4 @@ def test_nudge_is_kept_once(session: Session) -> None:
 def test_camera_of_another_site_does_not_concern_it(session: Session) -> None:
     pipeline = Pipeline(session.inputs, is_live=False)
     assert not pipeline.push("", telling(Nudge("c9", at_ns(25.0), at_ns(26.0)), at_ns(27.0)))
-    assert not pipeline.nudged
+    assert not pipeline.nudges.open

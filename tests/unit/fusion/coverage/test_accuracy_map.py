@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.fusion.accuracy_map import drawn
-from benchmarks.fusion.hall import hall, inputs_of
+from benchmarks.fusion.hall import hall
+from benchmarks.study.session import plain_inputs
 from trigpoint.fusion.coverage.accuracy_map import NOBODY, AccuracyMap, accuracy_map, middle
 from trigpoint.fusion.coverage.announced import AnnouncedMap
 from trigpoint.fusion.coverage.floor import Floor, floor_of
@@ -25,7 +26,7 @@ from trigpoint.map.network import (
 )
 
 WORLD = hall(1, "charuco")
-INPUTS = inputs_of(WORLD)
+INPUTS = plain_inputs(WORLD)
 NOWHERE = np.zeros((0, 2))
 
 

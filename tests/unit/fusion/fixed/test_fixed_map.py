@@ -105,13 +105,15 @@ def test_camera_that_says_that_it_was_moved_makes_no_correction(
     before = {camera for camera, _ in corrections(pipeline, messages[:half])}
     now_ns = messages[half][1].stamp_ns  # pyright: ignore
     nudge = Nudge("c2", now_ns - to_ns(1.0), now_ns)
-    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.words})
+    status = DiagnosticStatus(0, "edge/c2", "", "host", {NUDGED: nudge.value})
     pipeline.push("", Diagnostics(now_ns, (status,)))
     after = {camera for camera, _ in corrections(pipeline, messages[half:])}
     assert "c2" in before
     assert after
     assert "c2" not in after
     assert "camera c2 noticed that it was moved" in pipeline.problems["against_the_map"]
+    assert list(pipeline.nudges.open) == ["c2"]
+    assert "until the map is learnt anew" in pipeline.nudges.open["c2"]
 
 
 def test_robot_that_began_before_a_moved_camera_is_found_out_by_the_others(

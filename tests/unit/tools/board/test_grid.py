@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from trigpoint.geometry import Pose
-from trigpoint.tools.board.grid import GRID, grid_picture
+from trigpoint.tools.board.grid import grid_picture
 
 
 def test_cells_are_coloured_and_lie_where_they_are() -> None:
@@ -29,7 +29,3 @@ def test_cells_are_coloured_and_lie_where_they_are() -> None:
 
 def test_an_empty_grid_is_none() -> None:
     assert grid_picture(0.1, Pose.planar(0, 0, 0), np.zeros((0, 5), np.int8)) is None
-
-
-def test_the_key_is_the_contracts_where_it_has_one() -> None:
-    assert GRID is None or GRID.path == "coverage"

@@ -78,7 +78,7 @@ def test_who_disappears_and_who_is_in_trouble_is_an_alarm(desk: Desk, site: Boar
     site.troubles["edge/c2"] = "the camera hangs"
     site.end("robot/r1")
     wanted = {("edge/c2", "the camera hangs"), ("robot/r1", "named in the site file; not running")}
-    state_when(desk, site, lambda state: wanted <= alarms(state))
+    assert wanted <= alarms(state_when(desk, site, lambda state: wanted <= alarms(state)))
 
 
 def test_events_are_packed_where_the_browser_takes_it(desk: Desk) -> None:

@@ -97,7 +97,7 @@ def test_whoever_does_what_is_advised_gets_the_lens(
     last = person.told[-1]
     assert last.over == f"it has ended; the lens is in {tmp_path / 'c1.yaml'}"
     assert last.lens is not None
-    assert last.lens.is_good
+    assert last.written
     assert [shown.number for shown in person.told] == sorted(shown.number for shown in person.told)
 
 

@@ -10,7 +10,7 @@ from typing import NoReturn
 import pytest
 
 from trigpoint.base.errors import InputError
-from trigpoint.cli import COMMANDS, run
+from trigpoint.cli import run
 from trigpoint.site.config import load_site
 from trigpoint.site.target import load_target
 from trigpoint.tools.start import command as module
@@ -65,7 +65,7 @@ def test_camera_robot_and_target_lead_to_a_site_that_is_started(
     (tmp_path / "port").touch()
     port = str(tmp_path / "port")
     with pytest.raises(Become):
-        start("pictures", port, "create2", "box 0.3x0.4", *look_answers(), "y")
+        start("pictures", port, "create2", "box 0.3x0.4", "n", "y")
     site = load_site(tmp_path / "site.toml")
     assert site.camera("c1").source == f"dir://{tmp_path}/pictures"
     assert (site.robot("r1").port, site.robot("r1").protocol) == (port, "create2")
@@ -74,16 +74,34 @@ def test_camera_robot_and_target_lead_to_a_site_that_is_started(
     assert ran[-1] == ["up", "--site", "site.toml"]
 
 
-def look_answers() -> list[str]:
-    """The answer to a question that comes where there is the command `look`."""
-    return ["n"] if "look" in COMMANDS else []
+def test_look_is_for_the_sites_target_and_no_password_is_shown(
+    start: Start,
+    ran: list[list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def ended(command: tuple[str, ...], *, check: bool) -> "subprocess.CompletedProcess[bytes]":
+        assert not check
+        ran.append(list(command[command.index("trigpoint") + 1 :]))
+        return subprocess.CompletedProcess(command, 0)
+
+    assert run(["target", "make", "--board", "--out", str(tmp_path / "target.toml")]) == 0
+    camera = '[cameras.c1]\nsource = "rtsp://me:secret@hall/1"\n'
+    (tmp_path / "site.toml").write_text(f'site = "lab"\ntarget = "target.toml"\n{camera}')
+    monkeypatch.setattr(module.subprocess, "run", ended)
+    assert start("y", "n") == 0
+    assert ran == [["look", "rtsp://me:secret@hall/1", "--target", "target.toml"]]
+    shown = capsys.readouterr().out
+    assert "rtsp://hall/1" in shown
+    assert "secret" not in shown
 
 
 def test_missing_robot_is_simulated_beside_the_camera(
     start: Start, ran: list[list[str]], tmp_path: Path
 ) -> None:
     with pytest.raises(Become):
-        start("pictures", "none", "planes", *look_answers(), "")
+        start("pictures", "none", "planes", "n", "")
     assert ran[-1] == ["up", "--site", "site.toml", "--simulate-robot", "--out", "simulated"]
     assert len(load_target(tmp_path / "target.toml").faces) == 6
 
@@ -110,11 +128,11 @@ def test_files_that_are_there_are_kept(
 ) -> None:
     assert run(["target", "make", "--board", "--out", str(tmp_path / "target.toml")]) == 0
     before = (tmp_path / "target.toml").read_bytes()
-    assert start("pictures", "none", *look_answers(), "n") == 0
+    assert start("pictures", "none", "n", "n") == 0
     assert (tmp_path / "target.toml").read_bytes() == before
     assert [line[0] for line in ran] == ["init"]
     site = (tmp_path / "site.toml").read_bytes()
-    assert start(*look_answers(), "n") == 0
+    assert start("n", "n") == 0
     assert (tmp_path / "site.toml").read_bytes() == site
     assert "site.toml is there and stays as it is" in capsys.readouterr().out
 
