@@ -61,8 +61,7 @@ def load_known(path: Path, site: Site) -> KnownCameras:
     if network.map != "map":
         raise InputError(f"{path}: is in the frame «{network.map}»; give the one in the map")
     joint = load_covariance(path, network)
-    creep = {name: Creep.of(camera) for name, camera in site.cameras.items()}
-    known = known_cameras(network, joint, site.cameras, creep=creep)
+    known = known_cameras(network, joint, site.cameras, creep=Creep.of_all(site.cameras))
     if not known.poses:
         raise InputError(f"{path}: locates none of this site's cameras; check the names")
     return known

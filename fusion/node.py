@@ -118,11 +118,8 @@ class FusionNode:
         self._node.work("covers", cover.run, within_s=_GUIDE_S)
 
     def finish(self) -> None:
-        """Write the results, solved to the end where that is quick enough for a stop.
-
-        Called after the working thread ended. Raises OperationError where what should be written is
-        not.
-        """
+        """Write the results, solved to the end where that is quick enough for a stop, after the
+        working thread has ended. Raises OperationError where what should be written is not."""
         if not self._lock.acquire(ENDING.left_s(WRITING_S) if ENDING.is_asked else -1.0):
             raise OperationError(
                 f"no network is written: the estimator is still at work; all that came in is in "

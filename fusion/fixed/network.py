@@ -34,8 +34,9 @@ class FixedNetwork:
     @classmethod
     def of(cls, results: Results, site: Site, learnt: Conclusions) -> "FixedNetwork":
         """The network of a map that was learnt; raise OperationError where it locates nothing."""
-        creep = {name: Creep.of(camera) for name, camera in site.cameras.items()}
-        known = known_cameras(results.network, results.covariance, site.cameras, creep=creep)
+        known = known_cameras(
+            results.network, results.covariance, site.cameras, creep=Creep.of_all(site.cameras)
+        )
         if not known.poses:
             raise OperationError(
                 "no camera is located, so there is no map to hold fixed; let a robot drive past "

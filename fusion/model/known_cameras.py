@@ -30,6 +30,11 @@ class Creep:
         """As the site file states it."""
         return cls(camera.creep_translation, camera.creep_rotation)
 
+    @classmethod
+    def of_all(cls, cameras: Mapping[str, CameraConfig]) -> "dict[str, Creep]":
+        """Of each of a site's cameras."""
+        return {name: cls.of(camera) for name, camera in cameras.items()}
+
     def covariance(self, nanoseconds: float) -> Array:
         """Covariance (6, 6) of the disturbance by which a pose crept in a time.
 

@@ -54,10 +54,9 @@ _EQUATIONS = Kernel(
 _NO_JITTER = np.empty((0, 6))
 
 
-def batch_residual(batch: Batch, state: State, disturbance: Array | None = None) -> Array:
-    """`batch_jacobian`'s residual alone, (n, K, 2); with a disturbance (n, 6) of the robot's pose
-    when it was seen, in the map's axes."""
-    return _terms(batch, state, disturbance=disturbance)[0]
+def batch_residual(batch: Batch, state: State) -> Array:
+    """`batch_jacobian`'s residual alone, (n, K, 2)."""
+    return _terms(batch, state)[0]
 
 
 def batch_jacobian(problem: Problem, batch: Batch, state: State) -> tuple[Array, Array, np.ndarray]:
@@ -121,7 +120,6 @@ def _terms(
     state: State,
     problem: Problem | None = None,
     *,
-    disturbance: Array | None = None,
     by_seen: bool = False,
 ) -> tuple[Array, Array, Array]:
     """Residual (n, K, 2), Jacobian (n, K, 2, c) by the unknowns of a problem, and the derivative
@@ -131,7 +129,7 @@ def _terms(
         columns = len(problem.chains[batch.robot].tangent) + len(_dense_columns(problem, batch))
     residual = np.empty((*shape, 2))
     jacobian, by_robot = np.empty((*shape, 2 * columns)), np.empty((*shape, shape_seen))
-    _TERMS(*_given(batch, state, problem, disturbance), residual, jacobian, by_robot)
+    _TERMS(*_given(batch, state, problem), residual, jacobian, by_robot)
     return (
         residual,
         jacobian.reshape(*shape, 2, columns),
@@ -139,9 +137,7 @@ def _terms(
     )
 
 
-def _given(
-    batch: Batch, state: State, problem: Problem | None, disturbance: Array | None = None
-) -> tuple[object, ...]:
+def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object, ...]:
     """A batch at a state as the core takes it."""
     camera, robot = state.cameras[batch.camera], state.robots[batch.robot]
     node = robot.map_from_base[batch.nodes]
@@ -149,8 +145,6 @@ def _given(
     if batch.carried is not None:
         seen = node @ batch.carried.at(camera.offset_s(batch.since_epoch_s))
         twists = np.ascontiguousarray(batch.carried.twists)
-    if disturbance is not None:
-        seen = seen.disturbed(disturbance)
     return (
         camera.lens.parameters,
         *many(camera.map_from_camera, (1,)),

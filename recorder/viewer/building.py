@@ -5,6 +5,7 @@ import numpy as np
 import rerun as rr
 
 from trigpoint.base.errors import InputError
+from trigpoint.contract.coverage import MOST_MM, NOT_CORRECTED, UNKNOWN
 from trigpoint.contract.messages import OccupancyGrid, PoseEstimate
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.building import Building
@@ -22,7 +23,6 @@ _BELOW_M = 0.02
 """Below the paths, so that the two do not flicker through each other."""
 _CORRECTED_BELOW_M = 0.04
 """Below the plan too, which hides it: either can be switched off."""
-_NEVER = 100
 
 
 class BuildingScene:
@@ -104,25 +104,27 @@ def _mesh(plan: FloorPlan) -> rr.Mesh3D:
     ink = 255 - plan.pixels
     floor = np.array(style.FLOOR, dtype=float)
     shade = ink[..., None] / 255 * (np.array(style.WALL, dtype=float) - floor) + floor
-    width, height = plan.size_m
-    corners = np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
-    return _sheet(corners, shade.astype(np.uint8))
+    return _sheet(_rectangle(*plan.size_m), shade.astype(np.uint8))
 
 
 def _corrected(grid: OccupancyGrid) -> rr.Mesh3D:
     """From green, where a robot is corrected best, to brown, and red where it is not at all; what
     is not known to be floor has the background's colour."""
     rows, columns = grid.values.shape
-    values = grid.values[::-1, :, None].astype(float)
-    best, worst = np.array(style.BEST, dtype=float), np.array(style.WORST, dtype=float)
-    shade = best + values / (_NEVER - 1) * (worst - best)
-    shade = np.where(values == _NEVER, style.NEVER, shade)
-    shade = np.where(values < 0, style.FLOOR, shade)
-    width, height = columns * grid.cell_m, rows * grid.cell_m
-    own = np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
-    corners = grid.origin @ own - [0.0, 0.0, _CORRECTED_BELOW_M]
     step = -(-max(rows, columns) // _MOST_PIXELS)
-    return _sheet(corners, shade[::step, ::step].astype(np.uint8))
+    values = grid.values[::-step, ::step, None].astype(float)
+    best, worst = np.array(style.BEST, dtype=float), np.array(style.WORST, dtype=float)
+    shade = best + values / MOST_MM * (worst - best)
+    shade = np.where(values == NOT_CORRECTED, style.NEVER, shade)
+    shade = np.where(values == UNKNOWN, style.FLOOR, shade)
+    own = _rectangle(columns * grid.cell_m, rows * grid.cell_m)
+    corners = grid.origin @ own - [0.0, 0.0, _CORRECTED_BELOW_M]
+    return _sheet(corners, shade.astype(np.uint8))
+
+
+def _rectangle(width: float, height: float) -> Array:
+    """Its corners (4, 3), counter-clockwise from the lower left at the origin."""
+    return np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
 
 
 def _sheet(corners: Array, texture: np.ndarray) -> rr.Mesh3D:

@@ -27,6 +27,17 @@ def shaken() -> tuple[Problem, Batch, State]:
     return assembled.problem, shared, assembled.start
 
 
+def swayed(state: State, batch: Batch, by: np.ndarray) -> State:
+    """The state with its robot disturbed in each picture (n, 6), each of which has a node."""
+    robot = state.robots[batch.robot]
+    whole = np.zeros((len(robot.map_from_base), 6))
+    whole[batch.nodes] = by
+    assert batch.carried is None
+    assert len(set(batch.nodes.tolist())) == len(batch.nodes)
+    moved = replace(robot, map_from_base=robot.map_from_base.disturbed(whole))
+    return replace(state, robots=state.robots | {batch.robot: moved})
+
+
 def test_a_pictures_equations_weigh_with_the_inverse_of_its_joint_covariance() -> None:
     problem, batch, state = shaken()
     n, shared = len(batch.nodes), np.diag(JITTER.variances)
@@ -40,7 +51,7 @@ def test_a_pictures_equations_weigh_with_the_inverse_of_its_joint_covariance() -
     weight = np.linalg.inv(covariance)
     pull = np.swapaxes(by, 1, 2) @ residual.reshape(n, -1, 1)
     fit = -np.linalg.solve(np.linalg.inv(shared) + np.swapaxes(by, 1, 2) @ by, pull)
-    about = batch_residual(batch, state, fit[..., 0]).reshape(n, -1, 1) - by @ fit
+    about = batch_residual(batch, swayed(state, batch, fit[..., 0])).reshape(n, -1, 1) - by @ fit
     np.testing.assert_allclose(
         hessian, np.swapaxes(jacobian, 1, 2) @ weight @ jacobian, rtol=1e-6, atol=1e-3
     )
@@ -105,7 +116,7 @@ def test_a_tilt_of_three_degrees_costs_what_its_prior_says() -> None:
     batch, state = assembled.problem.batches[0], assembled.start
     variances = Jitter(1e-6, 0.1, 1.0).variances
     n, tilt = len(batch.nodes), np.radians([0, 0, 0, 2.4, -1.8, 0.0])
-    seen = batch_residual(batch, state, np.tile(tilt, (n, 1)))
+    seen = batch_residual(batch, swayed(state, batch, np.tile(tilt, (n, 1))))
     seen = seen / np.maximum(batch.weights, 1e-9)[..., None]
     batch = replace(batch, pixels=batch.pixels + seen, jitter=np.tile(variances, (n, 1)))
     *_, (cost, _) = corner_equations(assembled.problem, batch, state, np.inf)

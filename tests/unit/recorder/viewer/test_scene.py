@@ -4,19 +4,18 @@ import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 from support.builders import make_site, make_target
+from support.viewer import SECOND, Rows, estimate
 
 from trigpoint.base.errors import OperationError, RecordingError
 from trigpoint.contract.messages import (
     CameraInfo,
     FaceSighting,
-    OccupancyGrid,
     Odometry,
     Picture,
     PoseEstimate,
@@ -27,7 +26,6 @@ from trigpoint.contract.messages import (
 from trigpoint.contract.topics import (
     CAMERA_INFO,
     CAMERA_POSE,
-    COVERAGE_GRID,
     IMAGE,
     ODOMETRY,
     ROBOT_POSE,
@@ -35,7 +33,6 @@ from trigpoint.contract.topics import (
     TF,
 )
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.map.floor_plan import FloorPlan
 from trigpoint.map.network import (
     CameraRecord,
     Network,
@@ -50,35 +47,6 @@ from trigpoint.recorder.viewer.columns import Columns, open_stream
 from trigpoint.recorder.viewer.hull import outline
 from trigpoint.recorder.viewer.review import write_rrd
 from trigpoint.recorder.viewer.scene import Scene
-
-SECOND = 1_000_000_000
-
-
-class FixedRows(Columns):
-    """Keeps what holds at every time in place of sending it."""
-
-    def __init__(self) -> None:
-        self.meshes: dict[str, list[rr.Mesh3D]] = {}
-
-    def fixed(self, entity: str, archetype: rr.AsComponents) -> None:
-        if isinstance(archetype, rr.Mesh3D):
-            self.meshes.setdefault(entity, []).append(archetype)
-
-
-class Rows(Columns):
-    """Keeps the rows in place of sending them."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[str, int, type, dict[str, Any]]] = []
-
-    def row(self, entity: str, time_ns: int, archetype: type, /, **components: Any) -> None:
-        self.rows.append((entity, time_ns, archetype, components))
-
-    def picture(self, entity: str, time_ns: int, data: bytes) -> None:
-        self.row(entity, time_ns, rr.EncodedImage, blob=[data])
-
-    def of(self, entity: str) -> list[tuple[int, dict[str, Any]]]:
-        return [(time_ns, parts) for path, time_ns, _, parts in self.rows if path == entity]
 
 
 @pytest.fixture
@@ -109,10 +77,6 @@ def sighting(t: float, camera: str = "c1") -> Sightings:
     pixels = np.array([[10, 10], [20, 10], [20, 20], [10, 20]], np.float32)
     face = FaceSighting("t", 1, np.arange(4, dtype=np.uint16), pixels, 0.2)
     return Sightings(round(t * SECOND), f"{camera}/optical", 640, 480, (face,))
-
-
-def estimate(t: float, x: float, sigma: float = 0.01) -> PoseEstimate:
-    return PoseEstimate(round(t * SECOND), "map", Pose.planar(x, 0, 0), sigma**2 * np.eye(6))
 
 
 def test_dead_reckoning_stays_where_the_first_word_of_fusion_put_it(
@@ -204,27 +168,6 @@ def test_an_outline_goes_around_every_corner() -> None:
     around = outline(points)
     assert len(around) == 7
     assert {tuple(p) for p in around.round(9)} == {tuple(p) for p in ring.round(9)}
-
-
-def test_the_floor_is_coloured_by_how_well_a_robot_is_corrected_there() -> None:
-    rows = FixedRows()
-    scene = Scene(make_site(), {}, rows)
-    values = np.array([[-1, 0], [99, 100]], np.int8)
-    grid = OccupancyGrid(1, "map", 0.5, Pose.planar(3.0, -2.0, 0.0), values)
-    scene.add(COVERAGE_GRID, "", grid)
-    [mesh] = rows.meshes[style.CORRECTED]
-    assert mesh.vertex_positions is not None
-    assert mesh.albedo_texture_buffer is not None
-    corners = mesh.vertex_positions.as_arrow_array().to_pylist()
-    np.testing.assert_allclose(np.array(corners)[[0, 2], :2], [[3.0, -2.0], [4.0, -1.0]])
-    texture = np.frombuffer(
-        bytes(mesh.albedo_texture_buffer.as_arrow_array().to_pylist()[0]), np.uint8
-    ).reshape(2, 2, 3)
-    # The picture's first row is the floor's farthest.
-    assert texture.tolist() == [
-        [list(style.WORST), list(style.NEVER)],
-        [list(style.FLOOR), list(style.BEST)],
-    ]
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -334,53 +277,6 @@ def test_a_frustums_picture_lies_around_its_principal_point(scene: Scene, rows: 
     # What rerun is given is column-major: fx 0 0, 0 fy 0, cx cy 1.
     (numbers,) = column.as_arrow_array().to_pylist()
     assert np.ravel(numbers).tolist() == [500, 0, 0, 0, 510, 0, 300, 250, 1]
-
-
-PLAN = FloorPlan(np.full((40, 60), 255, np.uint8), 0.1, Pose.planar(7.0, 8.0, 0.0))
-SURVEYED = "[map]\n" + "\n".join(
-    f"[map.points.c{i + 1}]\nposition = [{10 - y}, {10 + x}]"  # turned by a quarter
-    for i, (x, y) in enumerate([(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)])
-)
-
-
-def surveyed_scene(rows: Rows, text: str) -> Scene:
-    return Scene(make_site(cameras=4, more=text), {}, rows, plan=PLAN)
-
-
-def place_cameras(scene: Scene, places: list[tuple[float, float]]) -> None:
-    for i, (x, y) in enumerate(places):
-        pose = Pose(np.eye(3), np.array([x, y, 2.0]))
-        message = PoseEstimate(10 * SECOND + i, "map", pose, 1e-4 * np.eye(6))
-        scene.add(CAMERA_POSE, f"c{i + 1}", message)
-    scene.finish()
-
-
-def test_the_floor_plan_lies_where_the_surveyed_cameras_say(rows: Rows) -> None:
-    scene = surveyed_scene(rows, SURVEYED)
-    place_cameras(scene, [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)])
-    _, parts = rows.of(style.PLAN)[-1]
-    # The plan's corner (7, 8) of the building is 3 m off the map's origin there, turned back.
-    assert parts["translation"][0][:2] == pytest.approx([-2.0, 3.0], abs=0.01)
-    turn = Pose.from_quaternion([0, 0, 0], parts["quaternion"][0])
-    assert float(turn.heading) == pytest.approx(-np.pi / 2, abs=0.01)
-
-
-def test_a_point_that_contradicts_the_survey_is_said(rows: Rows) -> None:
-    scene = surveyed_scene(rows, SURVEYED)
-    place_cameras(scene, [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 4.0)])
-    said = [parts["text"][0] for _, parts in rows.of(style.LOG)]
-    assert any("c4: contradicts the other surveyed points" in line for line in said)
-
-
-def test_a_mark_counts_where_the_robot_stood_then(rows: Rows) -> None:
-    dock = "[map.points.dock]\nrobot = 'r1'\nat = 2\nposition = [10, 11]"
-    gate = "[map.points.gate]\nrobot = 'r1'\nat = 9\nposition = [10, 18]"
-    scene = surveyed_scene(rows, f"{dock}\n{gate}")
-    for t in range(12):
-        scene.add(ROBOT_POSE, "r1", estimate(t, float(t) - 1))
-    scene.finish()
-    _, parts = rows.of(style.PLAN)[-1]
-    assert parts["translation"][0][:2] == pytest.approx([-2.0, 3.0], abs=0.05)
 
 
 def test_a_sighting_that_contradicts_the_poses_is_red_and_in_the_log(

@@ -75,9 +75,8 @@ def test_the_files_of_the_page_are_in_the_package_and_ask_nothing_of_others() ->
         assert not re.search(r"<script(?![^>]*src=\"/)|<[^>]* (style|on\w+)=|javascript:", text), (
             name
         )
-    assert set(ASSETS) == {
-        path.name for path in Path("tools/board/page").iterdir() if path.name[0] != "."
-    }
+    folders = Path("tools/board/page"), Path("tools/web/page")
+    assert set(ASSETS) == {path.name for folder in folders for path in folder.glob("[!.]*")}
 
 
 def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:

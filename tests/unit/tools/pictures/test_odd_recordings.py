@@ -19,12 +19,11 @@ from ruamel.yaml import YAML
 from support.builders import make_odometry, site_text
 from support.pictures.boards import CHARUCO_TARGET, charuco, picture_of, placed
 
-from trigpoint.base.errors import MessageError
 from trigpoint.cli import run
 from trigpoint.contract import cdr
 from trigpoint.contract.cdr_ros import Builder, store
 from trigpoint.contract.messages import ODOMETRY, PICTURE, RAW_IMAGE, Picture
-from trigpoint.recorder.session.bag import Bag, RawImage
+from trigpoint.recorder.session.bag import Bag
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.pictures.bag import grey_of
 
@@ -391,26 +390,3 @@ def test_messages_that_nobody_counts_have_no_breaks(
     file = write(tmp_path / "bag.mcap", [SOUND] * 3)
     assert run(["info", str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["keys"][TOPIC[1:]]["sequence_breaks"] == 0
-
-
-ENCODINGS = {"mono8": 1, "rgb8": 3, "bgra8": 4, "mono16": 2, "bayer_rggb8": 1, "yuyv": 2}
-
-
-@given(
-    encoding=st.sampled_from([*ENCODINGS, "", "32FC1"]),
-    width=st.integers(0, 9).map(lambda half: 2 * half),
-    height=st.integers(0, 9).map(lambda half: 2 * half),
-    step=st.integers(0, 100),
-    size=st.integers(0, 2000),
-)
-def test_raw_pictures_of_any_step_are_read_or_refused_in_words(
-    encoding: str, width: int, height: int, step: int, size: int
-) -> None:
-    image = RawImage(0, encoding, False, width, height, step, np.zeros(size, np.uint8))
-    row = width * ENCODINGS.get(encoding, 1)
-    is_whole = any(s >= row and size >= s * (height - 1) + row for s in (step, row))
-    if encoding in ENCODINGS and width and height and is_whole:
-        assert grey_of(image).shape == (height, width)
-    else:
-        with pytest.raises(MessageError):
-            grey_of(image)
