@@ -29,7 +29,7 @@ from trigpoint.site.config import OdometryNoise, parse_site
 from trigpoint.site.target import Face, Pattern, Target
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
 from trigpoint.tools.shapes.text import target_text
-from trigpoint.tools.simulation.sight.seen_corners import seen_faces
+from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
 from trigpoint.tools.simulation.sight.targets import target_of
 
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -224,14 +224,17 @@ def _pictures(
 ) -> Iterator[Sightings]:
     camera = plan.cameras[name]
     every = round(1 / plan.picture_rate / STEP_S)
-    for index in range(3 * number + 1, round(plan.seconds / STEP_S), every):
+    moments = np.arange(3 * number + 1, round(plan.seconds / STEP_S), every)
+    where = (camera.map_from_camera, camera.lens, ())
+    shown = {
+        robot: seen_faces_each(its.target, truth[robot][moments], *where)
+        for robot, its in plan.robots.items()
+    }
+    for row, index in enumerate(moments.tolist()):
         faces = []
-        for robot, plan_of_robot in plan.robots.items():
-            pose = truth[robot][index]
-            for seen in seen_faces(
-                plan_of_robot.target, pose, camera.map_from_camera, camera.lens, ()
-            ):
-                sighting = _sighting(plan, plan_of_robot.target, seen, random)
+        for robot, its in plan.robots.items():
+            for seen in shown[robot][row]:
+                sighting = _sighting(plan, its.target, seen, random)
                 faces += [sighting] if sighting else []
         stamp_ns = EPOCH_NS + index * to_ns(STEP_S) + to_ns(camera.time_offset_s)
         yield Sightings(stamp_ns, f"{name}/optical", 640, 480, tuple(faces))

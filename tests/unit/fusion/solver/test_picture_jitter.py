@@ -15,6 +15,7 @@ from trigpoint.fusion.model.prediction import (
 )
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
+from trigpoint.geometry import Pose
 
 JITTER = Jitter(sway=0.003, tilt=0.02)
 
@@ -30,11 +31,15 @@ def shaken() -> tuple[Problem, Batch, State]:
 def swayed(state: State, batch: Batch, by: np.ndarray) -> State:
     """The state with its robot disturbed in each picture (n, 6), each of which has a node."""
     robot = state.robots[batch.robot]
-    whole = np.zeros((len(robot.map_from_base), 6))
-    whole[batch.nodes] = by
-    assert batch.carried is None
+    nodes = [robot.map_from_base[node] for node in range(len(robot.map_from_base))]
     assert len(set(batch.nodes.tolist())) == len(batch.nodes)
-    moved = replace(robot, map_from_base=robot.map_from_base.disturbed(whole))
+    way = Pose.identity().repeated(len(batch.nodes))
+    if batch.carried is not None:
+        way = batch.carried.at(state.cameras[batch.camera].offset_s(batch.since_epoch_s))
+    seen = (robot.map_from_base[batch.nodes] @ way).disturbed(by) @ way.inverse()
+    for row, node in enumerate(batch.nodes.tolist()):
+        nodes[node] = seen[row]
+    moved = replace(robot, map_from_base=Pose.stack(nodes))
     return replace(state, robots=state.robots | {batch.robot: moved})
 
 
