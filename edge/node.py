@@ -74,7 +74,6 @@ class EdgeNode:
         self._watch = TargetWatch(camera, self._clock)
         self._background = BackgroundWatch() if self._config.notice_nudges else None
         self._pause_s = _FIRST_PAUSE_S
-        self._detection_ms = self._delay_ms = 0.0
         self._newest_ns = self._clock.elapsed_ns()
         self._is_deep = False
 
@@ -87,8 +86,6 @@ class EdgeNode:
         self._pictures = PictureSender(self._camera, self._config, images)
         self._serve("snapshot", self._pictures.snapshot)
         self._serve("calibrate", self._calibration.answer)
-        self._node.health.gauge("detection_ms", lambda: self._detection_ms)
-        self._node.health.gauge("delay_ms", lambda: self._delay_ms)
         self._node.health.count(NUDGES, 0)
         self._node.health.gauge("picture_age_s", self._picture_age_s)
         self._node.health.gauge("calibration_views", lambda: self._calibration.kept)
@@ -227,11 +224,12 @@ class EdgeNode:
         """Find the faces and send them, even if there are none."""
         began_ns, given_up = self._clock.elapsed_ns(), self._tracker.given_up
         faces = self._tracker.detect(frame.picture, frame.captured_ns)
-        self._detection_ms = to_seconds(self._clock.elapsed_ns() - began_ns) * 1e3
+        self._node.health.observe("detection", to_seconds(self._clock.elapsed_ns() - began_ns))
         height, width = frame.picture.shape[:2]
         message = Sightings(frame.captured_ns, self._frame_id, width, height, faces)
         self._sightings.put(encode(message))
-        self._delay_ms = to_seconds(self._clock.now_ns() - frame.captured_ns) * 1e3
+        delay_s = to_seconds(self._clock.now_ns() - frame.captured_ns)
+        self._node.health.observe("sighting_delay", delay_s)
         self._node.health.count(f"sent {self._key(SIGHTINGS)}")
         self._node.health.count("faces", len(faces))
         self._watch.saw(len(faces))

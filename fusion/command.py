@@ -1,6 +1,7 @@
 """The command `fusion`."""
 
 import logging
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -83,8 +84,17 @@ def solver_for(inputs: Inputs, node: Node) -> Callable[[], Solver] | None:
     if inputs.site.fusion.estimator != "smoother":
         return None
 
+    last_s = math.nan
+
+    def took(seconds: float) -> None:
+        nonlocal last_s
+        last_s = seconds
+        node.health.observe("solving", seconds)
+
     def solver() -> Solver:
         pulse = node.watchdog.pulse(f"{node.label} solves", within_s=START_S)
-        return SolverProcess(inputs.data_set(), pulse, node.watchdog.forget)
+        return SolverProcess(inputs.data_set(), pulse, node.watchdog.forget, took)
+
+    node.health.gauge("last_solving_s", lambda: last_s)
 
     return solver

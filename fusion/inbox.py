@@ -19,6 +19,7 @@ from trigpoint.contract.nudge import may_tell_of_nudges
 from trigpoint.contract.topics import DIAGNOSTICS, Topic
 from trigpoint.node.node import Node
 
+from .delays import Delays
 from .diagnostics import Diagnostics as InputDiagnostics
 from .intake.admission import Admission
 
@@ -36,7 +37,7 @@ INPUT_TOPICS: dict[type[Message], Topic] = {
 
 class Inbox:
     """Odometry, camera_info and sightings of a site, and the diagnostics of cameras that were
-    moved, as they come. Used by one thread at a time."""
+    moved, as they come. Used by one thread at a time. `delays`: of what came."""
 
     def __init__(
         self,
@@ -48,6 +49,7 @@ class Inbox:
     ) -> None:
         self._bus, self._node, self._clock = bus, node, clock
         self._admission, self._diagnostics = admission, diagnostics
+        self.delays = Delays(node.health, clock)
         self._subscriptions: list[tuple[Topic, Subscription]] = []
         self._news = Bell()
 
@@ -117,4 +119,5 @@ class Inbox:
         self._node.health.count(f"received {sample.key}")
         if isinstance(message, Sightings):
             self._node.health.count("faces", len(message.faces))
+            self.delays.came(sample, message)
         return sample, message

@@ -84,13 +84,13 @@ class FusionNode:
         self._announced: dict[str, bytes] = {}
         self._located_count = 0
         signer = correction_signer(inputs.site, clock)
-        self._publishing = Publishing(bus, inputs.site, node.health, signer)
+        self._diagnostics = Diagnostics(inputs.site, self._admission)
+        self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
+        self._publishing = Publishing(bus, inputs.site, node.health, signer, self._inbox.delays)
         self._longest_s = 0.0
         self._path = out / CHECKPOINT
         self._storage: MapStorage | None = None
         self._is_read = threading.Event()  # the checkpoint; before it the map is not whole
-        self._diagnostics = Diagnostics(inputs.site, self._admission)
-        self._inbox = Inbox(bus, node, clock, self._admission, self._diagnostics)
 
     def start(self) -> None:
         """Subscribe, serve the commands, and start the working thread."""

@@ -8,16 +8,19 @@ from trigpoint.contract.messages import Message, PoseEstimate, PoseStamped, Tran
 from trigpoint.contract.topics import Topic
 
 from .live.solver_messages import Covered, Suggested
+from .model.observations import Observation
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A message to send: `node` is the camera or robot of its key."""
+    """A message to send: `node` is the camera or robot of its key; `observation`: what a correction
+    is by."""
 
     topic: Topic
     node: str
     message: Message
     attachment: bytes = b""
+    observation: Observation | None = None
 
 
 def output_of(news: Suggested | Covered) -> Output:

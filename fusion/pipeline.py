@@ -338,7 +338,7 @@ class Pipeline:
         if self._doubted & {observation.robot, observation.camera}:
             self._left_out.add("clock_in_doubt")
         elif (map_id := self.map_id) is not None:
-            self._outputs += self._robots.correction(map_id, observation.robot, estimate)
+            self._outputs += self._robots.correction(map_id, observation, estimate)
 
     def _take_cameras(self, stamp_ns: int, *, is_urgent: bool) -> None:
         """Announce the cameras as they are estimated now."""

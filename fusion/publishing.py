@@ -6,14 +6,18 @@ from trigpoint.node.health import Health
 from trigpoint.security.authenticator import Signer
 from trigpoint.site.config import Site
 
+from .delays import Delays
 from .output import CameraAccuracy, Output
 
 
 class Publishing:
     """The publishers of a site's outputs. Used by one thread. `accuracy`: of what was sent."""
 
-    def __init__(self, bus: Bus, site: Site, health: Health, signer: Signer) -> None:
+    def __init__(
+        self, bus: Bus, site: Site, health: Health, signer: Signer, delays: Delays
+    ) -> None:
         self._bus, self._site, self._health, self._signer = bus, site, health, signer
+        self._delays = delays
         self._publishers: dict[str, Publisher] = {}
         self.accuracy = CameraAccuracy(list(site.cameras))
 
@@ -31,5 +35,7 @@ class Publishing:
             attachment = self._signer.sign(key, payload, attachment)
         self._publishers[key].put(payload, attachment=attachment)
         self._health.count(f"sent {key}")
+        if output.observation is not None:
+            self._delays.corrected(output.observation)
         if words := self.accuracy.words_after(output):
             self._health.describe("cameras", words)

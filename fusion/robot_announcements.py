@@ -13,6 +13,7 @@ from trigpoint.contract.messages import PoseArray, PoseEstimate, Transform, Tran
 from trigpoint.contract.topics import Topic
 from trigpoint.geometry import Pose
 
+from .model.observations import Observation
 from .output import Output
 from .solver.filter import RobotEstimate
 
@@ -55,14 +56,18 @@ class RobotAnnouncements:
             )
             yield Output(topics.TF, "", Transforms(transforms))
 
-    def correction(self, map_id: UUID, robot: str, estimate: RobotEstimate) -> Iterator[Output]:
-        """A correction in a map, where the rate allows one now, and something was measured: a robot
-        that stands where the map begins is there by definition."""
+    def correction(
+        self, map_id: UUID, observation: Observation, estimate: RobotEstimate
+    ) -> Iterator[Output]:
+        """A correction in a map by an observation of the robot, where the rate allows one now, and
+        something was measured: a robot that stands where the map begins is there by definition.
+        """
+        robot = observation.robot
         plane = np.diagonal(estimate.covariance)[[0, 1, 5]]
         if plane.min() >= LEAST_SIGMA**2 and self._is_correction_due(robot, estimate.stamp_ns):
             self._sequence[robot] += 1
             mark = encode_mark(CorrectionMark(map_id, self._sequence[robot]))
-            yield Output(topics.CORRECTION, robot, _message(estimate), mark)
+            yield Output(topics.CORRECTION, robot, _message(estimate), mark, observation)
 
     def skip_corrections(self, robots: Iterable[str]) -> None:
         """Go on well beyond the corrections that an earlier process may have sent: a robot refuses

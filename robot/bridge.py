@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass
 from uuid import UUID
 
-from trigpoint.base.clock import Clock, to_ns
+from trigpoint.base.clock import Clock, to_ns, to_seconds
 from trigpoint.contract.correction import CorrectionMark
 from trigpoint.contract.messages import Odometry, PoseEstimate
 from trigpoint.geometry import Pose
@@ -121,7 +121,6 @@ class Bridge:
         self._number = number
         self._refused_for = self._complaint = ""
         self._vitals = Vitals(0, 0)
-        self._answer_ms = 0.0
 
     @property
     def robot(self) -> str:
@@ -152,11 +151,6 @@ class Bridge:
     def complaint(self) -> str:
         """What was wrong with what came since the last good reading; "" if nothing was."""
         return self._complaint
-
-    @property
-    def answer_ms(self) -> float:
-        """How long the robot took to acknowledge the last correction, milliseconds."""
-        return self._answer_ms
 
     @property
     def vitals(self) -> Vitals:
@@ -317,7 +311,7 @@ class Bridge:
         )
 
     def _acknowledge(self, event: Acknowledged) -> None:
-        self._answer_ms = event.round_trip_ns / 1e6
+        self._health.observe("correction_answer", to_seconds(event.round_trip_ns))
         if event.is_accepted:
             self._health.count("corrections_accepted")
         else:

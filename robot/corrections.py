@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from trigpoint.base.clock import Clock
+from trigpoint.base.clock import Clock, to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Bus, Sample, Subscription
 from trigpoint.contract.cdr import decode
@@ -63,6 +63,12 @@ class Corrections:
             self._health.lose("corrections_held_by_the_clock")
             return
         assert isinstance(correction, PoseEstimate)  # guaranteed by the topic's type
+        self._health.observe(
+            "correction_transit", to_seconds(sample.received_ns - sample.published_ns)
+        )
+        self._health.observe(
+            "correction_delay", to_seconds(self._clock.now_ns() - correction.stamp_ns)
+        )
         now_ns = self._clock.elapsed_ns()
         handed_on = self._bridge.on_correction(correction, mark, now_ns, sample.sender)
         if handed_on is not None:

@@ -102,7 +102,6 @@ class RobotNode:
         health.gauge("clock_drift_ppm", lambda: bridge.clock.drift_ppm)
         health.gauge("clock_jumps", lambda: bridge.clock.jumps)
         health.gauge("firmware_clock_s", self._firmware_clock_s)
-        health.gauge("correction_answer_ms", lambda: bridge.answer_ms)
         health.gauge("firmware_received", lambda: bridge.vitals.received)
         health.gauge("firmware_rejected", lambda: bridge.vitals.rejected)
         health.gauge("port_opened", lambda: self._line.opened)

@@ -28,7 +28,7 @@ from trigpoint.node.watchdog import Pulse
 
 from .coverage_thread import CoverageWork
 from .memory import return_large_arrays
-from .solver_messages import Covered, News, Order, Reported, Suggested
+from .solver_messages import Covered, News, Order, Reported, Solved, Suggested
 from .solver_worker import SolverWorker
 
 START_S = 60.0
@@ -50,17 +50,26 @@ class Alive:
     within_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class Took:
+    """How long it took to solve everything anew."""
+
+    seconds: float
+
+
 class SolverProcess:
     """See `Solver`. `data`: empty but for what is known beforehand; not used by anyone else.
-    `pulse` is beaten by the work in the process; `forget`: called with it when that is to end."""
+    `pulse` is beaten by the work in the process; `forget`: called with it when that is to end;
+    `took`: called with how long each solution took, s, on a thread of this."""
 
     def __init__(
         self,
         data: DataSet,
         pulse: Pulse | None = None,
         forget: Callable[[Pulse], None] = lambda _: None,
+        took: Callable[[float], None] = lambda _: None,
     ) -> None:
-        self._pulse, self._forget = pulse, forget
+        self._pulse, self._forget, self._took = pulse, forget, took
         self._beat(START_S)
         context = get_context("spawn")
         theirs, self._orders = context.Pipe(duplex=False)
@@ -138,6 +147,8 @@ class SolverProcess:
                 item = pickle.loads(self._news.recv_bytes())
                 if isinstance(item, Alive):
                     self._beat(item.within_s)
+                elif isinstance(item, Took):
+                    self._took(item.seconds)
                 else:
                     self._inbox.put(item)
         except (EOFError, OSError):
@@ -189,14 +200,22 @@ def _serve(orders: Connection, news: Connection) -> None:
         except queue.Empty:
             order = None
         sign.give()
+        began_s = time.monotonic()
         with lock:
             for item in worker.carry_out(order) if order is not None else ():
-                say(item)
+                _say_solved(item, began_s, say)
             # While more orders wait, what they bring is to be explained with the rest.
             for item in worker.rest() if backlog.empty() else ():
-                say(item)
+                _say_solved(item, began_s, say)
                 if isinstance(item, Reported):
                     coverage.take(item.results)
+
+
+def _say_solved(item: News, began_s: float, say: Callable[[News | Took], None]) -> None:
+    """Say what an order brought, and of a solution how long it took."""
+    if isinstance(item, Solved):
+        say(Took(time.monotonic() - began_s))
+    say(item)
 
 
 def _listen(orders: Connection, backlog: "queue.SimpleQueue[Order]") -> None:
@@ -226,12 +245,12 @@ class Heartbeat:
 
 
 class _NewsPipe:
-    """Sends news and signs of life, one at a time."""
+    """Sends news and what is about the process itself, one at a time."""
 
     def __init__(self, news: Connection) -> None:
         self._news, self._lock = news, threading.Lock()
 
-    def say(self, news: News | Alive) -> None:
+    def say(self, news: News | Alive | Took) -> None:
         with self._lock:
             self._news.send_bytes(pickle.dumps(news, protocol=pickle.HIGHEST_PROTOCOL))
 

@@ -1,9 +1,13 @@
 """Nodes' diagnostics as Prometheus's families of samples."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import accumulate
 
 from prometheus_client.metrics_core import Metric as Family
+from prometheus_client.utils import floatToGoString
 
+from trigpoint.contract.durations import BOUNDS_S, Durations
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 
 from .table import LEVEL, REPORTED, Metric, is_left_out, metric_of
@@ -20,12 +24,26 @@ def families(site: str, heard: Iterable[Diagnostics]) -> list[Family]:
             for metric, labels, value in _samples(diagnostics.stamp_ns, status):
                 family = found.get(metric.name) or _family(metric)
                 found[metric.name] = family
-                family.add_sample(metric.name, _node_labels(site, status.name) | labels, value)
+                labels = _node_labels(site, status.name) | labels
+                if isinstance(value, Durations):
+                    _add_histogram(family, labels, value)
+                else:
+                    family.add_sample(metric.name, labels, value)
     return [found[name] for name in sorted(found)]
 
 
 def _family(metric: Metric) -> Family:
     return Family(metric.name.removesuffix("_total"), metric.help, metric.type)
+
+
+def _add_histogram(family: Family, labels: dict[str, str], durations: Durations) -> None:
+    """Cumulative counts, as Prometheus has them, their number and the sum."""
+    counts = list(accumulate(durations.counts))
+    for bound, count in zip((*BOUNDS_S, math.inf), counts, strict=True):
+        le = {"le": floatToGoString(bound)}
+        family.add_sample(f"{family.name}_bucket", labels | le, count)
+    family.add_sample(f"{family.name}_count", labels, counts[-1])
+    family.add_sample(f"{family.name}_sum", labels, durations.sum_s)
 
 
 def _node_labels(site: str, node: str) -> dict[str, str]:
@@ -36,7 +54,7 @@ def _node_labels(site: str, node: str) -> dict[str, str]:
 
 def _samples(
     stamp_ns: int, status: DiagnosticStatus
-) -> Iterator[tuple[Metric, dict[str, str], float]]:
+) -> Iterator[tuple[Metric, dict[str, str], float | Durations]]:
     kind = status.name.partition("/")[0]
     own: Mapping[str, str] = {LEVEL: str(status.level), REPORTED: str(stamp_ns)}
     for name, text in (own | status.values).items():
@@ -45,8 +63,18 @@ def _samples(
         metric, labels = metric_of(kind, name)
         if metric.text:
             yield metric, labels | {metric.text: text}, 1.0
+        elif metric.type == "histogram":
+            if (durations := _durations(text)) is not None:
+                yield metric, labels, durations
         elif (value := _number(text)) is not None:
             yield metric, labels, value * metric.scale
+
+
+def _durations(text: str) -> Durations | None:
+    try:
+        return Durations.of(text)
+    except ValueError:
+        return None
 
 
 def _number(text: str) -> float | None:

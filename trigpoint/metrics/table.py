@@ -26,7 +26,9 @@ class Metric:
 
     @property
     def type(self) -> str:
-        """counter or gauge, as Prometheus has it."""
+        """counter, histogram or gauge, as Prometheus has it."""
+        if self.value.endswith(".seconds"):
+            return "histogram"
         return "counter" if self.name.endswith("_total") else "gauge"
 
     @property
@@ -136,13 +138,13 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric(
             "trigpoint_detection_seconds",
-            "detection_ms",
-            "what the search of the last picture took",
+            "detection.seconds",
+            "how long pictures were searched",
         ),
         Metric(
             "trigpoint_sighting_delay_seconds",
-            "delay_ms",
-            "from the last picture's exposure until its sightings were sent",
+            "sighting_delay.seconds",
+            "from a picture's exposure until its sightings were sent",
         ),
         Metric(
             "trigpoint_background_state",
@@ -221,9 +223,19 @@ METRICS: dict[str, tuple[Metric, ...]] = {
             "corrections that the robot did not answer",
         ),
         Metric(
+            "trigpoint_correction_delay_seconds",
+            "correction_delay.seconds",
+            "from a sighting's exposure until its correction came to the robot's bridge",
+        ),
+        Metric(
+            "trigpoint_correction_transit_seconds",
+            "correction_transit.seconds",
+            "from a correction's sending until it came to the robot's bridge",
+        ),
+        Metric(
             "trigpoint_correction_answer_seconds",
-            "correction_answer_ms",
-            "from the last correction's writing until the robot's answer",
+            "correction_answer.seconds",
+            "from a correction's writing until the robot's answer",
         ),
         Metric(
             "trigpoint_frames_established_total",
@@ -317,6 +329,25 @@ METRICS: dict[str, tuple[Metric, ...]] = {
         ),
         Metric("trigpoint_faces_received_total", "faces.total", "faces in sightings"),
         Metric(
+            "trigpoint_sighting_transit_seconds",
+            "sighting_transit.seconds",
+            "from sightings' sending until they came to fusion",
+        ),
+        Metric(
+            "trigpoint_fusion_seconds",
+            "fusion.seconds",
+            "from a sighting's coming to fusion until its correction was sent, the wait for the "
+            "robot's odometry included",
+        ),
+        Metric(
+            "trigpoint_solving_seconds", "solving.seconds", "how long solving everything anew took"
+        ),
+        Metric(
+            "trigpoint_last_solving_seconds",
+            "last_solving_s",
+            "how long solving everything anew took the last time; NaN before that",
+        ),
+        Metric(
             "trigpoint_checkpoint_lost_total",
             "checkpoint.lost",
             "messages that could not be kept for the next start",
@@ -343,7 +374,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
 OTHERS = (
     Metric("trigpoint_other_total", "{name}.total", "further counters, by name"),
     Metric("trigpoint_other_lost_total", "{name}.lost", "further losses, by name"),
-    Metric("trigpoint_other", "{name}", "further gauges, by name"),
+    Metric("trigpoint_other_value", "{name}", "further gauges, by name"),
 )
 
 

@@ -1,7 +1,7 @@
 """A node's health: counters, gauges and errors, and their form in the diagnostics."""
 
 import threading
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,6 +9,7 @@ from enum import IntEnum
 from trigpoint.base.clock import Clock, SystemClock, to_ns, to_seconds
 from trigpoint.base.errors import MessageError
 from trigpoint.bus.bus import Sample, Subscription
+from trigpoint.contract.durations import Durations
 from trigpoint.contract.messages import Mended
 
 LOST_SO_FAR = "lost so far: "
@@ -36,7 +37,8 @@ class Report:
     """One reading of a node's health; `values` in the form of the diagnostics.
 
     Keys: `NAME.total` and `NAME.rate` (per second) of a counter, `NAME.lost` of lost data,
-    `NAME.depth` of a watched queue, and `NAME` alone for a gauge or a state in words.
+    `NAME.depth` of a watched queue, `NAME.seconds` of a histogram (`contract.durations`), and
+    `NAME` alone for a gauge or a state in words.
     """
 
     level: Level
@@ -48,9 +50,10 @@ class Health:
     """A node's counters, gauges and errors; every method may be called from any thread.
 
     `count` adds to a counter, shown as total and rate; `lose` does the same for lost data, which
-    makes the status a warning; `gauge` names a value that is read once a second (a queue's depth),
-    `describe` a state in words; `fail` keeps the last error's text, which makes the status an error
-    for a while; `hold` keeps an error until it is released.
+    makes the status a warning; `observe` counts how long something took, as a
+    histogram; `gauge` names a value that is read once a second (a queue's depth), `describe` a
+    state in words; `fail` keeps the last error's text, which makes the status an error for a while;
+    `hold` keeps an error until it is released.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -58,6 +61,7 @@ class Health:
         self._lock = threading.Lock()
         self._totals: Counter[str] = Counter()
         self._losses: Counter[str] = Counter()
+        self._durations: defaultdict[str, Durations] = defaultdict(Durations)
         self._gauges: dict[str, Callable[[], float]] = {}
         self._watched: dict[str, Subscription] = {}
         self._descriptions: dict[str, str] = {}
@@ -78,6 +82,11 @@ class Health:
         """Count data that was lost."""
         with self._lock:
             self._losses[name] += amount
+
+    def observe(self, name: str, seconds: float) -> None:
+        """Count how long something took."""
+        with self._lock:
+            self._durations[name].add(seconds)
 
     def gauge(self, name: str, read: Callable[[], float]) -> None:
         """Show the result of `read`, which is called on the diagnostics thread."""
@@ -155,6 +164,7 @@ class Health:
             totals, losses = dict(self._totals), dict(self._losses)
             watched, gauges = dict(self._watched), dict(self._gauges)
             values = dict(self._descriptions)
+            values |= {f"{name}.seconds": each.text for name, each in self._durations.items()}
         values |= {name: _number(read()) for name, read in gauges.items()}
         for name, subscription in watched.items():
             totals[name] = totals.get(name, 0) + subscription.received

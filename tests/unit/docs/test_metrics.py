@@ -12,6 +12,7 @@ from trigpoint.metrics.table import METRICS, OTHERS
 DOCS = Path(__file__).parents[3] / "docs"
 ROWS = {metric.name: metric for rows in (*METRICS.values(), OTHERS) for metric in rows}
 CHOICE = re.compile(r":[^}]+(?=\})")
+HISTOGRAM = "_(?:bucket|sum|count)"
 WHO = {"site", "node", "camera", "robot"}
 
 
@@ -41,12 +42,23 @@ def expressions() -> Iterator[tuple[str, str]]:
             yield target["expr"], target["legendFormat"]
 
 
+def series_of(name: str) -> str:
+    """The metric that a series in an expression belongs to: a histogram's are of three kinds."""
+    metric = re.sub(f"{HISTOGRAM}$", "", name)
+    return metric if metric in ROWS and ROWS[metric].type == "histogram" else name
+
+
+def test_a_histogram_itself_is_no_series() -> None:
+    assert series_of("trigpoint_detection_seconds_bucket") in ROWS
+    assert series_of("trigpoint_peers_count") not in ROWS
+
+
 def test_alerts_and_dashboard_use_metrics_and_labels_that_exist() -> None:
     for expression, words in expressions():
-        names = set(re.findall(r"trigpoint_\w+", expression))
+        names = {series_of(name) for name in re.findall(r"trigpoint_\w+", expression)}
         assert names <= ROWS.keys(), expression
         used = re.findall(r"\{\{ ?(?:\$labels\.)?(\w+) ?\}\}", words)
         known = WHO.union(*(ROWS[name].labels for name in names)) | {"instance"}
         assert set(used) <= known, (expression, words)
-        counters = re.findall(r"(\w+\()?(trigpoint_\w+_total)\b", expression)
+        counters = re.findall(rf"(\w+\()?(trigpoint_\w+(?:_total|{HISTOGRAM}))\b", expression)
         assert all(function in ("rate(", "increase(") for function, _ in counters), expression

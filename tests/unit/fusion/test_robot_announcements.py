@@ -9,6 +9,7 @@ from trigpoint.contract import topics
 from trigpoint.contract.correction import decode_mark
 from trigpoint.contract.messages import PoseArray, Transforms
 from trigpoint.contract.topics import Topic
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.output import Output
 from trigpoint.fusion.robot_announcements import RobotAnnouncements
 from trigpoint.fusion.solver.filter import RobotEstimate
@@ -22,12 +23,16 @@ def at(seconds: float) -> RobotEstimate:
     return RobotEstimate(to_ns(seconds), Pose.planar(4.0, -1.0, 1.2), np.eye(6))
 
 
+def seen(seconds: float) -> Observation:
+    return Observation("c1", "r1", to_ns(seconds), (), None)
+
+
 def of_topic(outputs: list[Output], topic: Topic) -> list[Output]:
     return [output for output in outputs if output.topic is topic]
 
 
 def corrected(news: RobotAnnouncements, seconds: list[float]) -> list[Output]:
-    return [output for s in seconds for output in news.correction(MAP, "r1", at(s))]
+    return [output for s in seconds for output in news.correction(MAP, seen(s), at(s))]
 
 
 def sequence(outputs: list[Output]) -> list[int]:
@@ -89,5 +94,5 @@ def test_what_nothing_has_measured_is_no_correction() -> None:
     """A robot that stands where the map begins is there by definition, without any error."""
     news = RobotAnnouncements(10.0)
     begun = RobotEstimate(to_ns(1.0), Pose.identity(), np.zeros((6, 6)))
-    assert not list(news.correction(MAP, "r1", begun))
+    assert not list(news.correction(MAP, seen(1.0), begun))
     assert sequence(corrected(news, [1.1])) == [1]

@@ -218,7 +218,7 @@ def test_everything_that_goes_wrong_is_counted(robot: Robot) -> None:
     assert health.lost("corrections_unanswered") == 1
     assert health.total("corrections_accepted") == 1
     assert health.lost("corrections_refused_by_robot") == 1
-    assert robot.bridge.answer_ms == 3.0
+    assert health.report().values["correction_answer.seconds"] == "0.005000 0 1 1"
     assert robot.bridge.vitals == Vitals(10, 2)
     assert health.last_error == "robot r1 refused a correction: too old"
 

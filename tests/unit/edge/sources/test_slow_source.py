@@ -110,7 +110,8 @@ def test_state_of_the_source_is_in_the_diagnostics(desk: Desk) -> None:
     may_end.set()
     node.wait()
     assert is_said("ended")
-    assert {"detection_ms", "delay_ms", "calibration_views"} <= node.health.report().values.keys()
+    shown = {"detection.seconds", "sighting_delay.seconds", "calibration_views"}
+    assert shown <= node.health.report().values.keys()
 
 
 def test_camera_that_hangs_silences_the_watchdog_and_is_named(

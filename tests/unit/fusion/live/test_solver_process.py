@@ -85,7 +85,8 @@ def orders_of(session: Session) -> list[Order]:
 
 def test_every_solution_is_reported_as_it_is_made(charuco: Session) -> None:
     orders = orders_of(charuco)[:-1]
-    solver = SolverProcess(charuco.inputs.data_set())
+    took_s: list[float] = []
+    solver = SolverProcess(charuco.inputs.data_set(), took=took_s.append)
     found: list[News] = []
 
     def reports() -> list[Reported]:
@@ -102,6 +103,8 @@ def test_every_solution_is_reported_as_it_is_made(charuco: Session) -> None:
         assert eventually(lambda: bool(reports() and reports()[-1].orders), timeout_s=60.0)
     finally:
         solver.close()
+    assert len(took_s) == sum(isinstance(item, Solved) for item in found)
+    assert min(took_s) > 0.001
     for report in [item for item in found if isinstance(item, Reported)][:-1]:
         assert report.results.network.located
         assert not report.is_final

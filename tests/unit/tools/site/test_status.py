@@ -152,11 +152,11 @@ def test_command_shows_the_live_site(
 
 
 def test_states_in_words_stay_words() -> None:
-    values = {"source": "lost", "stamps": "on arrival", "delay_ms": "12.5"}
+    values = {"source": "lost", "stamps": "on arrival", "picture_age_s": "12.5"}
     status = DiagnosticStatus(2, "edge/c1", "gone", "", values)
     site = summarise("lab", peers=0, tokens=["lab/alive/edge/c1"], statuses=[status])
     assert site.nodes[0].words == {"source": "lost", "stamps": "on arrival"}
-    assert site.nodes[0].gauges == {"delay_ms": 12.5}
+    assert site.nodes[0].gauges == {"picture_age_s": 12.5}
     assert not site.is_well
     assert "source: lost" in table(site)
 

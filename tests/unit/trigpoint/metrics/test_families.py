@@ -4,29 +4,46 @@ import re
 from pathlib import Path
 
 from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.openmetrics import exposition as openmetrics
+from prometheus_client.openmetrics.parser import (
+    text_string_to_metric_families as openmetrics_families,
+)
 from prometheus_client.parser import text_string_to_metric_families
 
 from trigpoint.contract.messages import Diagnostics, DiagnosticStatus
 from trigpoint.metrics.families import families
-from trigpoint.metrics.table import METRICS, OTHERS, metric_of
+from trigpoint.metrics.table import EVERY, METRICS, OTHERS, Metric, metric_of
 from trigpoint.node.health import Health, Level
 
 ROOT = Path(__file__).parents[4]
-CALL = re.compile(r"\.(count|lose|gauge)\(\s*f?\"([^\"]+)\"")
-SUFFIX = {"count": ".total", "lose": ".lost", "gauge": ""}
+CALL = re.compile(r"\.(count|lose|gauge|observe)\(\s*f?\"([^\"]+)\"")
+SUFFIX = {"count": ".total", "lose": ".lost", "gauge": "", "observe": ".seconds"}
+
+
+class Collector:
+    """What a registry collects of nodes' diagnostics: name of a node -> its values."""
+
+    def __init__(self, nodes: dict[str, dict[str, str]]) -> None:
+        self._nodes = nodes
+
+    def collect(self) -> list:
+        statuses = (
+            DiagnosticStatus(Level.WARN, name, "", "host", values)
+            for name, values in self._nodes.items()
+        )
+        return families("lab", [Diagnostics(5_000_000_000, (status,)) for status in statuses])
+
+
+def registry_of(nodes: dict[str, dict[str, str]]) -> CollectorRegistry:
+    registry = CollectorRegistry()
+    registry.register(Collector(nodes))
+    return registry
 
 
 def samples(name: str, health: Health) -> dict[str, tuple[dict[str, str], float]]:
     """Every sample of one node's diagnostics, as a Prometheus would read it."""
-    status = DiagnosticStatus(Level.WARN, name, "", "host", health.report().values)
-
-    class Collector:
-        def collect(self) -> list:
-            return families("lab", [Diagnostics(5_000_000_000, (status,))])
-
-    registry = CollectorRegistry()
-    registry.register(Collector())
-    read = text_string_to_metric_families(generate_latest(registry).decode())
+    page = generate_latest(registry_of({name: health.report().values})).decode()
+    read = text_string_to_metric_families(page)
     return {one.name: (one.labels, one.value) for family in read for one in family.samples}
 
 
@@ -35,7 +52,7 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
     health.count("pictures", 7)
     health.lose("pictures", 2)
     health.lose("frozen", 3)
-    health.gauge("detection_ms", lambda: 12.5)
+    health.gauge("certificate_days", lambda: 0.5)
     health.describe("source", "running")
     health.count("sent lab/camera/c1/sightings", 6)
     found = samples("edge/c1", health)
@@ -46,7 +63,7 @@ def test_a_cameras_counters_have_names_units_and_labels() -> None:
         "trigpoint_pictures_total": (who, 7.0),
         "trigpoint_pictures_skipped_total": (who, 2.0),
         "trigpoint_pictures_unusable_total": (who | {"reason": "frozen"}, 3.0),
-        "trigpoint_detection_seconds": (who, 0.0125),
+        "trigpoint_certificate_left_seconds": (who, 43200.0),
         "trigpoint_source_state": (who | {"state": "running"}, 1.0),
         "trigpoint_sent_total": (who | {"key": "lab/camera/c1/sightings"}, 6.0),
     }
@@ -64,8 +81,47 @@ def test_what_the_table_does_not_have_keeps_its_name_as_a_label() -> None:
     } == {
         "trigpoint_other_total": ("sparks", 4.0),
         "trigpoint_other_lost_total": ("nerve", 1.0),
-        "trigpoint_other": ("mood", 0.5),
+        "trigpoint_other_value": ("mood", 0.5),
     }
+
+
+def test_a_histogram_is_cumulative_and_has_its_sum_and_count() -> None:
+    values = {"detection.seconds": "0.046 0 1 0 0 3", "sighting_delay.seconds": "no histogram"}
+    page = generate_latest(registry_of({"edge/c1": values})).decode()
+    read = {family.name: family for family in text_string_to_metric_families(page)}
+    assert "trigpoint_sighting_delay_seconds" not in read
+    family = read["trigpoint_detection_seconds"]
+    assert family.type == "histogram"
+    found = {(one.name, one.labels.get("le")): one.value for one in family.samples}
+    bucket = "trigpoint_detection_seconds_bucket"
+    assert [found.pop((bucket, le)) for le in ("0.001", "0.0025", "0.01", "0.025", "+Inf")] == [
+        *(0.0, 1.0, 1.0, 4.0, 4.0)
+    ]
+    assert found["trigpoint_detection_seconds_sum", None] == 0.046
+    assert found["trigpoint_detection_seconds_count", None] == 4.0
+
+
+def any_value(metric: Metric) -> tuple[str, str]:
+    """A value that becomes a metric, by its name."""
+    name = re.sub(r"\{\w+:([^|}]+)[^}]*\}", r"\1", metric.value)
+    text = "words" if metric.text else "1.5 2 1" if metric.type == "histogram" else "3"
+    return re.sub(r"\{\w+\}", "any", name).replace("odometry .+", "odometry r1"), text
+
+
+def test_every_row_is_read_by_prometheus_in_both_of_its_formats() -> None:
+    """Prometheus asks for OpenMetrics where it can have it, which allows less."""
+    nodes = {
+        f"{kind}/n1": dict(any_value(metric) for metric in (*METRICS[EVERY], *rows, *OTHERS))
+        for kind, rows in METRICS.items()
+        if kind != EVERY
+    }
+    registry = registry_of(nodes)
+    rows = [metric for rows in (*METRICS.values(), OTHERS) for metric in rows]
+    wanted = {metric.name.removesuffix("_total"): metric.type for metric in rows}
+    text = generate_latest(registry).decode()
+    assert {f.name: f.type for f in text_string_to_metric_families(text)} == wanted
+    text = openmetrics.generate_latest(registry).decode()
+    assert {f.name: f.type for f in openmetrics_families(text)} == wanted
 
 
 def counted() -> list[tuple[str, str]]:

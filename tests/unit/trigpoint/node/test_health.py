@@ -44,6 +44,13 @@ def test_failure_makes_an_error_for_a_while_and_stays_readable() -> None:
     assert report.values["last_error"] == "the lens is covered"
 
 
+def test_durations_are_shown_as_a_histogram() -> None:
+    health = Health(ManualClock())
+    for seconds in (0.002, 0.004, 0.004):
+        health.observe("detection", seconds)
+    assert health.report().values["detection.seconds"] == "0.010000 0 1 2"
+
+
 def test_gauge_is_read_at_each_report() -> None:
     health = Health(ManualClock())
     depths = [1.0, 2.5]
