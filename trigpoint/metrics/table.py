@@ -366,7 +366,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
     ),
     "view": (
         Metric("trigpoint_drawn_total", "drawn.total", "messages drawn"),
-        Metric("trigpoint_drawing_lost_total", "drawing.lost", "messages not drawn"),
+        Metric("trigpoint_drawing_lost_total", "drawing.lost", "messages dropped for newer ones"),
     ),
 }
 """Whose diagnostics -> the rows of their values."""

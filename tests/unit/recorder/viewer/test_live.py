@@ -1,18 +1,27 @@
 """The live site, drawn; and the viewer's process."""
 
 import os
+import re
 import subprocess
 import sys
+import threading
+import time
 import urllib.error
 import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, cast
 
 import psutil
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 from support.builders import eventually
 
+from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import OperationError
+from trigpoint.bus.bus import Publisher
 from trigpoint.contract.topics import DIAGNOSTICS
 from trigpoint.node.node import Node
 from trigpoint.recorder.viewer import live as view
@@ -23,11 +32,17 @@ from trigpoint.site.config import load_site
 from trigpoint.site.target import load_target
 from trigpoint.testing.memory_bus import MemoryBroker
 
+PAUSE_S = 0.002
+"""Between two messages: ten while one is the oldest that may wait."""
 
-def show(folder: Path, sent: list, path: Path) -> Node:
-    """Draw what is sent into a file; return the node, stopped."""
+
+@contextmanager
+def drawing(
+    folder: Path, path: Path
+) -> Iterator[tuple[Callable[[list], None], Node, "SlowStream"]]:
+    """What is sent is drawn into a file, as fast as the stream may take it."""
     site = load_site(folder / "site.toml")
-    stream = open_stream(site.name, 0)
+    stream = SlowStream(open_stream(site.name, 0))
     stream.save(path)
     broker = MemoryBroker()
     with (
@@ -35,35 +50,96 @@ def show(folder: Path, sent: list, path: Path) -> Node:
         broker.session() as sender,
         Node(bus, site="lab", kind="view", name="p1") as node,
     ):
-        LiveView(site, {"r1": load_target(folder / "target.toml")}, stream).start(bus, node)
-        publishers = {one.key: sender.publisher(one.topic, one.key) for one in sent}
-        for one in sent:
-            publishers[one.key].put(one.payload)
-        lost = node.health
-        assert eventually(
-            lambda: lost.total("drawn") + lost.lost("drawing") >= len(sent), timeout_s=20
-        )
+        targets = {"r1": load_target(folder / "target.toml")}
+        LiveView(site, targets, cast(rr.RecordingStream, stream)).start(bus, node)
+        publishers: dict[str, Publisher] = {}
+
+        def put(sent: list) -> None:
+            for one in sent:
+                if one.key not in publishers:
+                    publishers[one.key] = sender.publisher(one.topic, one.key)
+                publishers[one.key].put(one.payload)
+                time.sleep(PAUSE_S)
+
+        yield put, node, stream
         node.stop()
     stream.disconnect()
-    return node
+
+
+def is_over(node: Node, count: int) -> bool:
+    """Whether so many messages were drawn or dropped; the node's own diagnostics are too."""
+    return node.health.total("drawn") + node.health.lost("drawing") >= count
 
 
 def test_a_live_site_is_drawn_like_a_recorded_one(
     site_folder: Path, story: list, tmp_path: Path
 ) -> None:
     sent = [one for one in story if one.topic is not DIAGNOSTICS and one.topic.name != "image"]
-    show(site_folder, sent, tmp_path / "s.rrd")
+    with drawing(site_folder, tmp_path / "s.rrd") as (put, node, stream):
+        stream.may_take.set()
+        put(sent)
+        assert eventually(lambda: is_over(node, len(sent)), timeout_s=20)
     found = {chunk.entity_path for chunk in RrdReader(tmp_path / "s.rrd").stream()}
     assert {"/map/cameras/c1/frustum", "/map/robots/r1/corrected", "/sigma/cameras/c1"} <= found
 
 
-def test_slow_drawing_drops_the_oldest_and_counts(
-    site_folder: Path, story: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+class SlowStream:
+    """A recording stream that takes nothing in until it may."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self.may_take = threading.Event()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def flush(self, *, timeout_sec: float) -> None:
+        if not self.may_take.wait(timeout_sec):
+            raise RuntimeError("Flush timed out")
+        self._stream.flush(timeout_sec=timeout_sec)
+
+
+@pytest.mark.parametrize(("limit", "value"), [("QUEUE", 16), ("_MOST_BEHIND_NS", to_ns(0.02))])
+def test_where_rerun_falls_behind_the_newest_of_each_key_is_drawn_and_it_is_said_once(
+    limit: str,
+    value: int,
+    site_folder: Path,
+    story: list,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr(view, "QUEUE", 3)
-    sent = [one for one in story if one.topic.name == "odom"]
-    node = show(site_folder, sent, tmp_path / "s.rrd")
-    assert node.health.lost("drawing") > 0
+    monkeypatch.setattr(view, limit, value)
+    sent = [one for one in story if one.topic.name in ("odom", "sightings")]
+    third = len(sent) // 3
+    with drawing(site_folder, tmp_path / "s.rrd") as (put, node, stream):
+        put(sent[:1])  # is drawn, and rerun does not take it
+        assert eventually(lambda: is_over(node, 1))
+        put(sent[1:third])
+        assert eventually(lambda: node.health.lost("drawing") > third - 20)
+        assert float(node.health.report().values["drawing.depth"]) <= 20
+        stream.may_take.set()
+        assert eventually(lambda: is_over(node, third))
+        stream.may_take.clear()
+        lost = node.health.lost("drawing")
+        put(sent[third:])
+        assert eventually(lambda: node.health.lost("drawing") > lost + third)
+        stream.may_take.set()
+    said = [record.message for record in caplog.records if "fell behind" in record.message]
+    assert len(said) == 1
+    assert re.search(r"not drawn: .*\d+ odom", said[0])
+    newest_ns = max(one.stamp_ns for one in sent if one.topic.name == "odom")
+    assert newest_ns in times_ns(tmp_path / "s.rrd", "/map/robots/r1")
+
+
+def times_ns(path: Path, entity: str) -> set[int]:
+    """The moments at which something was drawn there or below."""
+    found: set[int] = set()
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path.startswith(entity) and not chunk.is_static:
+            times = chunk.to_record_batch().column("time")
+            found.update(times.cast("int64").to_pylist())
+    return found
 
 
 def test_without_a_display_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
