@@ -183,7 +183,6 @@ GROUPS = {
 }
 
 EXTRAS: dict[str, str] = {
-    "av": "edge",
     "cv2": "edge",
     "serial": "robot",
     "filterpy": "fusion",
@@ -202,6 +201,7 @@ EXTRAS: dict[str, str] = {
 """Package -> the extra that installs it, if the command's own row names none."""
 
 SITE_EXTRAS: dict[str, str] = {
+    "av": "streams",
     "PIL": "recorder",
     "cryptography": "secure",
 }

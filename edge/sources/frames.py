@@ -26,6 +26,8 @@ SOURCES: dict[str, str] = {
     "v4l2": "trigpoint.edge.sources.frames_v4l2:V4l2Frames",
     "rtsp": "trigpoint.edge.sources.frames_rtsp:RtspFrames",
 }
+STREAMED = ("file", "rtsp")
+"""Those that PyAV reads, which the extra `streams` installs."""
 PLUG_INS = "trigpoint.frames"
 _LOCAL_SCHEMES = ("dir", "file")
 

@@ -32,6 +32,12 @@ class PartFacts:
     types: Mapping[str, str] = field(default_factory=dict)
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path is the file of a bag or session, packed or not, or a folder with one."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return any(file.with_suffix("").suffix in BAGS or file.suffix in BAGS for file in files)
+
+
 def write_metadata(folder: Path, parts: Sequence[PartFacts]) -> None:
     """Write the file anew, in one step."""
     new = folder / f".{FILE}"

@@ -7,7 +7,7 @@ from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import RecordingError
 from trigpoint.recorder.mcap.file import McapIndex
 from trigpoint.recorder.mcap.index import read_index
-from trigpoint.recorder.mcap.rosbag_metadata import BAGS, listed_files, packs_messages
+from trigpoint.recorder.mcap.rosbag_metadata import is_bag, listed_files, packs_messages
 from trigpoint.site.config import Site
 
 FILE = "session.mcap"
@@ -43,12 +43,6 @@ def session_path(site: Site, out: Path | None, *, now_ns: int) -> Path:
 def part_path(first: Path, part: int) -> Path:
     """The file of a session's part, counted from 1."""
     return first if part == 1 else first.with_name(f"{first.stem}_part{part}{first.suffix}")
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is the file of a bag or session, packed or not, or a folder with one."""
-    files = path.iterdir() if path.is_dir() else [path]
-    return any(file.with_suffix("").suffix in BAGS or file.suffix in BAGS for file in files)
 
 
 def _is_mcap(file: Path) -> bool:

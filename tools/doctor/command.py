@@ -15,6 +15,7 @@ from trigpoint.base.checks import Check
 from trigpoint.base.errors import InputError, TargetError
 from trigpoint.base.terminal import waiting
 from trigpoint.base.words import counted
+from trigpoint.edge.sources.frames import STREAMED
 from trigpoint.site.config import CameraConfig, Site, load_site, parse_site
 from trigpoint.site.option import site_here
 from trigpoint.site.target import load_target
@@ -141,6 +142,8 @@ def _check_camera(site: Site, name: str) -> list[Check]:
         device = _check_device(f"camera {name}", _device(place.partition("?")[0]), "video")
         if device.level != "ok":
             return [*findings, device, _shutter(name, site.camera(name))]
+    if scheme in STREAMED and missing_packages("streams"):
+        return [*findings, check_extra("streams")]
     if not missing_packages("edge"):
         from .cameras import check_camera  # needs the edge extra
 

@@ -20,7 +20,7 @@ from trigpoint.site.config import ROS2_PROTOCOL, BusConfig, Site
 from trigpoint.zenoh import open_bus
 
 EXTRAS: dict[str, tuple[str, ...]] = {
-    "edge": ("cv2", "av"),
+    "edge": ("cv2",),
     "robot": ("serial",),
     "fusion": ("cv2", "scipy"),
     "recorder": ("mcap", "rerun"),
@@ -32,8 +32,8 @@ _GIGABYTE = 1_000_000_000
 _NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
-SITE_EXTRAS: dict[str, tuple[str, ...]] = {"secure": ("cryptography",)}
-"""The same for extras that a site file may require of every machine."""
+SITE_EXTRAS: dict[str, tuple[str, ...]] = {"secure": ("cryptography",), "streams": ("av",)}
+"""The same for extras that a site file may require of a machine."""
 
 
 def missing_packages(extra: str) -> list[str]:

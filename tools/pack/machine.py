@@ -11,6 +11,7 @@ from msgspec import structs
 from trigpoint import __version__
 from trigpoint.base.errors import ConfigError, InputError
 from trigpoint.contract.access import Kind
+from trigpoint.edge.sources.frames import STREAMED
 from trigpoint.site.config import BusConfig, Site, check_name, parse_site
 from trigpoint.tools.site.systemd_units import UNITS, Unit
 
@@ -84,9 +85,15 @@ class Node:
     def extras(self, site: Site) -> tuple[str, ...]:
         """What of the program is installed."""
         extras = _EXTRAS[self.role]
+        if self.role is Role.CAMERA and _scheme(site, self.name) in STREAMED:
+            extras += ("streams",)
         if self.role is Role.ROBOT and site.robot(self.name).protocol_name == "mavlink":
             extras += ("mavlink",)
         return extras if site.bus.tls is None else (*extras, "secure")
+
+
+def _scheme(site: Site, camera: str) -> str:
+    return site.camera(camera).source.partition("://")[0]
 
 
 def site_that_connects(site: Site, endpoint: str) -> Site:

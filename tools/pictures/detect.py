@@ -16,7 +16,6 @@ from trigpoint.base.words import counted
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.edge.detector import detector_for
 from trigpoint.edge.image.picture import as_grey
-from trigpoint.edge.sources.frames_video import Video
 from trigpoint.edge.sources.opencv_log import quieten_opencv
 from trigpoint.edge.sources.picture_files import (
     check_orientations,
@@ -24,7 +23,7 @@ from trigpoint.edge.sources.picture_files import (
     pictures_in,
     read_picture,
 )
-from trigpoint.recorder.session.files import is_bag
+from trigpoint.recorder.mcap.rosbag_metadata import is_bag
 from trigpoint.site.target import load_target
 
 from .account import PictureAccount
@@ -170,6 +169,8 @@ def _picture_files(path: Path) -> list[Path]:
 
 def _frames(path: Path, account: PictureAccount) -> Iterator[tuple[str, str, np.ndarray]]:
     """The pictures of a video, named by number from 0; none of a file that is no video."""
+    from trigpoint.edge.sources.frames_video import Video  # needs the streams extra
+
     try:
         video = Video(path)
     except InputError as reason:

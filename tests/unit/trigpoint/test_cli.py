@@ -180,6 +180,19 @@ def test_missing_extra_names_what_to_install(
     )
 
 
+def test_what_a_site_file_requires_is_an_extra_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A camera's agent is installed without PyAV, until a camera is a network stream."""
+
+    def fail() -> None:
+        raise ModuleNotFoundError("No module named 'av'", name="av")
+
+    put_command(monkeypatch, fail)
+    assert run(["edge"]) == 1
+    assert "run: pip install -c constraints.txt 'trigpoint[streams] @ " in capsys.readouterr().err
+
+
 def test_every_package_that_may_be_missing_is_known() -> None:
     """Else whoever installed less than all of it gets a traceback."""
     source = Path(trigpoint.__file__).parents[1]
@@ -200,6 +213,18 @@ def _imported(tree: ast.AST) -> Iterator[str]:
             yield from (name.name.partition(".")[0] for name in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
             yield node.module.partition(".")[0]
+
+
+def test_a_camera_node_needs_the_edge_extra_alone() -> None:
+    """Its commands, and what `doctor` looks at there."""
+    others = [name for name, extra in (EXTRAS | SITE_EXTRAS).items() if extra != "edge"]
+    places = [row.place.partition(":")[0] for row in COMMANDS.values() if row.extra == "edge"]
+    places += ["trigpoint.tools.doctor.cameras", "trigpoint.tools.doctor.boards"]
+    assert "trigpoint.tools.pictures.detect" in places
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({others}))"
+    code = "\n".join([blocked, *(f"import {place}" for place in places)])
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
 
 
 def test_a_module_of_ours_that_is_missing_is_no_missing_extra(

@@ -114,6 +114,16 @@ def test_sites_devices_and_targets_are_looked_at(quick: None, tmp_path: Path) ->
     assert findings["robot r9"].level == "warning"
 
 
+def test_pyav_is_wanted_where_a_camera_is_a_stream(
+    quick: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(machine_checks.SITE_EXTRAS, "streams", ("no_such_av",))
+    path = write_site(tmp_path, '[cameras.c8]\nsource = "rtsp://a"\n')
+    findings = {finding.name: finding for finding in examine(load_site(path))}
+    assert findings["extra streams"].level == "warning"
+    assert "trigpoint[streams]" in findings["extra streams"].remedy
+
+
 def test_command_exits_1_where_something_is_wrong(
     quick: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,7 +70,7 @@ def make_wheel(path: Path) -> None:
         "trigpoint/__init__.py": "",
         "trigpoint/__main__.py": "import sys; print('ran', *sys.argv[1:])\n",
         f"{info}/METADATA": f"Metadata-Version: 2.1\nName: trigpoint\nVersion: {__version__}\n"
-        + "".join(f"Provides-Extra: {extra}\n" for extra in ("edge", "robot", "secure")),
+        + "".join(f"Provides-Extra: {extra}\n" for extra in ("edge", "streams", "robot", "secure")),
         f"{info}/WHEEL": f"Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3{tag}\n",
     }
     with zipfile.ZipFile(path, "w") as archive:
@@ -119,6 +119,13 @@ def test_camera_gets_its_own_key_and_no_other(folder: Path) -> None:
     site = load_site(place / "site/site.toml")
     assert (site.bus.connect, site.bus.listen) == ((SERVER,), ())
     node_credentials(site, Kind.CAMERA, "c1")
+
+
+@pytest.mark.parametrize("source", ["v4l2:///dev/video0", "rtsp://10.0.0.5/a", "file:///clip.mp4"])
+def test_pyav_goes_where_streams_are_read(folder: Path, source: str) -> None:
+    (folder / "site.toml").write_text(FILE.replace("v4l2:///dev/video0", source))
+    script = (packed("camera", "c1", "--connect", SERVER) / "install.sh").read_text()
+    assert ("[edge,secure]" if "v4l2" in source else "[edge,streams,secure]") in script
 
 
 def test_robot_gets_what_corrections_are_checked_by_and_its_signing_key(folder: Path) -> None:
