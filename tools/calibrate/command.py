@@ -124,7 +124,7 @@ def _say_alignment(alignment: Alignment) -> None:
 def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[str]:
     if camera.status != "located":
         return [name, camera.status]
-    turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
+    turn = math.degrees(camera.rotation_sigma)
     row = [name, camera.status, f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
     row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
     if error and name in error.cameras:

@@ -130,6 +130,11 @@ class CameraRecord(Struct, frozen=True, omit_defaults=False):
         """Square root of the position covariance's trace, metres."""
         return math.sqrt(float(np.trace(self.covariance_matrix[:3, :3])))
 
+    @property
+    def rotation_sigma(self) -> float:
+        """Square root of the rotation covariance's trace, radians."""
+        return math.sqrt(float(np.trace(self.covariance_matrix[3:, 3:])))
+
 
 class FaceRecord(Struct, frozen=True):
     """base_from_face."""

@@ -1,7 +1,6 @@
 """The page's first lines: the calibration in a sentence and in a few numbers."""
 
-from trigpoint.tools.report.drawing.frame import centimetres, tile
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.tools.pages.frame import centimetres, tile, tiles
 
 from .facts import CalibrationResults
 
@@ -20,11 +19,12 @@ def headline(results: CalibrationResults) -> str:
     return f"{located} of {count} cameras located, each to {sigma} or better"
 
 
-def tiles(results: CalibrationResults) -> str:
+def summary(results: CalibrationResults) -> str:
     """A few numbers with what they mean."""
-    shown = [_located(results), _worst(results), _distance(results), _truth(results)]
-    shown += [_noise(results), _rejected(results)]
-    return element("div", *(one for one in shown if one), class_="tiles thirds")
+    return tiles(
+        _located(results), _worst(results), _distance(results), _truth(results), _noise(results),
+        _rejected(results),
+    )  # fmt: skip
 
 
 def _located(results: CalibrationResults) -> str:
@@ -45,7 +45,7 @@ def _worst(results: CalibrationResults) -> str:
 
 
 def _distance(results: CalibrationResults) -> str:
-    expected = results.expected_distance_error_m
+    expected = results.distances.expected_error_m
     if expected is None:
         return ""
     words = "mean error of the distances between cameras, as the covariance lets one expect"
