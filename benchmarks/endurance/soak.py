@@ -32,7 +32,7 @@ from benchmarks.network.segments import PORT, Segments, certify
 from benchmarks.timing import resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
-from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.simulation.site_files import write_site
 from trigpoint.tools.simulation.world import World, load_world
 
 from .clock import SettableClock
@@ -170,14 +170,11 @@ class Soak:
         nodes += [(Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.RECORDER, "main")]
         certify(self.folder, (*nodes, (Kind.OPERATOR, "anna")), addresses.values())
         self.epoch_ns = time.time_ns() + 20_000_000_000
-        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in world.cameras}
         buses = {"router": BusConfig(listen=(f"tls/0.0.0.0:{PORT}",), tls=TlsConfig())}
         for name, address in {"server": "127.0.0.1", **addresses}.items():
             buses[name] = BusConfig(connect=(f"tls/{address}:{PORT}",), tls=TlsConfig())
         for name, bus in buses.items():
-            path = write_site(
-                world, self.folder, sources=sources, ports={"r1": "./r1.port"}, bus=bus
-            )
+            path = write_site(world, self.folder, epoch_ns=self.epoch_ns, bus=bus)
             path.rename(self.folder / f"{name}.toml")
 
     def _programs(self) -> dict[str, Program]:

@@ -38,7 +38,7 @@ from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.site.config import load_site
-from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.simulation.site_files import write_site
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.zenoh import open_bus
 
@@ -82,8 +82,7 @@ class Lab:
         for name in [name for name in world.cameras if name not in CAMERAS]:
             del world.cameras[name]
         self.epoch_ns = time.time_ns() + to_ns(_START_S)
-        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in CAMERAS}
-        self.site = write_site(world, folder, sources=sources, ports={"r1": "./r1.port"})
+        self.site = write_site(world, folder, epoch_ns=self.epoch_ns)
         self.journal = folder / "r1.jsonl"
 
     def words(self, program: str) -> list[str]:

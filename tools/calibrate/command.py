@@ -15,9 +15,9 @@ from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.tools.networks.building_alignment import Alignment, align, alignment_text
+from trigpoint.tools.networks.noise_words import noise_text
 from trigpoint.tools.networks.truth import NetworkError, load_truth, network_error
 
-from .noise_words import noise_text
 from .report import REPORT, write_report
 from .work import Task, fed, task_of
 

@@ -9,7 +9,7 @@ from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.contract.topics import topic_of
 from trigpoint.geometry import Pose
-from trigpoint.map.network import Network, PoseRecord, decode_tum, load_covariance, load_network
+from trigpoint.map.network import Network, PoseRecord, load_covariance, load_network, load_tum
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, load_truth, network_error
@@ -125,7 +125,7 @@ def _tum(path: Path, epoch_ns: int) -> Track:
     """A trajectory file; an empty track where there is none."""
     if not path.exists():
         return Track.of(np.zeros(0), Pose.planar(np.zeros(0), np.zeros(0), np.zeros(0)))
-    stamps_ns, poses = decode_tum(path.read_bytes(), source=str(path))
+    stamps_ns, poses = load_tum(path)
     return Track.of((stamps_ns - epoch_ns) / NANOSECONDS, poses)
 
 

@@ -1,7 +1,6 @@
 """The command `distances`: the network's distances between cameras, beside a tape measure's."""
 
 import csv
-import difflib
 import itertools
 import json as json_text
 import math
@@ -15,7 +14,7 @@ import typer
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.base.terminal import table
-from trigpoint.base.words import counted
+from trigpoint.base.words import counted, nearest
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network, load_covariance, load_network
 
@@ -207,9 +206,7 @@ def _measured(cells: list[str], network: Network, sigma_m: float) -> Measured:
 
 def _located(name: str, network: Network) -> str:
     if name not in network.cameras:
-        near = difflib.get_close_matches(name, list(network.cameras), n=1, cutoff=0.0)
-        hint = f"; did you mean «{near[0]}»?" if near else ""
-        raise ValueError(f"the network has no camera «{name}»{hint}")
+        raise ValueError(f"the network has no camera «{name}»{nearest(name, network.cameras)}")
     if name not in network.located:
         status = network.cameras[name].status
         raise ValueError(f"camera {name} is {status} and has no place; leave the row out")

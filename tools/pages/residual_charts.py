@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.geometry.rotation import Array
 
@@ -58,7 +59,7 @@ def picture_drawing(
     )
     left_out = len(residuals.used) - len(used)
     if left_out:
-        words += f" Crosses: {left_out} corner{'s' * (left_out > 1)} left out."
+        words += f" Crosses: {counted(left_out, 'corner')} left out."
     return picture, words
 
 

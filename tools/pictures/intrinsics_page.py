@@ -25,13 +25,7 @@ def intrinsics_page(found: Calibration, *, name: str, pictures: int) -> str:
         f"Lens of {name}",
         _judgement(found),
         _numbers(found),
-        section(
-            "Coverage",
-            note(
-                "Where the target's corners were seen. Where none were, the lens is extrapolated."
-            ),
-            _figure(coverage_drawing(found)),
-        ),
+        _coverage(found),
         _residuals(found),
         _models(found),
         _views(found),

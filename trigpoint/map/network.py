@@ -277,6 +277,14 @@ def encode_tum(stamps_ns: np.ndarray, poses: Pose) -> bytes:
     return "".join(rows).encode()
 
 
+def load_tum(path: Path) -> tuple[np.ndarray, Pose]:
+    """`decode_tum` of a file; raise InputError also where it cannot be read."""
+    try:
+        return decode_tum(path.read_bytes(), source=str(path))
+    except OSError as reason:
+        raise InputError(f"{path}: cannot be read ({reason.strerror}); check the path") from None
+
+
 def decode_tum(data: bytes, *, source: str = "trajectory") -> tuple[np.ndarray, Pose]:
     """(stamps_ns (n,) int64, poses) of a TUM file; raise InputError that names the line."""
     stamps, rows = [], []

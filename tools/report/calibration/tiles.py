@@ -1,5 +1,6 @@
 """The page's first lines: the calibration in a sentence and in a few numbers."""
 
+from trigpoint.tools.networks.noise_words import noise_words
 from trigpoint.tools.pages.frame import centimetres, tile, tiles
 
 from .facts import CalibrationResults
@@ -58,18 +59,6 @@ def _truth(results: CalibrationResults) -> str:
     words = "their mean error in truth; all errors against the joint covariance come to "
     words += f"{results.error.nees:.2f} per degree of freedom"
     return tile(centimetres(results.error.distance), words)
-
-
-def noise_words(chi2: float, noise: tuple[str, ...] = ()) -> str:
-    """What χ² says, what `noise` is not as stated, and what follows where χ² is far from 1."""
-    words = "χ² per degree of freedom; 1 where noise is as assumed"
-    if noise:
-        words += f", that is, of {'; of '.join(noise)}"
-    if chi2 > 2.0:
-        return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
-    if chi2 < 0.5:
-        return f"{words}; sigmas are too large: corners or odometry are better than stated"
-    return words
 
 
 def _noise(results: CalibrationResults) -> str:
