@@ -1,6 +1,5 @@
 """A least-squares problem with every kind of unknown, small enough to be looked at as a whole."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -262,9 +261,3 @@ def whole_matrix(problem: Problem, equations: NormalEquations) -> Array:
                 matrix[at, after] = chain.lower[node].T
         start += size
     return matrix
-
-
-def with_faces_known(state: State, robot: str, base_from_face: Pose) -> State:
-    """The state with other faces of a robot."""
-    changed = replace(state.robots[robot], base_from_face=base_from_face)
-    return State(state.cameras, state.robots | {robot: changed})
