@@ -19,7 +19,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -32,7 +32,8 @@ from benchmarks.network.segments import PORT, Segments, certify
 from benchmarks.timing import resident_mb
 from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
-from trigpoint.tools.simulation.site_files import write_site
+from trigpoint.tools.parts.specs import agent, bridge, firmware, trigpoint
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
 from .clock import SettableClock
@@ -83,17 +84,25 @@ class Program:
     """One program in its namespace; started again when it was killed."""
 
     def __init__(
-        self, name: str, space: Namespace, words: list[str], log: Path, environment: dict[str, str]
+        self,
+        name: str,
+        space: Namespace,
+        command: Sequence[str],
+        log: Path,
+        environment: dict[str, str],
     ) -> None:
-        self.name, self._space, self._words, self._log = name, space, words, log
+        self.name, self._command, self._log = name, space.command(*command), log
         self._environment = {**os.environ, **environment}
         self.process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         with self._log.open("ab") as log:
-            words = self._space.command(sys.executable, "-m", *self._words)
             return subprocess.Popen(
-                words, stderr=log, stdout=log, stdin=subprocess.DEVNULL, env=self._environment
+                self._command,
+                stderr=log,
+                stdout=log,
+                stdin=subprocess.DEVNULL,
+                env=self._environment,
             )
 
     def kill(self) -> None:
@@ -178,28 +187,27 @@ class Soak:
             path.rename(self.folder / f"{name}.toml")
 
     def _programs(self) -> dict[str, Program]:
-        def site(name: str) -> list[str]:
-            return ["--site", str(self.folder / f"{name}.toml")]
+        def site(name: str) -> str:
+            return str(self.folder / f"{name}.toml")
 
-        out = ["--out", str(self.folder / "session")]
-        cameras = [word for name in _CAMERAS for word in ("--camera", name)]
-        firmware = ["--world", "lab", "--seed", "1", "--target", "charuco", "--robot", "r1"]
-        firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
-        firmware += ["--log", str(self.folder / "r1.jsonl")]
-        words = {
-            "router": ("server", ["trigpoint", "router", *site("router"), "--name", "hall"]),
-            "fusion": ("server", ["trigpoint", "fusion", *site("server"), *out]),
-            "recorder": ("server", ["trigpoint", "record", *site("server"), *out]),
-            "firmware": ("robot", ["trigpoint.tools.simulation.serial.firmware", *firmware]),
-            "edge": ("cameras", ["trigpoint", "edge", *site("cameras"), *cameras]),
-            "robot": ("robot", ["trigpoint", "robot", *site("robot"), "--robot", "r1"]),
+        out = ("--out", str(self.folder / "session"))
+        link, journal = self.folder / robot_port("r1"), self.folder / "r1.jsonl"
+        of_world = {"world": "lab", "seed": 1, "target": "charuco", "log": journal}
+        simulated = firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)
+        commands = {
+            "router": ("server", trigpoint("router", "--site", site("router"), "--name", "hall")),
+            "fusion": ("server", trigpoint("fusion", "--site", site("server"), *out)),
+            "recorder": ("server", trigpoint("record", "--site", site("server"), *out)),
+            "firmware": ("robot", simulated.command),
+            "edge": ("cameras", agent(_CAMERAS, site("cameras")).command),
+            "robot": ("robot", bridge("r1", site("robot")).command),
         }
         spaces = {"server": self._segments.router, **self._segments.spaces}
         found = {}
-        for name, (space, line) in words.items():
+        for name, (space, command) in commands.items():
             log, clock = self.folder / f"{name}.log", self._clock.environment
             environment = clock if name == "edge" else {}
-            found[name] = Program(name, spaces[space], line, log, environment)
+            found[name] = Program(name, spaces[space], command, log, environment)
             self._stack.callback(lambda name=name: self.programs[name].stop())
         return found
 

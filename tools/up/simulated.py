@@ -60,14 +60,10 @@ def simulated_site(folder: Path, real: Site | None, cameras: Sequence[str]) -> S
             more_cameras={} if real is None else _own_cameras(world, real, cameras),
         )
         write_truth(world, folder, epoch_ns=epoch_ns)
-    options = {
-        "--world": _WORLD,
-        "--seed": str(_SEED),
-        "--target": _TARGET,
-        "--epoch-ns": str(epoch_ns),
-        "--link": str(folder.absolute() / robot_port(robot)),
-    }
-    return Simulated(site, robot, firmware(robot, options), world.duration_s)
+    link = folder.absolute() / robot_port(robot)
+    world_of = {"world": _WORLD, "seed": _SEED, "target": _TARGET}
+    robots = firmware(robot, epoch_ns=epoch_ns, link=link, **world_of)
+    return Simulated(site, robot, robots, world.duration_s)
 
 
 def _own_cameras(world: World, real: Site, cameras: Sequence[str]) -> dict[str, dict[str, object]]:
