@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from support.builders import make_target
-from support.fusion.drives import EPOCH_NS, lens, looking_at
+from support.fusion.drives import EPOCH_NS, lens
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled, assemble
@@ -28,6 +28,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import parse_site
+from trigpoint.testing.views import looking_at
 
 SITE = """
 site = "lab"

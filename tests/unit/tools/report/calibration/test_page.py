@@ -11,7 +11,6 @@ from support.fusion.drives import (
     CameraPlan,
     lab_cameras,
     lab_plan,
-    looking_at,
     make_session,
     write_session,
 )
@@ -32,6 +31,7 @@ from trigpoint.map.network import (
     Statistics,
 )
 from trigpoint.map.survey import SurveyedPoint, lay
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.pages.residual_charts import covered_share
 from trigpoint.tools.report.calibration.facts import (
     CalibrationResults,
