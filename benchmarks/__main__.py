@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -55,7 +54,7 @@ def main() -> None:
         return
     found = BENCHMARKS.get(sys.argv[1])
     if found and (found.is_long or (found.has_options and "--effort" not in sys.argv)):
-        own = import_module(f".{found.module}", __package__)
+        own = found.module_opened()
         program = f"python -m benchmarks {sys.argv[1]}"
         if hasattr(own, "app"):
             own.app(sys.argv[2:], prog_name=program)

@@ -18,7 +18,6 @@ from trigpoint.site.config import RobotConfig
 
 from .gate.blend import Blend
 from .gate.safety import Approved, Refusal, Refused, SafetyGate
-from .gate.sent_covariance import as_sent
 from .line.firmware_clock import FirmwareClock
 from .line.limits import Motion, MotionLimits
 from .line.protocol import (
@@ -230,7 +229,7 @@ class Bridge:
             self._located_ns = at.stamp_ns
             pose, covariance = self._blend.told(at, pose, covariance)
             counted = self._stream.odom_from_counted
-            return Location(at, pose, as_sent(covariance), self._resets, counted)
+            return Location(at, pose, covariance, self._resets, counted)
 
     def on_correction(
         self,
@@ -380,6 +379,6 @@ class Bridge:
             map_id=mark.map_id,
             sequence=mark.sequence,
             map_from_base=pose,
-            covariance=as_sent(covariance),
+            covariance=covariance,
             establishes=approved.establishes,
         )

@@ -5,12 +5,15 @@ from functools import cache
 import numpy as np
 from msgspec import structs
 
-from trigpoint.geometry import Pose
 from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.shapes.bodies import (
+    HALF_THICKNESS,
+    INNER_EDGE,
+    VANE_AZIMUTHS_DEG,
+    VANE_HEIGHT,
+)
+from trigpoint.tools.shapes.upright import print_size, upright
 
-_CENTRE_HEIGHT_M = 0.72
-_HALF_THICKNESS_M = 0.003
-_INNER_EDGE_M = 0.04  # from a vane's axis to its pattern
 _BOX_MARGIN_M = 0.02
 
 _NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
@@ -76,16 +79,12 @@ def target_of(pattern: str, shape: str, *, variant: int = 0, name: str = "three-
     marker, faces = variant * len(places) * prints[0].marker_count, []
     for number, (azimuth_deg, facing_deg, is_beside) in enumerate(places):
         plain = prints[min(number, len(prints) - 1)]
-        pose = _base_from_face(plain, azimuth_deg, facing_deg, is_beside=is_beside)
-        faces.append(
-            structs.replace(
-                plain,
-                id=number,
-                first_marker=marker,
-                translation=tuple(round(float(v), 9) for v in pose.translation),
-                quaternion=tuple(round(float(v), 12) for v in pose.quaternion),
-            )
-        )
+        half_m = print_size(plain)[0] / 2
+        away = INNER_EDGE + half_m if is_beside else half_m + _BOX_MARGIN_M
+        middle = away * _level(azimuth_deg) + HALF_THICKNESS * _level(facing_deg)
+        middle[2] = VANE_HEIGHT
+        face = structs.replace(plain, id=number, first_marker=marker)
+        faces.append(upright(face, azimuth_rad=np.radians(facing_deg), middle=middle))
         marker += plain.marker_count
     return Target(name, tuple(faces))
 
@@ -96,39 +95,12 @@ def _vanes(azimuths_deg: tuple[float, ...]) -> list[tuple[float, float, bool]]:
 
 # (azimuth of the face's middle, where it faces to, whether it lies beside the axis as a vane)
 _SHAPES: dict[str, list[tuple[float, float, bool]]] = {
-    "star": _vanes((90.0, 210.0, 330.0)),
+    "star": _vanes(VANE_AZIMUTHS_DEG),
     "box": [(azimuth, azimuth, False) for azimuth in (0.0, 90.0, 180.0, 270.0)],
     "sheet": _vanes((90.0,)),
 }
 
 
-def _base_from_face(face: Face, azimuth_deg: float, facing_deg: float, *, is_beside: bool) -> Pose:
-    into_board, down = -_level(facing_deg), np.array([0.0, 0.0, -1.0])
-    rotation = np.column_stack([np.cross(down, into_board), down, into_board])
-    middle = face.outline.mean(axis=0)
-    width = float(np.ptp(face.outline[:, 0]))
-    away = _INNER_EDGE_M + width / 2 if is_beside else width / 2 + _BOX_MARGIN_M
-    centre = away * _level(azimuth_deg) - _HALF_THICKNESS_M * into_board
-    centre[2] = _CENTRE_HEIGHT_M
-    return Pose(rotation, centre - rotation @ middle)
-
-
 def _level(azimuth_deg: float) -> np.ndarray:
     azimuth = np.radians(azimuth_deg)
     return np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-
-
-def mounted(target: Target, metres: float, radians: float, random: np.random.Generator) -> Target:
-    """The target as it truly is, each face off by normal draws."""
-    sigma = np.repeat([metres, radians], 3)
-    faces = []
-    for face in target.faces:
-        pose = face.base_from_face.disturbed(random.standard_normal(6) * sigma)
-        faces.append(
-            structs.replace(
-                face,
-                translation=tuple(float(v) for v in pose.translation),
-                quaternion=tuple(float(v) for v in pose.quaternion),
-            )
-        )
-    return Target(target.name, tuple(faces))

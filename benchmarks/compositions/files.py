@@ -11,9 +11,10 @@ from trigpoint.base.errors import writing
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Message, Odometry
 from trigpoint.geometry import Pose
-from trigpoint.map.network import encode_tum
+from trigpoint.map.network import PoseRecord, encode_tum
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.target import Target
+from trigpoint.site.toml_file import toml_table
 from trigpoint.tools.shapes.text import target_text
 
 from .ride import STEP_S, told_noise
@@ -87,8 +88,7 @@ def site_text(session: Composition) -> str:
     mount = {"target_translation": MOUNT_M, "target_rotation": MOUNT_RAD} if recipe.mount else {}
     tables["fusion"] = mount
     lines = [f'site = "{SITE}"', 'target = "target.toml"', ""]
-    for name, values in tables.items():
-        lines += [f"[{name}]", *(f"{key} = {json.dumps(v)}" for key, v in values.items()), ""]
+    lines += [line for name, values in tables.items() for line in toml_table(name, values)]
     return "\n".join(lines)
 
 
@@ -131,11 +131,11 @@ def truth_of(session: Composition) -> dict[str, Any]:
     what = session.recipe.what
     return {
         "what": what | {"alike": session.recipe.is_alike},
-        "cameras": {name: _transform(pose) for name, pose in session.last_places().items()},
+        "cameras": {name: _told(pose) for name, pose in session.last_places().items()},
         "time_offsets": {c.name: round(c.time_offset_s, 9) for c in session.cameras},
         "moves": {
             camera.name: [
-                {"at": _stamp(m.at_s), "before": _transform(camera.pose_at(m.at_s - STEP_S))}
+                {"at": _stamp(m.at_s), "before": _told(camera.pose_at(m.at_s - STEP_S))}
                 for m in camera.moves
             ]
             for camera in session.cameras
@@ -172,12 +172,9 @@ def _sighting(camera: Camera, picture: Picture, face: Labelled) -> dict[str, Any
     return said | {mark: value for mark, value in marks.items() if value}
 
 
+def _told(pose: Pose) -> dict[str, Any]:
+    return structs.asdict(PoseRecord.of(pose))
+
+
 def _stamp(t_s: float) -> float:
     return round(EPOCH_NS / 1e9 + t_s, 6)
-
-
-def _transform(pose: Pose) -> dict[str, list[float]]:
-    return {
-        "translation": [float(value) for value in pose.translation],
-        "quaternion": [float(value) for value in pose.quaternion],
-    }

@@ -7,6 +7,7 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import exp
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.disturbance import maps_one_to_one
 
 from .recipe import Recipe, Room
@@ -106,10 +107,7 @@ def _on_the_wall(along: float, size: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _camera(recipe: Recipe, name: str, position: np.ndarray, look: np.ndarray) -> Camera:
     random = recipe.random("camera", name)
-    forward = (look - position) / np.linalg.norm(look - position)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right = right / np.linalg.norm(right)
-    upright = np.column_stack([right, np.cross(forward, right), forward])
+    upright = looking_at(position, look).rotation
     pose = Pose(upright @ exp(random.normal(0, 0.06, 3)), position)
     model = _lens(recipe.lens, random)
     offset_s = random.standard_normal() * recipe.time_offset_s

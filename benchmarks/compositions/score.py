@@ -1,6 +1,5 @@
 """`calibrate` over a drawn session, held against its truth."""
 
-import json
 import os
 import resource
 import signal
@@ -10,12 +9,13 @@ import tempfile
 import threading
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from trigpoint.geometry import Pose
+from trigpoint.geometry.rotation import Array
+from trigpoint.map.network import CameraRecord, Network, load_covariance, load_network
 from trigpoint.tools.networks.truth import joint_error
 
 from .files import write_composition
@@ -116,12 +116,15 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
     elif code or not (out / "network.json").exists():
         lines = said.strip().splitlines()
         outcome, why = Outcome.FAILED, f"exit {code}: {lines[-1] if lines else ''}"[:160]
-    said_of = _said_of_cameras(out) if outcome is Outcome.DONE else {}
+    network = load_network(out) if outcome is Outcome.DONE else None
+    said_of = network.cameras if network is not None else {}
     places, pictures = session.last_places(), session.pictures_at_last()
     cameras = [
         _camera(name, said_of.get(name), place, pictures[name]) for name, place in places.items()
     ]
-    is_any_wrong = any(camera.is_wrong for camera in cameras)
+    honesty = None
+    if network is not None and not any(camera.is_wrong for camera in cameras):
+        honesty = _honesty(out, network, places)
     return Score(
         situation=recipe.kind,
         seed=recipe.seed,
@@ -132,7 +135,7 @@ def score_of(session: Composition, out: Path, code: int | None, seconds: float, 
         seconds=seconds,
         lasts_s=session.lasts_s,
         cameras=cameras,
-        honesty=None if is_any_wrong else _honesty(out, said_of, places),
+        honesty=honesty,
         why=why,
     )
 
@@ -163,48 +166,38 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
         return (None if is_over else code), seconds, said.read()
 
 
-def _said_of_cameras(out: Path) -> dict[str, dict[str, Any]]:
-    network: dict[str, Any] = json.loads((out / "network.json").read_text())
-    return network["cameras"]
+def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> CameraScore:
+    if said is None or said.map_from_camera is None:
+        return CameraScore(name, said.status if said else "", pictures, among=_among(said, place))
+    error = said.map_from_camera.pose.difference(place)[:3]
+    sigmas, length = _sigmas(error, said.covariance_matrix), float(np.linalg.norm(error))
+    return CameraScore(name, said.status, pictures, said.confirmed, length, sigmas)
 
 
-def _camera(name: str, said: dict[str, Any] | None, place: Pose, pictures: int) -> CameraScore:
-    if said is None or not said.get("map_from_camera"):
-        status = said["status"] if said else ""
-        return CameraScore(name, status, pictures, among=_among(said, place))
-    error = _pose(said["map_from_camera"]).difference(place)[:3]
-    position = np.reshape(said["covariance"], (6, 6))[:3, :3]
-    sigmas = float(np.sqrt(error @ np.linalg.pinv(position) @ error))
-    length = float(np.linalg.norm(error))
-    is_confirmed = bool(said.get("confirmed", True))
-    return CameraScore(name, said["status"], pictures, is_confirmed, length, sigmas)
-
-
-def _among(said: dict[str, Any] | None, place: Pose) -> bool | None:
+def _among(said: CameraRecord | None, place: Pose) -> bool | None:
     """Whether the true place is one of the alternatives."""
-    named = said.get("alternatives") if said else None
-    if not named:
+    if said is None or not said.alternatives:
         return None
-    for one in named:
-        error = _pose(one["map_from_camera"]).difference(place)[:3]
-        position = np.reshape(one["covariance"], (6, 6))[:3, :3]
-        if error @ np.linalg.pinv(position) @ error < WRONG_SIGMAS**2:
-            return True
-    return False
+    return any(
+        _sigmas(one.map_from_camera.pose.difference(place)[:3], np.array(one.covariance))
+        < WRONG_SIGMAS
+        for one in said.alternatives
+    )
 
 
-def _honesty(
-    out: Path, said_of: dict[str, dict[str, Any]], places: dict[str, Pose]
-) -> float | None:
-    located = [n for n, said in said_of.items() if said.get("map_from_camera") and n in places]
-    if not located or not (out / "covariance.npz").exists():
+def _sigmas(error: Array, covariance: Array) -> float:
+    """Of a position's error (3,) by its pose's covariance."""
+    position = covariance.reshape(6, 6)[:3, :3]
+    return float(np.sqrt(error @ np.linalg.pinv(position) @ error))
+
+
+def _honesty(out: Path, network: Network, places: dict[str, Pose]) -> float | None:
+    located = [name for name in network.located if name in places]
+    if not located:
         return None
-    with np.load(out / "covariance.npz") as archive:
-        order, joint = [str(name) for name in archive["cameras"]], archive["covariance"]
-    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in located])
-    estimated = [_pose(said_of[name]["map_from_camera"]) for name in located]
-    return joint_error(estimated, [places[name] for name in located], joint[np.ix_(rows, rows)])
-
-
-def _pose(said: dict[str, Any]) -> Pose:
-    return Pose.from_quaternion(said["translation"], said["quaternion"])
+    covariance = load_covariance(out, network)
+    rows = np.concatenate([6 * network.located.index(name) + np.arange(6) for name in located])
+    records = [network.cameras[name].map_from_camera for name in located]
+    estimated = [record.pose for record in records if record is not None]
+    true = [places[name] for name in located]
+    return joint_error(estimated, true, covariance[np.ix_(rows, rows)])

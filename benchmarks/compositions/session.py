@@ -9,8 +9,9 @@ import numpy as np
 from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import CameraInfo, Message, Odometry, Sightings
 from trigpoint.geometry import Pose
+from trigpoint.tools.simulation.disturbance import mounted
 
-from .carried import mounted, target_of
+from .carried import target_of
 from .recipe import KINDS, Recipe, drawn
 from .ride import STEP_S, STEPS_A_MESSAGE, Ride
 from .room import Camera, cameras_of

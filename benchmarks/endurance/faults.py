@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from benchmarks.network.impairment import Impairment, Link, Namespace
+from benchmarks.network.impairment import Impairment
+from benchmarks.network.segments import Segments
 
 from .clock import SettableClock
 
@@ -54,12 +55,12 @@ class Faults:
     def __init__(
         self,
         programs: dict[str, Breakable],
-        links: dict[str, Link],
-        cameras: Namespace,
+        segments: Segments,
         clock: SettableClock,
         disk: Path,
     ) -> None:
-        self._programs, self._links, self._cameras = programs, links, cameras
+        self._programs, self._links = programs, segments.links
+        self._cameras = segments.spaces["cameras"]
         self._clock, self._disk = clock, disk
 
     def each(self) -> list[Fault]:

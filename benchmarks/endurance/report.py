@@ -36,7 +36,7 @@ def _programs(record: "Record") -> Iterator[tuple[str, ...]]:
         lives[sample.program][sample.process].append(sample)
     for name, each in lives.items():
         life = max(each.values(), key=lambda samples: samples[-1].t_s - samples[0].t_s)
-        settled, last = memory_ratio_parts([(s.t_s, 1e-6 * s.resident) for s in life])
+        settled, last = memory_ratio_parts([(s.t_s, s.resident_mb) for s in life])
         yield (
             name,
             f"{(life[-1].t_s - life[0].t_s) / 60:.0f}",

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -27,36 +27,35 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.network.impairment import Link, Namespace
-from trigpoint.contract.access import Identity, Kind
+from benchmarks.network.impairment import Namespace
+from benchmarks.network.segments import PORT, Segments, certify
+from benchmarks.timing import resident_mb
+from trigpoint.contract.access import Kind
 from trigpoint.site.config import BusConfig, TlsConfig
-from trigpoint.tools.secure.authority import Authority, addresses_of
-from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.parts.specs import agent, bridge, firmware, trigpoint
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 
 from .clock import SettableClock
 from .faults import FAIR, RECORDING, Fault, Faults
 from .report import report
 
-_PORT = 7447
-_DAYS = 90
 _SAMPLE_S = 2.0
 _UP_S = 40.0
 _LEAST_DISK_MB, _DISK_MB_A_MINUTE = 256, 12
 _BACK_MOST_S = 60.0
 _CAMERAS = ("c1", "c2")
 _ENDING_SHARE = 1 / 3
-_PAGE_BYTES = 4096
 
 
 @dataclass(slots=True)
 class Sample:
-    """One program at a moment: seconds since the start, resident bytes, open files, threads."""
+    """One program at a moment: seconds since the start, resident memory, open files, threads."""
 
     t_s: float
     program: str
     process: int
-    resident: int
+    resident_mb: float
     files: int
     threads: int
 
@@ -85,17 +84,25 @@ class Program:
     """One program in its namespace; started again when it was killed."""
 
     def __init__(
-        self, name: str, space: Namespace, words: list[str], log: Path, environment: dict[str, str]
+        self,
+        name: str,
+        space: Namespace,
+        command: Sequence[str],
+        log: Path,
+        environment: dict[str, str],
     ) -> None:
-        self.name, self._space, self._words, self._log = name, space, words, log
+        self.name, self._command, self._log = name, space.command(*command), log
         self._environment = {**os.environ, **environment}
         self.process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         with self._log.open("ab") as log:
-            words = self._space.command(sys.executable, "-m", *self._words)
             return subprocess.Popen(
-                words, stderr=log, stdout=log, stdin=subprocess.DEVNULL, env=self._environment
+                self._command,
+                stderr=log,
+                stdout=log,
+                stdin=subprocess.DEVNULL,
+                env=self._environment,
             )
 
     def kill(self) -> None:
@@ -116,7 +123,7 @@ class Program:
         """Its helpers' memory counts as its own."""
         processes = [self.process.pid, *_children(self.process.pid)]
         try:
-            resident = sum(_resident(process) for process in processes)
+            resident = sum(resident_mb(process) for process in processes)
             own = Path(f"/proc/{self.process.pid}")
             files = sum(1 for _ in (own / "fd").iterdir())
             threads = sum(1 for _ in (own / "task").iterdir())
@@ -133,10 +140,6 @@ def _children(process: int) -> list[int]:
     return [int(word) for word in text.split()]
 
 
-def _resident(process: int) -> int:
-    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * _PAGE_BYTES
-
-
 class Soak:
     """A site that runs, what is done to it, and what is seen."""
 
@@ -145,31 +148,13 @@ class Soak:
         self.record = Record(seconds)
         self._began_s = time.monotonic()
         self._last: dict[str, float] = {}
-        spaces = {name: self._space() for name in ("server", "cameras", "robot")}
-        self.links = {
-            name: stack.enter_context(
-                Link(
-                    (spaces["server"], spaces[name]),
-                    (f"10.78.{number}.1", f"10.78.{number}.2"),
-                    FAIR,
-                    seed=number,
-                )
-            )
-            for number, name in enumerate(("cameras", "robot"))
-        }
+        self._segments = Segments(("cameras", "robot"), FAIR, stack)
         self._write_sites(load_world("lab", seed=1))
         self._disk = self._small_disk()
         self._clock = SettableClock(folder)
-        self.programs = self._programs(spaces)
-        self._faults = Faults(
-            dict(self.programs), self.links, spaces["cameras"], self._clock, self._disk
-        ).each()
-        self._watch = self._start_watch(spaces["server"])
-
-    def _space(self) -> Namespace:
-        space = Namespace()
-        self._stack.callback(space.close)
-        return space
+        self.programs = self._programs()
+        self._faults = Faults(dict(self.programs), self._segments, self._clock, self._disk).each()
+        self._watch = self._start_watch()
 
     @property
     def _disk_mb(self) -> int:
@@ -189,56 +174,45 @@ class Soak:
         for name in list(world.cameras):
             if name not in _CAMERAS:
                 del world.cameras[name]
-        authority = Authority("lab", self.folder / "authority", self.folder / "secure")
-        authority.create()
-        addresses = addresses_of(Kind.ROUTER, ["10.78.0.1", "10.78.1.1"])
-        authority.issue(Identity("lab", Kind.ROUTER, "hall"), _DAYS, addresses)
+        addresses = self._segments.addresses
         nodes = [(Kind.CAMERA, name) for name in _CAMERAS]
         nodes += [(Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.RECORDER, "main")]
-        for kind, name in (*nodes, (Kind.OPERATOR, "anna")):
-            authority.issue(Identity("lab", kind, name), _DAYS, ())
+        certify(self.folder, (*nodes, (Kind.OPERATOR, "anna")), addresses.values())
         self.epoch_ns = time.time_ns() + 20_000_000_000
-        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in world.cameras}
-        tls = TlsConfig()
-        buses = {
-            "router": BusConfig(listen=(f"tls/0.0.0.0:{_PORT}",), tls=tls),
-            "server": BusConfig(connect=(f"tls/127.0.0.1:{_PORT}",), tls=tls),
-            "cameras": BusConfig(connect=(f"tls/10.78.0.1:{_PORT}",), tls=tls),
-            "robot": BusConfig(connect=(f"tls/10.78.1.1:{_PORT}",), tls=tls),
-        }
+        buses = {"router": BusConfig(listen=(f"tls/0.0.0.0:{PORT}",), tls=TlsConfig())}
+        for name, address in {"server": "127.0.0.1", **addresses}.items():
+            buses[name] = BusConfig(connect=(f"tls/{address}:{PORT}",), tls=TlsConfig())
         for name, bus in buses.items():
-            path = write_site(
-                world, self.folder, sources=sources, ports={"r1": "./r1.port"}, bus=bus
-            )
+            path = write_site(world, self.folder, epoch_ns=self.epoch_ns, bus=bus)
             path.rename(self.folder / f"{name}.toml")
 
-    def _programs(self, spaces: dict[str, Namespace]) -> dict[str, Program]:
-        def site(name: str) -> list[str]:
-            return ["--site", str(self.folder / f"{name}.toml")]
+    def _programs(self) -> dict[str, Program]:
+        def site(name: str) -> str:
+            return str(self.folder / f"{name}.toml")
 
-        out = ["--out", str(self.folder / "session")]
-        cameras = [word for name in _CAMERAS for word in ("--camera", name)]
-        firmware = ["--world", "lab", "--seed", "1", "--target", "charuco", "--robot", "r1"]
-        firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
-        firmware += ["--log", str(self.folder / "r1.jsonl")]
-        words = {
-            "router": ("server", ["trigpoint", "router", *site("router"), "--name", "hall"]),
-            "fusion": ("server", ["trigpoint", "fusion", *site("server"), *out]),
-            "recorder": ("server", ["trigpoint", "record", *site("server"), *out]),
-            "firmware": ("robot", ["trigpoint.tools.simulation.serial.firmware", *firmware]),
-            "edge": ("cameras", ["trigpoint", "edge", *site("cameras"), *cameras]),
-            "robot": ("robot", ["trigpoint", "robot", *site("robot"), "--robot", "r1"]),
+        out = ("--out", str(self.folder / "session"))
+        link, journal = self.folder / robot_port("r1"), self.folder / "r1.jsonl"
+        of_world = {"world": "lab", "seed": 1, "target": "charuco", "log": journal}
+        simulated = firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world)
+        commands = {
+            "router": ("server", trigpoint("router", "--site", site("router"), "--name", "hall")),
+            "fusion": ("server", trigpoint("fusion", "--site", site("server"), *out)),
+            "recorder": ("server", trigpoint("record", "--site", site("server"), *out)),
+            "firmware": ("robot", simulated.command),
+            "edge": ("cameras", agent(_CAMERAS, site("cameras")).command),
+            "robot": ("robot", bridge("r1", site("robot")).command),
         }
+        spaces = {"server": self._segments.router, **self._segments.spaces}
         found = {}
-        for name, (space, line) in words.items():
+        for name, (space, command) in commands.items():
             log, clock = self.folder / f"{name}.log", self._clock.environment
             environment = clock if name == "edge" else {}
-            found[name] = Program(name, spaces[space], line, log, environment)
+            found[name] = Program(name, spaces[space], command, log, environment)
             self._stack.callback(lambda name=name: self.programs[name].stop())
         return found
 
-    def _start_watch(self, space: Namespace) -> "subprocess.Popen[str]":
-        words = space.command(
+    def _start_watch(self) -> "subprocess.Popen[str]":
+        words = self._segments.router.command(
             sys.executable, "-m", "benchmarks.endurance.watch", str(self.folder / "server.toml")
         )
         watch = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

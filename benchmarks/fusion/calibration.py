@@ -6,11 +6,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.study.session import fed
 from benchmarks.table import Row, share_of
 from benchmarks.timing import timed, worked
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.estimators.results import Results
-from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.calibrate.work import calibrated
 from trigpoint.tools.networks.bound import session_bound
@@ -61,16 +60,7 @@ def _growth_rows(effort: float) -> list[Row]:
 def _solved(corridor: Corridor) -> float:
     """Seconds to work a corridor's messages out."""
     messages = list(corridor.messages())  # before the clock runs
-
-    def offline() -> None:
-        pipeline = Pipeline(corridor.inputs, is_live=False)
-        for node, message in messages:
-            pipeline.push(node, message)
-            if isinstance(message, Odometry):
-                pipeline.advance()
-        pipeline.finish()
-
-    return worked(offline)[0]
+    return worked(lambda: fed(corridor.inputs, messages))[0]
 
 
 def _error_row(what: str, error: float, bound: float) -> Row:

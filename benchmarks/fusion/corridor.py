@@ -17,6 +17,7 @@ from trigpoint.fusion.pipeline import Inputs
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.site.config import parse_site
 from trigpoint.site.target import Target
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 
@@ -150,10 +151,7 @@ class Corridor:
         centre = np.array([0.0, self.radius_m, 0.0])
         eye = centre + (self.radius_m + 1.2) * outside + [0.0, 0.0, 1.6]
         look = -0.8 * outside - ahead - [0.0, 0.0, 0.55]
-        look = look / np.linalg.norm(look)
-        right = np.cross(look, [0.0, 0.0, 1.0])
-        right = right / np.linalg.norm(right)
-        return Pose(np.stack([right, np.cross(look, right), look], axis=1), eye)
+        return looking_at(eye, eye + look)
 
     def _near(self, robot: Pose) -> list[int]:
         """The cameras that may see the robot: those around it on the ring."""

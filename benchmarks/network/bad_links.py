@@ -5,16 +5,25 @@
 
 `run(scenario)` makes the namespaces, runs the real router and nodes with certificates, does to the
 links what the scenario says, and returns what came of it.
+
+    python -m benchmarks networks [NAME…]
+    python -m benchmarks networks --minutes 60
+
+With minutes two sites run at the same time, so that whatever else the machine does delays both. On
+one each link loses 5 % of the packets, and every three minutes the router is killed and is away for
+three seconds; the other has neither. Corrections' 99th percentile there is the measure for here.
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -22,17 +31,21 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from trigpoint.contract.access import Identity, Kind
-from trigpoint.tools.secure.authority import Authority, addresses_of
+from trigpoint.contract.access import Kind
 
-from .impairment import Impairment, Link, Namespace
+from .impairment import Impairment
+from .segments import PORT, Segments, certify
 
-_PORT = 7447
 _SETTLE_S = 1.0
 """After all are connected: until each has learnt of the others' subscriptions."""
 _SEGMENTS = ("camera", "robot", "fusion")
 _PEOPLE = ((Kind.CAMERA, "c1"), (Kind.ROBOT, "r1"), (Kind.FUSION, "fusion"), (Kind.VIEWER, "bob"))
-_SITE = """\
+_EVERY_S, _DEAD_S = 180.0, 3.0
+_LAST_S = 30.0
+"""From the router's last return to the end: who says nothing more is not asked for what it said."""
+_LINGER_S = 25.0
+"""Longer than the cache of odometry: what comes at all has come."""
+SITE = """\
 site = "lab"
 target = "target.toml"
 [cameras.c1]
@@ -91,45 +104,29 @@ class Site:
     def __init__(self, folder: Path, scenario: "Scenario", stack: ExitStack) -> None:
         self._folder, self._stack = folder, stack
         self._protocols = scenario.protocols
-        self.spaces = {name: _entered(Namespace(), stack) for name in ("router", *_SEGMENTS)}
-        self.links = {
-            name: stack.enter_context(
-                Link(
-                    (self.spaces["router"], self.spaces[name]),
-                    (f"10.77.{number}.1", f"10.77.{number}.2"),
-                    scenario.impairment,
-                    seed=number,
-                )
-            )
-            for number, name in enumerate(_SEGMENTS)
-        }
+        self._segments = Segments(_SEGMENTS, scenario.impairment, stack)
+        self.links = self._segments.links
         self._write(scenario.picture_rate)
         self._router: subprocess.Popen[str] | None = None
 
     def _write(self, rate: float) -> None:
-        given = self._folder / "secure"
-        authority = Authority("lab", self._folder / "authority", given)
-        authority.create()
-        addresses = [f"10.77.{number}.1" for number in range(len(_SEGMENTS))]
-        identity = Identity("lab", Kind.ROUTER, "hall")
-        authority.issue(identity, 30, addresses_of(Kind.ROUTER, addresses))
-        for kind, name in _PEOPLE:
-            authority.issue(Identity("lab", kind, name), 30, ())
-        text = f"{_SITE}[bus]\nlisten = {self._endpoints('0.0.0.0')}\n[bus.tls]\n"
+        addresses = self._segments.addresses
+        certify(self._folder, _PEOPLE, addresses.values())
+        text = f"{SITE}[bus]\nlisten = {self._endpoints('0.0.0.0')}\n[bus.tls]\n"
         (self._folder / "router.toml").write_text(f"{text}[router]\npicture_rate = {rate}\n")
-        for address, name in zip(addresses, _SEGMENTS, strict=True):
-            text = f"{_SITE}[bus]\nconnect = {self._endpoints(address)}\n[bus.tls]\n"
+        for name, address in addresses.items():
+            text = f"{SITE}[bus]\nconnect = {self._endpoints(address)}\n[bus.tls]\n"
             (self._folder / f"{name}.toml").write_text(text)
 
     def _endpoints(self, host: str) -> str:
         """One for each protocol, as site.toml has them."""
-        return json.dumps([f"{protocol}/{host}:{_PORT}" for protocol in self._protocols])
+        return json.dumps([f"{protocol}/{host}:{PORT}" for protocol in self._protocols])
 
     def start_router(self) -> None:
         words = [sys.executable, "-m", "trigpoint", "router"]
         words += ["--site", str(self._folder / "router.toml"), "--name", "hall"]
         self._router = subprocess.Popen(
-            self.spaces["router"].command(*words), text=True, stderr=subprocess.DEVNULL
+            self._segments.router.command(*words), text=True, stderr=subprocess.DEVNULL
         )
 
     def kill_router(self) -> None:
@@ -144,7 +141,7 @@ class Site:
         words = [sys.executable, "-m", "benchmarks.network.node", role]
         words += [str(self._folder / f"{segment}.toml"), str(seconds), str(linger_s)]
         node = subprocess.Popen(
-            self.spaces[segment].command(*words),
+            self._segments.spaces[segment].command(*words),
             text=True,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -152,11 +149,6 @@ class Site:
         self._stack.callback(node.wait)
         self._stack.callback(node.kill)
         return node
-
-
-def _entered(space: Namespace, stack: ExitStack) -> Namespace:
-    stack.callback(space.close)
-    return space
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,12 +307,47 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
+def twins(seconds: float, returns_s: list[float]) -> dict[str, dict[str, Key]]:
+    """What came of each key, in the site that is disturbed and in the one that is not.
+
+    `returns_s` gets when the router was switched on again, each time.
+    """
+    times = int((seconds - _LAST_S) // _EVERY_S)
+    action = restarting(_EVERY_S, _DEAD_S, times, returns_s)
+    bad = Scenario(BAD, seconds=seconds, action=action, linger_s=_LINGER_S, protocols=DATAGRAMS)
+    good = replace(bad, impairment=replace(BAD, loss=0.0), action=bool)
+    with ThreadPoolExecutor(2) as threads:
+        disturbed, undisturbed = threads.map(run, (bad, good))
+    return {"disturbed": disturbed, "undisturbed": undisturbed}
+
+
+def _tell_twins(minutes: float) -> None:
+    returns_s: list[float] = []
+    found = twins(60 * minutes, returns_s)
+    for site, keys in found.items():
+        print(site)
+        for name, key in sorted(keys.items()):
+            print(f"  {line(name, key)}, uncounted {key.uncounted}")
+    for name, key in sorted(found["disturbed"].items()):
+        each = ", ".join(f"{key.back_s(mended_s):.1f}" for mended_s in returns_s)
+        print(f"{name} back after the router's return: {each} s")
+    late_s, twins_s = (keys["correction"].quantile_s(0.99) for keys in found.values())
+    print(f"corrections' p99 over undisturbed: {late_s / twins_s:.2f}")
+    print(f"load of the last quarter of an hour: {os.getloadavg()[2]:.1f}")
+
+
 def main(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]…", help=f"Of {', '.join(SCENARIOS)}.")
     ] = None,
+    minutes: Annotated[
+        float | None, typer.Option(help="Of loss and restarts, beside an undisturbed twin.")
+    ] = None,
 ) -> None:
     """Every scenario or some, a line for each key."""
+    if minutes is not None:
+        _tell_twins(minutes)
+        return
     for name in names or SCENARIOS:
         print(name, flush=True)
         for key, what in sorted(run(SCENARIOS[name]).items()):

@@ -26,6 +26,7 @@ import numpy as np
 import typer
 from support.builders import site_text
 from support.site.board_site import BoardSite, Truth
+from support.site.board_site import run as publish
 
 from benchmarks.timing import resident_mb, worked_s
 from trigpoint.site.config import load_site
@@ -101,15 +102,7 @@ def _site(folder: Path, cameras: int, robots: int) -> Iterator[Path]:
 def _publish(path: Path, cameras: int, robots: int, over: Event) -> None:
     site = load_site(path)
     with open_bus(site) as bus:
-        published = BoardSite(bus, site, _Paced(cameras, robots))
-        published.cover()
-        turn, begin_s = 0, time.time()
-        while not over.is_set():
-            if turn % 10 == 0:
-                published.announce(time.time())
-            published.move(time.time())
-            turn += 1
-            over.wait(max(0.0, begin_s + 0.1 * turn - time.time()))
+        publish(BoardSite(bus, site, _Paced(cameras, robots)), time.time, over.is_set)
 
 
 def _board(site: Path) -> tuple[subprocess.Popen[str], str]:

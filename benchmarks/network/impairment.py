@@ -22,7 +22,7 @@ from trigpoint.base.closing import Closing
 
 _TUNSETIFF, _IFF_TUN_NO_PI = 0x400454CA, 0x1001
 _CLONE_NEWNET = 0x40000000
-_HOLD = "exec sleep 86400"
+_HOLD = "ip link set lo up && echo ready && exec sleep 86400"
 _PACKET = 2048
 _MTU = 1400
 _LOOK_S = 0.05
@@ -37,14 +37,7 @@ class Namespace:
 
     def __init__(self) -> None:
         self._holder = subprocess.Popen(
-            [
-                "unshare",
-                "--net",
-                "--",
-                "sh",
-                "-c",
-                "ip link set lo up && echo ready && exec sleep 86400",
-            ],
+            ["unshare", "--net", "--", "sh", "-c", _HOLD],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -18,14 +18,16 @@ from benchmarks.timing import worked_s
 from trigpoint.base.clock import SystemClock
 from trigpoint.bus.bus import Bus
 from trigpoint.bus.settings import Settings
-from trigpoint.contract.access import Identity, Kind
+from trigpoint.contract.access import Kind
 from trigpoint.contract.topics import ODOMETRY
 from trigpoint.security.authenticator import CorrectionSigner, CorrectionVerifier
 from trigpoint.security.credentials import node_credentials
 from trigpoint.site.config import Site, load_site
-from trigpoint.tools.secure.authority import Authority, addresses_of
 from trigpoint.zenoh import ZenohBus, open_session
 from trigpoint.zenoh.patience import open_patiently
+
+from .bad_links import SITE
+from .segments import certify
 
 _MESSAGES = 20_000
 _RATE = 2000.0
@@ -33,14 +35,6 @@ _BYTES = 730
 """Of an odometry message on the wire."""
 _SIGNATURES = 1000
 _UP_S = 30.0
-_SITE = """\
-site = "lab"
-target = "target.toml"
-[cameras.c1]
-source = "sim://c1"
-[robots.r1]
-port = "loop://"
-"""
 
 
 def main() -> None:
@@ -100,14 +94,11 @@ def _sites(folder: Path, is_secured: bool, port: int) -> tuple[Path, Path]:
     """The router's site file and the others'."""
     protocol, more = ("tls", "[bus.tls]\n") if is_secured else ("tcp", "")
     if is_secured:
-        authority = Authority("lab", folder / "authority", folder / "secure")
-        authority.create()
-        for kind, name in ((Kind.ROUTER, "hall"), (Kind.ROBOT, "r1"), (Kind.FUSION, "fusion")):
-            authority.issue(Identity("lab", kind, name), 90, addresses_of(kind, ()))
+        certify(folder, ((Kind.ROBOT, "r1"), (Kind.FUSION, "fusion")))
     paths = []
     for key in ("listen", "connect"):
         path = folder / f"{key}.toml"
-        path.write_text(f'{_SITE}[bus]\n{key} = ["{protocol}/127.0.0.1:{port}"]\n{more}')
+        path.write_text(f'{SITE}[bus]\n{key} = ["{protocol}/127.0.0.1:{port}"]\n{more}')
         paths.append(path)
     return paths[0], paths[1]
 

@@ -11,7 +11,6 @@ with its robot, which is corrected from here (bus, judging, line).
 
 import json
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -38,7 +37,8 @@ from trigpoint.fusion.inputs import load_inputs
 from trigpoint.fusion.live.solver_process import SolverProcess
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.site.config import load_site
-from trigpoint.tools.simulation.site_files import sim_url, write_site
+from trigpoint.tools.parts.specs import agent, bridge, firmware, trigpoint
+from trigpoint.tools.simulation.site_files import robot_port, write_site
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.zenoh import open_bus
 
@@ -82,20 +82,18 @@ class Lab:
         for name in [name for name in world.cameras if name not in CAMERAS]:
             del world.cameras[name]
         self.epoch_ns = time.time_ns() + to_ns(_START_S)
-        sources = {name: sim_url(world, name, epoch_ns=self.epoch_ns) for name in CAMERAS}
-        self.site = write_site(world, folder, sources=sources, ports={"r1": "./r1.port"})
+        self.site = write_site(world, folder, epoch_ns=self.epoch_ns)
         self.journal = folder / "r1.jsonl"
 
-    def words(self, program: str) -> list[str]:
-        site = ["--site", str(self.site)]
-        cameras = [word for name in CAMERAS for word in ("--camera", name)]
-        firmware = ["--world", "lab", "--seed", "1", "--robot", "r1", "--log", str(self.journal)]
-        firmware += ["--epoch-ns", str(self.epoch_ns), "--link", str(self.folder / "r1.port")]
+    def command(self, program: str) -> tuple[str, ...]:
+        site, out = str(self.site), str(self.folder / "out")
+        of_world = {"world": "lab", "seed": 1, "log": self.journal}
+        link = self.folder / robot_port("r1")
         return {
-            "firmware": ["trigpoint.tools.simulation.serial.firmware", *firmware],
-            "edge": ["trigpoint", "edge", *site, *cameras],
-            "fusion": ["trigpoint", "fusion", *site, "--out", str(self.folder / "out")],
-            "robot": ["trigpoint", "robot", *site, "--robot", "r1"],
+            "firmware": firmware("r1", epoch_ns=self.epoch_ns, link=link, **of_world).command,
+            "edge": agent(CAMERAS, site).command,
+            "fusion": trigpoint("fusion", "--site", site, "--out", out),
+            "robot": bridge("r1", site).command,
         }[program]
 
     def run(self, programs: tuple[str, ...], seconds: float) -> Heard:
@@ -105,9 +103,8 @@ class Lab:
             bus = stack.enter_context(open_bus(load_site(self.site)))
             subscriptions = {t: bus.subscribe(t, t.expression(self.name)) for t in _HEARD}
             for program in programs:
-                words = [sys.executable, "-m", *self.words(program)]
                 with (self.folder / f"{program}.log").open("ab") as log:
-                    process = subprocess.Popen(words, stdout=log, stderr=log)
+                    process = subprocess.Popen(self.command(program), stdout=log, stderr=log)
                 stack.callback(process.wait, 20)
                 stack.callback(process.terminate)
             end_ns = self.epoch_ns + to_ns(seconds)

@@ -32,17 +32,18 @@ def left_open(data: DataSet, oracle: Oracle) -> set[str]:
     lifts = [(robot, number) for robot, at in oracle.lifted_ns.items() for number in range(len(at))]
     if not lifts:
         return set()
-    truth = _solved(data, oracle)
+    truth = solved(data, oracle)
     found: set[str] = set()
     for robot, number in lifts:
         for moment_ns in _moments(oracle, robot):
-            rival = _solved(data, _lifted_at(data, oracle, robot, number, moment_ns))
+            rival = solved(data, _lifted_at(data, oracle, robot, number, moment_ns))
             if rival.cost - truth.cost < DECISIVE:
                 found |= _elsewhere(truth, rival)
     return found
 
 
-def _solved(data: DataSet, oracle: Oracle) -> Solution:
+def solved(data: DataSet, oracle: Oracle) -> Solution:
+    """All good sightings explained as an oracle would have it."""
     assembled = oracle_problem(data, oracle)
     return solve(assembled.problem, assembled.start, tolerance=_TOLERANCE)
 

@@ -16,13 +16,13 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.gates import DECISIVE
 from trigpoint.fusion.model.motion import composed
 from trigpoint.fusion.reading.faces import is_same_pose
-from trigpoint.fusion.solver.levenberg_marquardt import solve
 from trigpoint.geometry import Pose
-from trigpoint.tools.networks.cramer_rao import Oracle, oracle_problem
+from trigpoint.tools.networks.cramer_rao import Oracle
+
+from .decidable_lifts import solved
 
 # A camera that saw nothing for longer sees the next robot, or the same one again.
 _AWAY_NS = to_ns(2.0)
-_TOLERANCE = 1e-3
 
 
 def left_open_by_robots(data: DataSet, oracle: Oracle) -> set[str]:
@@ -36,23 +36,18 @@ def left_open_by_robots(data: DataSet, oracle: Oracle) -> set[str]:
     rivals = {camera: found for camera, found in every.items() if found}
     if not rivals:
         return set()
-    truth, is_open = _cost(data, oracle), set[str]()
+    truth, is_open = solved(data, oracle).cost, set[str]()
     for camera, found in rivals.items():
-        if any(_cost(data, rival) - truth < DECISIVE for rival in found):
+        if any(solved(data, rival).cost - truth < DECISIVE for rival in found):
             is_open.add(camera)
     for first, second in combinations(rivals, 2):
         if not {first, second} <= is_open and any(
-            _cost(data, rival) - truth < DECISIVE
+            solved(data, rival).cost - truth < DECISIVE
             for one in rivals[first]
             for rival in _rivals(data, one, second, as_in=oracle)
         ):
             is_open |= {first, second}
     return is_open
-
-
-def _cost(data: DataSet, oracle: Oracle) -> float:
-    assembled = oracle_problem(data, oracle)
-    return solve(assembled.problem, assembled.start, tolerance=_TOLERANCE).cost
 
 
 def _rivals(

@@ -1,7 +1,7 @@
 """The floor in square cells, and the part of it that is known to be floor."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +76,12 @@ def floor_of(
     for each in carried:
         parts += _seen_coarsely(network, each)
     return floor_about(np.concatenate(parts), cell_m=cell_m, most_cells=most_cells)
+
+
+def each_decimetre(places: Sequence[Array]) -> Array:
+    """Where robots were, (n, 2), each decimetre once; `places`: parts (m, 2 or 3)."""
+    flat = np.concatenate([np.zeros((0, 2)), *(part[:, :2] for part in places)])
+    return np.unique(np.round(flat, 1), axis=0)
 
 
 def floor_about(places: Array, *, cell_m: float = CELL_M, most_cells: int | None = None) -> Floor:

@@ -10,7 +10,7 @@ import rerun as rr
 from trigpoint.base.errors import InputError
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import PoseRecord, decode_network, decode_tum
+from trigpoint.map.network import PoseRecord, decode_network, load_tum
 
 from . import style
 from .camera import FRUSTUM_DEPTH_M
@@ -85,7 +85,7 @@ def draw(overlay: Overlay, columns: Columns) -> None:
 def _path(file: Path) -> Array:
     if not file.is_file():
         return np.empty((0, 3))
-    _, poses = decode_tum(file.read_bytes(), source=str(file))
+    _, poses = load_tum(file)
     return poses.translation.reshape(-1, 3)
 
 

@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-
-from trigpoint.contract.messages import FaceSighting, Odometry, Sightings
+from trigpoint.contract.messages import Odometry
 from trigpoint.geometry import Pose
 from trigpoint.site.config import Site, parse_site
 from trigpoint.site.target import Target, parse_target
@@ -74,14 +72,6 @@ def make_odometry(
 ) -> Odometry:
     """A reading of robot r1 in the plane."""
     return Odometry(stamp_ns, "r1/odom", "r1/base", Pose.planar(x, y, heading_rad))
-
-
-def make_sightings(stamp_ns: int, *, corners: int = 4, face: int = 0) -> Sightings:
-    """One face of a target in a picture of camera c1."""
-    ids = np.arange(corners, dtype=np.uint16)
-    pixels = np.stack([100.0 + 10.0 * ids, 50.0 + 5.0 * ids], axis=-1).astype(np.float32)
-    sighting = FaceSighting("two-plane", face, ids, pixels, 0.2)
-    return Sightings(stamp_ns, "c1/optical", 640, 480, (sighting,))
 
 
 def eventually(holds: Callable[[], bool], timeout_s: float = 60.0) -> bool:

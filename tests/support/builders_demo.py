@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from trigpoint.geometry import Pose
-from trigpoint.tools.networks.truth import CameraError
+from trigpoint.map.network import CameraRecord, Network, PoseRecord, Statistics, Status
+from trigpoint.tools.networks.truth import CameraError, NetworkError
 from trigpoint.tools.report.demo.results import (
     CameraResult,
     DemoResults,
@@ -30,14 +31,17 @@ def make_camera(
     truth = Pose(LOOKING_DOWN_X, np.array(place))
     covariance = np.diag([sigma**2] * 3 + [1e-6] * 3)
     shift = np.array(error)
-    sigmas = float(np.linalg.norm(shift) / sigma)
+    record = CameraRecord(
+        "located",
+        map_from_camera=PoseRecord.of(truth.disturbed([*error, 0.001, 0.0, 0.0])),
+        covariance=tuple(covariance.reshape(-1).tolist()),
+        sightings=20,
+    )
+    size = float(np.linalg.norm(shift))
     fields: dict[str, Any] = {
-        "status": "located",
+        "record": record,
         "came_by": True,
-        "estimate": truth.disturbed([*error, 0.001, 0.0, 0.0]),
-        "covariance": covariance,
-        "error": CameraError(float(np.linalg.norm(shift)), 0.001, sigmas),
-        "sightings": 20,
+        "error": CameraError(size, 0.001, size / sigma),
         "pictures": 100,
         "skipped": 0,
     }
@@ -45,11 +49,11 @@ def make_camera(
 
 
 def make_unlocated(
-    name: str, *, came_by: bool, status: str = "unseen", undetermined: tuple[str, ...] = ()
+    name: str, *, came_by: bool, status: Status = "unseen", undetermined: tuple[str, ...] = ()
 ) -> CameraResult:
     """A camera without a pose."""
     truth = Pose(LOOKING_DOWN_X, np.array([4.0, 1.0, 1.5]))
-    return CameraResult(name, truth, status, came_by, undetermined=undetermined)
+    return CameraResult(name, truth, CameraRecord(status, undetermined), came_by)
 
 
 def make_track(offset: float = 0.0, heading: float = 0.0, count: int = 51) -> Track:
@@ -86,17 +90,24 @@ def make_key(path: str = "camera/c1/sightings", **more: Any) -> KeyCount:
 def make_results(**more: Any) -> DemoResults:
     """A run that did what it should."""
     cameras = more.pop("cameras", (make_camera("c1"), make_camera("c2", (8.0, -1.0, 1.5))))
-    located = sum(camera.error is not None for camera in cameras)
+    errors = {camera.name: camera.error for camera in cameras if camera.error is not None}
     t_s = np.linspace(1.0, 10.0, 10)
     fields: dict[str, Any] = {
-        "site": "lab",
         "world": "lab",
         "seed": 3,
         "target": "charuco",
         "seconds": 10.0,
+        "network": Network(
+            "lab",
+            "uuid",
+            "smoother",
+            {camera.name: camera.record for camera in cameras},
+            {},
+            Statistics(1.0, 3),
+        ),
+        "covariance": np.eye(6 * len(errors)) * 1e-4,
+        "error": NetworkError(errors, 0.004 if len(errors) > 1 else None, None),
         "cameras": cameras,
-        "covariance": np.eye(6 * located) * 1e-4,
-        "mean_distance_error_m": 0.004 if located > 1 else None,
         "robots": (make_robot(),),
         "keys": (make_key(), make_key("diagnostics", is_reliable=False, sent=None, received={})),
         "latencies_s": np.array([0.03, 0.04, 0.05]),

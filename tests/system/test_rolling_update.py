@@ -26,7 +26,7 @@ from trigpoint.contract.messages import (
 )
 from trigpoint.fusion.checkpoint import Checkpoint
 from trigpoint.site.config import BusConfig, load_site
-from trigpoint.tools.simulation.site_files import sim_url, stamps_ns, write_site
+from trigpoint.tools.simulation.site_files import stamps_ns, write_site
 from trigpoint.tools.simulation.world import World, load_world
 from trigpoint.tools.site.state import SiteStatus, summarise, table
 from trigpoint.zenoh import open_bus
@@ -50,8 +50,7 @@ class Site:
             del world.cameras[name]
         self.epoch_ns = time.time_ns() - to_ns(world.duration_s)
         bus = BusConfig(connect=(f"tcp/127.0.0.1:{port}",))
-        source = {CAMERA: sim_url(world, CAMERA, epoch_ns=self.epoch_ns)}
-        self.path = write_site(world, folder, sources=source, ports={ROBOT: "./r1.port"}, bus=bus)
+        self.path = write_site(world, folder, epoch_ns=self.epoch_ns, bus=bus)
         text = self.path.read_text()
         (folder / "router.toml").write_text(
             text.replace("listen = []", f'listen = ["tcp/127.0.0.1:{port}"]').replace(

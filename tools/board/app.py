@@ -9,8 +9,6 @@ from urllib.parse import parse_qs
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.middleware import Middleware
-from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -22,10 +20,10 @@ from trigpoint.tools.web.answers import (
     MARK,
     SEND_S,
     EventStream,
-    Guarded,
     json_answer,
     kept,
     packaged,
+    served_app,
 )
 
 from .feed import Feed, TooManyPagesError
@@ -43,6 +41,8 @@ ASSETS = {
     "looking.js": "text/javascript",
     MARK: "image/svg+xml",
 }
+OPEN_PATHS = frozenset({"/login", "/board.css", f"/{MARK}"})
+"""What the login needs before anybody has logged in."""
 _LOGIN_DELAY_S = 1.0
 _MOST_FORM = 4096
 
@@ -81,11 +81,9 @@ def app_of(board: Board) -> Starlette:
         Route("/camera/{name}/look", pages.look),
         Route("/camera/{name}/picture/{stamp:int}", pages.picture),
     ]
-    routes += [Route(f"/{name}", pages.asset) for name in ASSETS if not name.endswith(".html")]
     if board.commands is not None:
         routes.append(Route("/command/{name:path}", pages.command, methods=["POST"]))
-    guarded = [Middleware(Guarded, guard=board.guard), Middleware(GZipMiddleware)]
-    return Starlette(routes=routes, middleware=guarded)
+    return served_app(board.files, ASSETS, routes, board.guard)
 
 
 class _Pages:
@@ -95,11 +93,6 @@ class _Pages:
     async def front(self, _: Request) -> Response:
         response = Response(self._board.files["board.html"], media_type="text/html")
         return self._board.guard.let_in(response)
-
-    async def asset(self, request: Request) -> Response:
-        name = request.url.path.lstrip("/")
-        body = self._board.files[name]
-        return kept(request, body, ASSETS[name])
 
     async def laid(self, request: Request) -> Response:
         name = request.url.path.strip("/").partition(".")[0]

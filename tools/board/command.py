@@ -18,7 +18,7 @@ from trigpoint.tools.web.answers import version_of
 from trigpoint.tools.web.serving import served
 from trigpoint.zenoh import open_bus
 
-from .app import Board, app_of, assets
+from .app import OPEN_PATHS, Board, app_of, assets
 from .feed import Feed
 from .history import History
 from .operator import Commands, check_operator
@@ -86,7 +86,7 @@ class BoardService:
         self._reader = Reader(site, self._feed, self._history, self._pictures, about=about)
         self._board = Board(
             files=files,
-            guard=Guard(access),
+            guard=Guard(access, OPEN_PATHS),
             feed=self._feed,
             history=self._history,
             pictures=self._pictures,

@@ -15,9 +15,9 @@ from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.building import attached_plan, load_plan
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord, encode_network
 from trigpoint.tools.networks.building_alignment import Alignment, align, alignment_text
+from trigpoint.tools.networks.noise_words import noise_text
 from trigpoint.tools.networks.truth import NetworkError, load_truth, network_error
 
-from .noise_words import noise_text
 from .report import REPORT, write_report
 from .work import Task, fed, task_of
 
@@ -124,7 +124,7 @@ def _say_alignment(alignment: Alignment) -> None:
 def _row(name: str, camera: CameraRecord, error: NetworkError | None) -> list[str]:
     if camera.status != "located":
         return [name, camera.status]
-    turn = math.degrees(math.sqrt(sum(camera.covariance_matrix[i, i] for i in (3, 4, 5))))
+    turn = math.degrees(camera.rotation_sigma)
     row = [name, camera.status, f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
     row += [str(camera.sightings), str(camera.rejected), f"{camera.reprojection_rms:.2f}"]
     if error and name in error.cameras:

@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from trigpoint.base.errors import writing
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
 from trigpoint.fusion.coverage.announced import MOST_CELLS
-from trigpoint.fusion.coverage.floor import DRIVEN_M, floor_about
+from trigpoint.fusion.coverage.floor import DRIVEN_M, each_decimetre, floor_about
 from trigpoint.fusion.coverage.known_network import carried_by, known_network
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.guidance.suggestions import Suggestion, next_poses
@@ -60,8 +58,7 @@ def _corrected(pipeline: Pipeline, results: Results) -> tuple[AccuracyMap, ...]:
     if not results.network.located or not results.trajectories:
         return ()
     known = known_network(results.network, results.covariance)
-    ways = [poses.translation[:, :2] for _, poses in results.trajectories.values()]
-    driven = np.unique(np.round(np.concatenate(ways), 1), axis=0)
+    driven = each_decimetre([poses.translation for _, poses in results.trajectories.values()])
     floor = floor_about(driven, cell_m=_CELL_M, most_cells=MOST_CELLS)
     wanted = floor.near(driven, DRIVEN_M)
     site = pipeline.site

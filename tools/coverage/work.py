@@ -9,10 +9,10 @@ import numpy as np
 from trigpoint.base.errors import InputError
 from trigpoint.fusion.coverage.accuracy_map import AccuracyMap, accuracy_map
 from trigpoint.fusion.coverage.boards import Carried
-from trigpoint.fusion.coverage.floor import DRIVEN_M, Floor, floor_of
+from trigpoint.fusion.coverage.floor import DRIVEN_M, Floor, each_decimetre, floor_of
 from trigpoint.fusion.coverage.known_network import KnownNetwork, carried_by, known_network
 from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import Network, decode_tum, load_covariance, load_network
+from trigpoint.map.network import Network, load_covariance, load_network, load_tum
 from trigpoint.site.config import Site, load_site
 from trigpoint.site.option import site_here
 from trigpoint.site.target import Target, load_target
@@ -67,7 +67,7 @@ def known_of(path: Path, *, site: Path | None, robots: Sequence[str]) -> Known:
     pipeline = fed(task.messages(), task.inputs, source=path)
     pipeline.finish()
     results, inputs = pipeline.results(), task.inputs
-    driven = _places([poses.translation for _, poses in results.trajectories.values()])
+    driven = each_decimetre([poses.translation for _, poses in results.trajectories.values()])
     return _known(
         path, inputs.site, inputs.targets, results.network, results.covariance, driven, robots
     )
@@ -158,13 +158,5 @@ def _driven_beside(path: Path, network: Network) -> Array:
     for robot in network.robots.values():
         file = folder / robot.trajectory if robot.trajectory is not None else None
         if file is not None and file.exists():
-            parts.append(decode_tum(file.read_bytes(), source=str(file))[1].translation)
-    return _places(parts)
-
-
-def _places(translations: Sequence[Array]) -> Array:
-    """Where robots were, (n, 2), each decimetre once."""
-    if not translations:
-        return np.zeros((0, 2))
-    places = np.concatenate(translations)[:, :2]
-    return np.unique(np.round(places, 1), axis=0)
+            parts.append(load_tum(file)[1].translation)
+    return each_decimetre(parts)

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from trigpoint.base.errors import InputError, OperationError, read_text, writing
 from trigpoint.site.config import BusConfig
-from trigpoint.tools.simulation.site_files import sim_url, write_site, write_truth
+from trigpoint.tools.simulation.site_files import write_site, write_truth
 from trigpoint.tools.simulation.world import World
 
 MARKER = "demo.json"
@@ -117,15 +117,11 @@ class DemoFolder:
 
     def prepare(self, world: World, record: DemoRecord, locator: str) -> None:
         """Write the site, its targets and lenses, and the truth; raises OperationError."""
-        sources = {
-            camera: sim_url(world, camera, epoch_ns=record.epoch_ns) for camera in world.cameras
-        }
         with writing(self.path):
             write_site(
                 world,
                 self.path,
-                sources=sources,
-                ports={robot: f"./{self.port(robot).name}" for robot in world.robots},
+                epoch_ns=record.epoch_ns,
                 bus=BusConfig(connect=(locator,)),
                 recordings=".",
                 pictures=True,

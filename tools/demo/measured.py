@@ -9,8 +9,7 @@ from trigpoint.base.clock import NANOSECONDS
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.contract.topics import topic_of
 from trigpoint.geometry import Pose
-from trigpoint.geometry.rotation import Array
-from trigpoint.map.network import Network, PoseRecord, decode_tum, load_network
+from trigpoint.map.network import Network, PoseRecord, load_covariance, load_network, load_tum
 from trigpoint.recorder.session.recording import open_recording
 from trigpoint.tools.networks.bound import session_bound
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, load_truth, network_error
@@ -43,18 +42,18 @@ def load_results(folder: DemoFolder) -> DemoResults:
     world = load_world(record.world, seed=record.seed, target=record.target)
     truth = load_truth(folder.truth)
     network = load_network(folder.path)
-    covariance = _joint_covariance(folder.path / "covariance.npz")
+    covariance = load_covariance(folder.path, network)
     error = network_error(network, covariance, truth)
     tracks = Tracks(folder.sessions, epoch_ns=record.epoch_ns)
     return DemoResults(
-        site=network.site,
         world=record.world,
         seed=record.seed,
         target=record.target,
         seconds=record.seconds,
-        cameras=_cameras(world, record, network, truth, error),
+        network=network,
         covariance=covariance,
-        mean_distance_error_m=error.distance,
+        error=error,
+        cameras=_cameras(world, record, network, truth, error),
         robots=tuple(_robot(folder, record, truth, tracks, name) for name in truth.robots),
         keys=_keys(record.counts, tracks.counts),
         latencies_s=tracks.latencies_s,
@@ -90,19 +89,13 @@ def _cameras(
     results = []
     for name, camera in network.cameras.items():
         agent = record.counts.get(f"edge/{name}", {})
-        is_located = camera.map_from_camera is not None
         results.append(
             CameraResult(
                 name=name,
                 truth=truth.cameras[name].pose,
-                status=camera.status,
-                came_by=is_located or came_by(world, name, record.seconds),
-                estimate=camera.map_from_camera.pose if camera.map_from_camera else None,
-                covariance=camera.covariance_matrix if is_located else None,
+                record=camera,
+                came_by=camera.status == "located" or came_by(world, name, record.seconds),
                 error=error.cameras.get(name),
-                undetermined=camera.undetermined,
-                sightings=camera.sightings,
-                rejected=camera.rejected,
                 pictures=agent.get("pictures"),
                 skipped=agent.get("pictures.lost", 0) if agent else None,
                 given_up=agent.get("given_up.lost", 0),
@@ -132,7 +125,7 @@ def _tum(path: Path, epoch_ns: int) -> Track:
     """A trajectory file; an empty track where there is none."""
     if not path.exists():
         return Track.of(np.zeros(0), Pose.planar(np.zeros(0), np.zeros(0), np.zeros(0)))
-    stamps_ns, poses = decode_tum(path.read_bytes(), source=str(path))
+    stamps_ns, poses = load_tum(path)
     return Track.of((stamps_ns - epoch_ns) / NANOSECONDS, poses)
 
 
@@ -152,14 +145,6 @@ def _believed(path: Path, epoch_ns: int) -> Track:
             poses.append(PoseRecord(**note["map_from_base"]).pose)
     times_s = np.array([(stamp - epoch_ns) / NANOSECONDS for stamp in stamps_ns])
     return Track.of(times_s, Pose.stack(poses) if poses else Pose.planar(*np.zeros((3, 0))))
-
-
-def _joint_covariance(path: Path) -> Array:
-    try:
-        with np.load(path) as archive:
-            return archive["covariance"]
-    except (OSError, KeyError, ValueError) as reason:
-        raise InputError(f"{path}: no joint covariance ({reason}); run the demo again") from None
 
 
 def _bound_m(folder: DemoFolder) -> float | None:

@@ -49,13 +49,13 @@ def tokens_of(world: World) -> set[str]:
 
 
 def _firmware(robot: str, folder: DemoFolder, record: DemoRecord) -> PartSpec:
-    options = {
-        "--world": record.world,
-        "--seed": str(record.seed),
-        "--target": record.target,
-        "--epoch-ns": str(record.epoch_ns),
-        "--link": str(folder.port(robot)),
-        "--log": str(folder.journal(robot)),
-        "--protocol": record.protocol,
-    }
-    return firmware(robot, options)
+    return firmware(
+        robot,
+        epoch_ns=record.epoch_ns,
+        link=folder.port(robot),
+        world=record.world,
+        seed=record.seed,
+        target=record.target,
+        log=folder.journal(robot),
+        protocol=record.protocol,
+    )

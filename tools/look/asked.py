@@ -20,15 +20,21 @@ def source_url(text: str) -> str:
     number. Raises InputError."""
     if "://" in text:
         return text
-    if text.isdigit() or text.startswith("/dev/"):
+    if text.isdigit():
         return f"v4l2://{text}"
-    path = Path(text)
-    if not path.exists():
+    if not text.startswith("/dev/") and not Path(text).exists():
         raise InputError(
             f"{text}: there is no such video or folder; give one, or a camera, as "
             "v4l2:///dev/video0 or rtsp://HOST/PATH"
         )
-    return f"{'dir' if path.is_dir() else 'file'}://{text}"
+    return url_of(text)
+
+
+def url_of(path: str) -> str:
+    """The source that is a device, a folder of pictures or a video."""
+    if path.startswith("/dev/"):
+        return f"v4l2://{path}"
+    return f"{'dir' if Path(path).is_dir() else 'file'}://{path}"
 
 
 def scheme_of(url: str) -> str:

@@ -11,15 +11,13 @@ import msgspec
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.middleware import Middleware
-from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from trigpoint.edge.picture_sender import encode_jpeg
 from trigpoint.tools.web.access import Access, Guard
-from trigpoint.tools.web.answers import MARK, EventStream, Guarded, kept, packaged
+from trigpoint.tools.web.answers import MARK, EventStream, packaged, served_app
 from trigpoint.tools.web.serving import served
 
 from .shown import Shown
@@ -137,10 +135,6 @@ def app_of(moments: Moments, guard: Guard) -> Starlette:
     async def front(_: Request) -> Response:
         return Response(files["look.html"], media_type="text/html")
 
-    async def asset(request: Request) -> Response:
-        name = request.url.path.lstrip("/")
-        return kept(request, files[name], ASSETS[name])
-
     async def events(request: Request) -> Response:
         page = moments.join()
         if page is None:
@@ -157,7 +151,5 @@ def app_of(moments: Moments, guard: Guard) -> Starlette:
         Route("/", front),
         Route("/events", events),
         Route("/picture/{stamp}", picture),
-        *(Route(f"/{name}", asset) for name in ASSETS if not name.endswith(".html")),
     ]
-    guarded = [Middleware(Guarded, guard=guard), Middleware(GZipMiddleware)]
-    return Starlette(routes=routes, middleware=guarded)
+    return served_app(files, ASSETS, routes, guard)

@@ -11,7 +11,7 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.inputs import Inputs
 from trigpoint.fusion.model.problem import CameraState
 from trigpoint.geometry import Pose
-from trigpoint.map.network import decode_tum
+from trigpoint.map.network import load_tum
 from trigpoint.recorder.session.recording import Recording
 from trigpoint.tools.sessions.messages import messages_of
 
@@ -39,11 +39,7 @@ def session_bound(recording: Recording, inputs: Inputs, folder: Path) -> Bound:
     for robot, track in data.tracks.items():
         if robot not in truth.robots or not len(track):
             continue
-        path = folder / truth.robots[robot]
-        try:
-            stamps_ns, poses = decode_tum(path.read_bytes(), source=str(path))
-        except OSError as reason:
-            raise InputError(f"{path}: cannot be read ({reason.strerror})") from None
+        stamps_ns, poses = load_tum(folder / truth.robots[robot])
         observations = intake.ready(robot, track.first_ns, track.last_ns)
         where = poses_at(stamps_ns, poses, np.array([o.stamp_ns for o in observations]))
         places += [(observation, where[i]) for i, observation in enumerate(observations)]

@@ -22,6 +22,8 @@ from trigpoint.fusion.solver.normal_equations import linearise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
+from .distances import expected_error, joint_distances
+
 # Further than any robot moves in a step: the motion before it is taken as unknown.
 _AWAY = Pose.planar(1e6, 0.0, 0.0)
 
@@ -42,19 +44,12 @@ class Bound:
 
     @property
     def mean_distance_error(self) -> float:
-        """Expected mean absolute error of the distances between cameras, metres.
-
-        A distance's error is normal to first order, and E|x| = σ √(2/π).
-        """
-        sigmas = []
-        for i in range(len(self.cameras)):
-            for j in range(i):
-                along = self.places[i] - self.places[j]
-                along = along / np.linalg.norm(along)
-                gradient = np.zeros(len(self.covariance))
-                gradient[6 * i : 6 * i + 3], gradient[6 * j : 6 * j + 3] = along, -along
-                sigmas.append(np.sqrt(gradient @ self.covariance @ gradient))
-        return float(np.mean(sigmas) * np.sqrt(2 / np.pi)) if sigmas else 0.0
+        """Expected mean absolute error of the distances between cameras, metres."""
+        if len(self.cameras) < 2:
+            return 0.0
+        ends = np.stack(np.triu_indices(len(self.cameras), k=1), axis=1)
+        _, covariance = joint_distances(self.places, self.covariance, ends)
+        return expected_error(np.sqrt(np.diagonal(covariance)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """The command `distances`: the network's distances between cameras, beside a tape measure's."""
 
 import csv
-import difflib
 import itertools
 import json as json_text
 import math
@@ -15,7 +14,7 @@ import typer
 
 from trigpoint.base.errors import InputError, read_text
 from trigpoint.base.terminal import table
-from trigpoint.base.words import counted
+from trigpoint.base.words import counted, nearest
 from trigpoint.geometry.rotation import Array
 from trigpoint.map.network import Network, load_covariance, load_network
 
@@ -46,6 +45,11 @@ class Distances:
     def sigmas_m(self) -> Array:
         return np.sqrt(np.diagonal(self.covariance))
 
+    @property
+    def expected_error_m(self) -> float | None:
+        """Mean error of these distances that their covariance lets one expect; None of none."""
+        return expected_error(self.sigmas_m) if self.pairs else None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
@@ -67,8 +71,8 @@ class Comparison:
 
     @property
     def expected_error_m(self) -> float:
-        """The mean error expected from the sigmas: E|x| of a normal x is σ √(2/π)."""
-        return float(np.mean(self.sigmas_m) * math.sqrt(2 / math.pi))
+        """The mean error expected from the sigmas."""
+        return expected_error(self.sigmas_m)
 
     @property
     def chi2_per_distance(self) -> float:
@@ -121,21 +125,34 @@ def main(
 
 
 def distances(network: Network, covariance: Array, pairs: Iterable[tuple[str, str]]) -> Distances:
-    """Of pairs of located cameras; `covariance`: joint, (6n, 6n), in the order of `located`.
+    """Of pairs of located cameras; `covariance`: joint, (6n, 6n), in the order of `located`."""
+    chosen, order = tuple(pairs), {name: i for i, name in enumerate(network.located)}
+    places = np.array([_place(network, name) for name in order]).reshape(-1, 3)
+    ends = np.array([(order[a], order[b]) for a, b in chosen], dtype=int).reshape(-1, 2)
+    return Distances(chosen, *joint_distances(places, covariance, ends))
+
+
+def joint_distances(places: Array, covariance: Array, ends: np.ndarray) -> tuple[Array, Array]:
+    """Metres (m,) and their joint covariance (m, m), between pairs `ends` (m, 2), numbers, of
+    places (n, 3) that are known as `covariance` (6n, 6n) of their poses says.
 
     A distance's derivative by the one place is the unit vector towards it, by the other its
     negative.
     """
-    chosen = tuple(pairs)
-    gradients = np.zeros((len(chosen), len(covariance)))
-    metres = np.zeros(len(chosen))
-    for row, (first, second) in enumerate(chosen):
-        apart = _place(network, first) - _place(network, second)
-        metres[row] = np.linalg.norm(apart)
-        for name, sign in ((first, 1.0), (second, -1.0)):
-            start = 6 * network.located.index(name)
-            gradients[row, start : start + 3] = sign * apart / max(metres[row], 1e-9)
-    return Distances(chosen, metres, gradients @ covariance @ gradients.T)
+    apart = places[ends[:, 0]] - places[ends[:, 1]]
+    metres = np.linalg.norm(apart, axis=1)
+    towards = apart / np.maximum(metres, 1e-9)[:, None]
+    gradients = np.zeros((len(ends), len(places), 6))
+    rows = np.arange(len(ends))
+    gradients[rows, ends[:, 0], :3] = towards
+    gradients[rows, ends[:, 1], :3] = -towards
+    flat = gradients.reshape(len(ends), len(covariance))
+    return metres, flat @ covariance @ flat.T
+
+
+def expected_error(sigmas: Array) -> float:
+    """The mean size of errors with these sigmas: E|x| of a normal x is σ √(2/π)."""
+    return float(np.mean(sigmas) * math.sqrt(2 / math.pi))
 
 
 def compare(network: Network, covariance: Array, measured: Iterable[Measured]) -> Comparison:
@@ -189,9 +206,7 @@ def _measured(cells: list[str], network: Network, sigma_m: float) -> Measured:
 
 def _located(name: str, network: Network) -> str:
     if name not in network.cameras:
-        near = difflib.get_close_matches(name, list(network.cameras), n=1, cutoff=0.0)
-        hint = f"; did you mean «{near[0]}»?" if near else ""
-        raise ValueError(f"the network has no camera «{name}»{hint}")
+        raise ValueError(f"the network has no camera «{name}»{nearest(name, network.cameras)}")
     if name not in network.located:
         status = network.cameras[name].status
         raise ValueError(f"camera {name} is {status} and has no place; leave the row out")

@@ -13,6 +13,9 @@ from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever
 from trigpoint.map.network import Network, PoseRecord
 
+MOST_SIGMAS = 5.0
+"""Of three values that are normally distributed, one in 65 000 lies further out than this."""
+
 
 class TruthFile(msgspec.Struct, frozen=True):
     """truth.json: camera and robot name to pose and trajectory file."""

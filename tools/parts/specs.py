@@ -4,6 +4,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from .supervisor import PartSpec
 
@@ -34,10 +35,16 @@ def bridge(robot: str, site: str) -> PartSpec:
     return PartSpec(f"robot {robot}", trigpoint("robot", "--site", site, "--robot", robot), BRIDGES)
 
 
-def firmware(robot: str, options: dict[str, str]) -> PartSpec:
-    """A simulated robot behind a pseudo-terminal."""
-    words = [word for pair in {"--robot": robot, **options}.items() for word in pair]
+def firmware(robot: str, *, epoch_ns: int, link: Path, **options: object) -> PartSpec:
+    """A simulated robot behind a pseudo-terminal, to which `link` leads; `options`: those of the
+    firmware beside, like world, seed, target, log and protocol."""
+    said = {"robot": robot, "epoch_ns": epoch_ns, "link": link, **options}
+    words = [w for name, value in said.items() for w in (_option(name), str(value))]
     return PartSpec(f"firmware {robot}", (*_PYTHON, _FIRMWARE_MODULE, *words), FIRMWARE)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def shares(names: Sequence[str], count: int) -> list[list[str]]:

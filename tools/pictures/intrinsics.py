@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.errors import InputError, OperationError, writing
 from trigpoint.edge.lens.calibration import Calibration, calibrate
 from trigpoint.edge.lens.calibration_text import calibration_record, calibration_text
 from trigpoint.site.camera_info import write_camera_info
@@ -86,12 +86,8 @@ def write_lens(out: Path, found: Calibration, count: int) -> list[Path]:
     """Write a lens as ROS's YAML, and a page about it and its `count` pictures beside; the files.
     Raises OperationError."""
     page = out.with_suffix(".html")
-    try:
+    with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         write_camera_info(out, found.camera, out.stem)
         page.write_text(intrinsics_page(found, name=out.stem, pictures=count), encoding="utf-8")
-    except OSError as reason:
-        raise OperationError(
-            f"{out}: cannot be written ({reason.strerror}); choose another --out"
-        ) from None
     return [out, page]

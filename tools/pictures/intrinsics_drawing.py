@@ -1,11 +1,10 @@
 """Drawings of a lens calibration: where corners were seen, and what the fit leaves of them."""
 
-from xml.etree.ElementTree import Element
-
 import numpy as np
 
 from trigpoint.edge.lens.calibration import Calibration
 from trigpoint.geometry.rotation import Array
+from trigpoint.tools.pages.svg import circle, drawing, element, line
 
 _SIDE = 400.0
 _FIELDS = 12
@@ -14,36 +13,25 @@ _ARROW_SHARE = 0.03
 _SCATTER_SIGMAS = 4.0
 
 
-def element(tag: str, *content: "Element | str", **attributes: str) -> Element:
-    """An element of a page; text only before the first child."""
-    made = Element(tag, attributes)
-    for item in content:
-        if isinstance(item, str):
-            made.text = (made.text or "") + item
-        else:
-            made.append(item)
-    return made
-
-
-def coverage_drawing(found: Calibration) -> Element:
+def coverage_drawing(found: Calibration) -> str:
     """Every corner in the picture's frame."""
     scale = _SIDE / found.camera.width
-    return _drawing(found, "where corners were seen", _dots((_pixels(found) + 0.5) * scale))
+    return _framed(found, "where corners were seen", _dots((_pixels(found) + 0.5) * scale))
 
 
-def scatter_drawing(found: Calibration) -> Element:
+def scatter_drawing(found: Calibration) -> str:
     """The cloud of residuals, with circles at one and two sigmas of a coordinate."""
-    scale = _SIDE / (2 * _SCATTER_SIGMAS * found.known.noise_px)
-    cloud = np.clip(_errors(found) * scale, -_SIDE / 2, _SIDE / 2) + _SIDE / 2
-    middle = str(_SIDE / 2)
+    middle, noise_px = _SIDE / 2, found.known.noise_px
+    scale = middle / (_SCATTER_SIGMAS * noise_px)
+    cloud = np.clip(_errors(found) * scale, -middle, middle) + middle
     rings = (
-        element("circle", cx=middle, cy=middle, r=f"{radius:.1f}", **{"class": "frame"})
-        for radius in (found.known.noise_px * scale, 2 * found.known.noise_px * scale)
+        circle(middle, middle, sigmas * noise_px * scale, class_="picture-frame")
+        for sigmas in (1, 2)
     )
-    return _svg(_SIDE, "residuals", _dots(cloud), *rings)
+    return drawing(_SIDE, _SIDE, _dots(cloud), *rings, label="residuals")
 
 
-def field_drawing(found: Calibration) -> Element:
+def field_drawing(found: Calibration) -> str:
     """Mean residuals in square fields of the picture, as arrows from the fields' middles."""
     side = found.camera.width / _FIELDS
     fields = np.floor((_pixels(found) + 0.5) / side).astype(int)
@@ -54,17 +42,9 @@ def field_drawing(found: Calibration) -> Element:
     for field in np.unique(fields, axis=0):
         own = np.all(fields == field, axis=1)
         if own.sum() >= _FEWEST_IN_FIELD:
-            arrows += _arrow((field + 0.5) * side * scale, errors[own].mean(axis=0) * enlarged)
-    return _drawing(found, "mean residuals over the picture", *arrows)
-
-
-def _arrow(start: Array, way: Array) -> list[Element]:
-    (x, y), (u, v) = start.tolist(), (start + way).tolist()
-    ends = {"x1": f"{x:.1f}", "y1": f"{y:.1f}", "x2": f"{u:.1f}", "y2": f"{v:.1f}"}
-    return [
-        element("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r="1.8", **{"class": "field"}),
-        element("line", **ends, **{"class": "arrow"}),
-    ]
+            (x, y), (u, v) = (field + 0.5) * side * scale, errors[own].mean(axis=0) * enlarged
+            arrows += [circle(x, y, 1.8, class_="dot"), line(x, y, x + u, y + v, class_="arrow")]
+    return _framed(found, "mean residuals over the picture", *arrows)
 
 
 def _pixels(found: Calibration) -> Array:
@@ -75,19 +55,14 @@ def _errors(found: Calibration) -> Array:
     return np.concatenate(found.fit.errors)
 
 
-def _drawing(found: Calibration, label: str, *content: Element) -> Element:
+def _framed(found: Calibration, label: str, *content: str) -> str:
     """A drawing in the picture's frame."""
     height = _SIDE * found.camera.height / found.camera.width
-    size = {"width": str(_SIDE), "height": f"{height:.1f}"}
-    return _svg(height, label, *content, element("rect", **size, **{"class": "frame"}))
+    frame = element("rect", width=_SIDE, height=height, class_="picture-frame")
+    return drawing(_SIDE, height, *content, frame, label=label)
 
 
-def _svg(height: float, label: str, *content: Element) -> Element:
-    box = {"viewBox": f"0 0 {_SIDE:.0f} {height:.1f}", "role": "img", "aria-label": label}
-    return element("svg", *content, **box)
-
-
-def _dots(points: Array) -> Element:
+def _dots(points: Array) -> str:
     """Many points as one path, (n, 2)."""
     way = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points)
-    return element("path", d=way, **{"class": "dots"})
+    return element("path", d=way, class_="dots")

@@ -2,19 +2,18 @@
 
 import os
 import signal
-import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
-import typer
 
 from trigpoint.base.errors import InputError, OperationError
+from trigpoint.base.terminal import Progress
 from trigpoint.edge.detector import TargetDetector, detector_for
 from trigpoint.edge.lens.calibration_views import View, views_of
 from trigpoint.edge.sources.opencv_log import quieten_opencv
@@ -58,7 +57,7 @@ def search(
 ) -> Searched:
     """The views in pictures, folders, videos and bags (of their `topics`), the same whatever `jobs`
     is: so many pictures are searched at once, or as many as there are cores and work for.
-    `is_shown`: with a bar, on a terminal.
+    `is_shown`: with a word on how far it is, on a terminal.
 
     Raises InputError for pictures of several sizes, OperationError where none shows the target.
     """
@@ -68,14 +67,7 @@ def search(
     expected = _expected(pictures)
     wanted = jobs or min(os.cpu_count() or 1, max(1, expected // _PICTURES_A_JOB))
     with ExitStack() as stack:
-        bar = stack.enter_context(
-            typer.progressbar(
-                length=max(expected, 1),
-                label="searching",
-                file=sys.stderr,
-                hidden=not (is_shown and sys.stderr.isatty()),
-            )
-        )
+        bar = stack.enter_context(closing(Progress("searching", expected))) if is_shown else None
         given = stills(pictures, topics, account)
         for still, (found, wrong) in _found(given, targets, wanted, stack):
             height, width = still.picture.shape
@@ -83,7 +75,8 @@ def search(
             sizes.setdefault(size, []).append(still.name)
             views += found
             misdescribed |= dict.fromkeys(wrong)
-            bar.update(1)
+            if bar is not None:
+                bar.step()
     said = account.lines()
     if len(sizes) > 1:
         raise InputError(_several(sizes))

@@ -1,1 +1,1 @@
-"""Self-contained pages: of a demo (`page`) and of a calibration (`calibration_page`)."""
+"""The pages of a calibration, and of a demo: a calibration with a truth beside it."""

@@ -10,7 +10,7 @@ from trigpoint.base.errors import writing
 
 from .serial import firmware
 from .session import write_session
-from .site_files import sim_url, write_site, write_truth
+from .site_files import robot_port, write_site, write_truth
 from .world import load_world
 from .world_file import TargetChoice
 
@@ -64,15 +64,9 @@ def robot(
     epoch_ns = time.time_ns()
     simulated = load_world(world, seed=seed, target=target)
     name = simulated.first_robot
-    link = out / f"{name}.port"
+    link = out / robot_port(name)
     with writing(out):
-        site = write_site(
-            simulated,
-            out,
-            sources={c: sim_url(simulated, c, epoch_ns=epoch_ns) for c in simulated.cameras},
-            ports={name: f"./{link.name}"},
-            protocol=protocol,
-        )
+        site = write_site(simulated, out, epoch_ns=epoch_ns, protocol=protocol)
         write_truth(simulated, out, epoch_ns=epoch_ns)
     cameras = " ".join(f"--camera {camera}" for camera in simulated.cameras)
     typer.echo(f"robot {name} drives for {simulated.duration_s:.0f} s; in other terminals:")

@@ -155,12 +155,18 @@ def _robot(world: World, robot: SimulatedRobot, disturbance: Disturbance) -> Sim
     if not disturbance.mount_m and not disturbance.mount_rad:
         return replace(robot, lifts=lifts)
     random = world.random("target as it is", robot.name)
-    sigma = np.repeat([disturbance.mount_m, disturbance.mount_rad], 3)
-    faces = tuple(_mounted(f, random.standard_normal(6) * sigma) for f in robot.target.faces)
-    return replace(robot, lifts=lifts, mounted=Target(robot.target.name, faces))
+    truly = mounted(robot.target, disturbance.mount_m, disturbance.mount_rad, random)
+    return replace(robot, lifts=lifts, mounted=truly)
 
 
-def _mounted(face: Face, by: np.ndarray) -> Face:
+def mounted(target: Target, metres: float, radians: float, random: np.random.Generator) -> Target:
+    """The target as it truly is, each face off by normal draws."""
+    sigma = np.repeat([metres, radians], 3)
+    faces = (_moved(face, random.standard_normal(6) * sigma) for face in target.faces)
+    return Target(target.name, tuple(faces))
+
+
+def _moved(face: Face, by: np.ndarray) -> Face:
     pose = face.base_from_face.disturbed(by)
     return structs.replace(
         face,

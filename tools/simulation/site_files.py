@@ -1,6 +1,5 @@
 """The files of a simulated site: site.toml, targets, intrinsics, and the truth beside them."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlencode
@@ -9,10 +8,10 @@ import msgspec
 import numpy as np
 
 from trigpoint.base.clock import to_ns
-from trigpoint.geometry import Pose
-from trigpoint.map.network import encode_tum
+from trigpoint.map.network import PoseRecord, encode_tum
 from trigpoint.site.camera_info import write_camera_info
-from trigpoint.site.config import BusConfig, OdometryNoise, WheelConfig
+from trigpoint.site.config import BusConfig, OdometryNoise
+from trigpoint.site.toml_file import said_of, toml_table
 from trigpoint.tools.shapes.text import target_text
 
 from .serial.speakers import WHEELS
@@ -33,8 +32,7 @@ def write_site(
     world: World,
     directory: Path,
     *,
-    sources: Mapping[str, str] | None = None,
-    ports: Mapping[str, str] | None = None,
+    epoch_ns: int | None = None,
     bus: BusConfig | None = None,
     recordings: str = "sessions",
     pictures: bool = False,
@@ -44,9 +42,10 @@ def write_site(
 ) -> Path:
     """Write site.toml with its target files and every camera's intrinsics; return its path.
 
-    `sources`: camera -> URL, by default the world's own `sim://`; `ports`: robot -> serial port, by
-    default one that leads nowhere; `recordings`, `pictures`: the recorder's directory and choice;
-    `name`: the site's, if not the world's; `more_cameras`: tables of cameras that the world lacks.
+    `epoch_ns`: of a world that goes on in real time, when it begins; its robots are behind
+    `robot_port`, and behind none where there is no such time. `recordings`, `pictures`: the
+    recorder's directory and choice; `name`: the site's, if not the world's; `more_cameras`: tables
+    of cameras that the world lacks.
     """
     directory.mkdir(parents=True, exist_ok=True)
     targets = _write_targets(world, directory)
@@ -54,22 +53,24 @@ def write_site(
     lines += _bus(bus) if bus is not None else []
     for eye, camera in world.cameras.items():
         write_camera_info(directory / f"{eye}.yaml", camera.model, eye)
-        source = (sources or {}).get(eye) or sim_url(world, eye)
+        source = sim_url(world, eye, epoch_ns=epoch_ns)
         size = {"width": camera.model.width, "height": camera.model.height, "rate": camera.rate}
         lens: dict[str, object] = {"intrinsics": f"{eye}.yaml"}
         if camera.line_delay_s:
             lens["line_delay"] = camera.line_delay_s
-        lines += _table(f"cameras.{eye}", {"source": source, **size, **lens})
+        lines += toml_table(f"cameras.{eye}", {"source": source, **size, **lens})
     for eye, keys in (more_cameras or {}).items():
-        lines += _table(f"cameras.{eye}", keys)
+        lines += toml_table(f"cameras.{eye}", keys)
     for carrier, robot in world.robots.items():
-        port = (ports or {}).get(carrier, "loop://")
+        port = "loop://" if epoch_ns is None else f"./{robot_port(carrier)}"
         spoken = {"protocol": protocol} if protocol != "trigpoint" else {}
-        lines += _table(f"robots.{carrier}", {"port": port, **spoken, "target": targets[carrier]})
+        lines += toml_table(
+            f"robots.{carrier}", {"port": port, **spoken, "target": targets[carrier]}
+        )
         if protocol in WHEELS:
-            lines += _table(f"robots.{carrier}.wheels", _stated(WHEELS[protocol]))
-        lines += _table(f"robots.{carrier}.odometry", _changed(robot.noise))
-    lines += _table("recorder", {"directory": recordings, "pictures": pictures})
+            lines += toml_table(f"robots.{carrier}.wheels", said_of(WHEELS[protocol]))
+        lines += toml_table(f"robots.{carrier}.odometry", _changed(robot.noise))
+    lines += toml_table("recorder", {"directory": recordings, "pictures": pictures})
     path = directory / "site.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
     return path
@@ -84,11 +85,16 @@ def write_truth(world: World, directory: Path, *, epoch_ns: int) -> Path:
         rows = encode_tum(stamps_ns(stamps_s, epoch_ns), world.map_from_base(robot, stamps_s))
         trajectories[robot] = f"{robot}_truth.tum"
         (directory / trajectories[robot]).write_bytes(rows)
-    cameras = {name: _transform(camera.map_from_camera) for name, camera in world.cameras.items()}
+    cameras = {name: PoseRecord.of(c.map_from_camera) for name, c in world.cameras.items()}
     path = directory / "truth.json"
-    truth = {"cameras": cameras, "robots": trajectories}
-    path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    truth = msgspec.json.encode({"cameras": cameras, "robots": trajectories})
+    path.write_bytes(msgspec.json.format(truth, indent=1) + b"\n")
     return path
+
+
+def robot_port(robot: str) -> str:
+    """The name of the link, beside the site file, to a simulated robot's pseudo-terminal."""
+    return f"{robot}.port"
 
 
 def stamps_ns(stamps_s: np.ndarray, epoch_ns: int) -> np.ndarray:
@@ -106,12 +112,6 @@ def _write_targets(world: World, directory: Path) -> dict[str, str]:
     return names
 
 
-def _stated(wheels: WheelConfig) -> dict[str, object]:
-    """The values that are not the defaults."""
-    values, usual = msgspec.structs.asdict(wheels), msgspec.structs.asdict(WheelConfig())
-    return {key: value for key, value in values.items() if value != usual[key]}
-
-
 def _changed(noise: OdometryNoise) -> dict[str, object]:
     """The values that matter: those of a planar robot, and any scale error's."""
     values = msgspec.structs.asdict(noise)
@@ -122,20 +122,6 @@ def _changed(noise: OdometryNoise) -> dict[str, object]:
 def _bus(bus: BusConfig) -> list[str]:
     values = msgspec.structs.asdict(bus)
     tls = values.pop("tls")
-    return _table("bus", values) + (_table("bus.tls", msgspec.structs.asdict(tls)) if tls else [])
-
-
-def _table(name: str, values: Mapping[str, object]) -> list[str]:
-    return [f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items()), ""]
-
-
-def _toml(value: object) -> str:
-    """A TOML value; JSON writes strings, numbers, booleans and lists the same way."""
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _transform(pose: Pose) -> dict[str, list[float]]:
-    return {
-        "translation": [float(value) for value in pose.translation],
-        "quaternion": [float(value) for value in pose.quaternion],
-    }
+    return toml_table("bus", values) + (
+        toml_table("bus.tls", msgspec.structs.asdict(tls)) if tls else []
+    )

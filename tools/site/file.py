@@ -1,6 +1,5 @@
 """Writes site.toml and target.toml from the structs that read them, so they cannot go stale."""
 
-import json
 from collections.abc import Iterator
 
 import msgspec
@@ -24,6 +23,7 @@ from trigpoint.site.config import (
     WheelConfig,
 )
 from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.site.toml_file import toml_value
 from trigpoint.tools.shapes.bodies import Side, box_faces
 from trigpoint.tools.shapes.text import target_text
 
@@ -252,13 +252,6 @@ def _rows(struct: type[Struct], values: dict[tuple[type[Struct], str], object]) 
         sign = "# " if default is None and place in _EXAMPLES else ""
         row = f"{sign}{field.name} = {toml_value(value)}"
         yield f"{row:<{_COMMENT_COLUMN - 2}}  # {COMMENTS[place]}"
-
-
-def toml_value(value: object) -> str:
-    """A value as TOML writes it."""
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(toml_value(item) for item in value)}]"
-    return json.dumps(value, ensure_ascii=False)
 
 
 _TARGET_HEAD = (

@@ -6,6 +6,7 @@ from pathlib import Path
 from trigpoint.base.errors import InputError
 from trigpoint.base.words import listed
 from trigpoint.robot.line.protocol import PROTOCOLS as _PROTOCOLS
+from trigpoint.tools.look.asked import url_of
 from trigpoint.tools.target.made import Box
 
 NONE = "none"
@@ -39,9 +40,7 @@ def camera_source(answer: str, exists: Exists = Path.exists) -> str:
             f"there is no {answer} here; write a device like /dev/video0, a URL like "
             "rtsp://camera/stream, a folder of pictures, a video, or none"
         )
-    if answer.startswith("/dev/"):
-        return f"v4l2://{answer}"
-    return f"{'dir' if path.is_dir() else 'file'}://{path}"
+    return url_of(str(path))
 
 
 def robot_port(answer: str, exists: Exists = Path.exists) -> str:

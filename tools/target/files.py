@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from trigpoint.base.errors import InputError, OperationError, TargetError
+from trigpoint.base.errors import InputError, TargetError, writing
 from trigpoint.site.target import load_target
 
 from .check import check_target
@@ -62,12 +62,8 @@ def draw(
     if findings.problems:
         raise TargetError(f"{file}: {findings.problems[0]}")
     path = out or file.with_suffix(".pdf")
-    try:
+    with writing(path):
         sheets = draw_target(target, path)
-    except OSError as reason:
-        raise OperationError(
-            f"{path} cannot be written ({reason.strerror}); choose another --out"
-        ) from None
     for face, sheet in zip(target.faces, sheets, strict=True):
         typer.echo(f"face {face.id}: {sheet.name}")
     typer.echo(f"{path}: {len(sheets)} pages; print at 100 % and measure the bar on each")
@@ -87,10 +83,6 @@ def import_kalibr(
     path = out or file.with_name("target.toml")
     if path.exists() and not force:
         raise InputError(f"{path} exists already; add --force to replace it, or give --out")
-    try:
+    with writing(path):
         path.write_text(target_text(target, file.name), encoding="utf-8")
-    except OSError as reason:
-        raise OperationError(
-            f"{path} cannot be written ({reason.strerror}); choose another --out"
-        ) from None
     typer.echo(f"wrote {path}; see what it describes: trigpoint target check {path}")

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from trigpoint.base.clock import to_ns
 from trigpoint.base.errors import InputError, writing
 from trigpoint.site.config import CameraConfig, Site
+from trigpoint.site.toml_file import said_of
 from trigpoint.tools.parts.specs import firmware
 from trigpoint.tools.parts.supervisor import PartSpec
-from trigpoint.tools.simulation.site_files import sim_url, write_site, write_truth
+from trigpoint.tools.simulation.site_files import robot_port, write_site, write_truth
 from trigpoint.tools.simulation.world import World, load_world
 
 from .selection import FILE_SCHEMES
@@ -51,26 +50,20 @@ def simulated_site(folder: Path, real: Site | None, cameras: Sequence[str]) -> S
     epoch_ns = time.time_ns() + to_ns(_LEAD_S)
     world = load_world(_WORLD, seed=_SEED, target=_TARGET)
     robot = world.first_robot
-    link = f"{robot}.port"
     with writing(folder):
         (folder / _CHECKPOINT).unlink(missing_ok=True)
         site = write_site(
             world,
             folder,
-            sources={one: sim_url(world, one, epoch_ns=epoch_ns) for one in world.cameras},
-            ports={robot: f"./{link}"},
+            epoch_ns=epoch_ns,
             name=_SITE,
             more_cameras={} if real is None else _own_cameras(world, real, cameras),
         )
         write_truth(world, folder, epoch_ns=epoch_ns)
-    options = {
-        "--world": _WORLD,
-        "--seed": str(_SEED),
-        "--target": _TARGET,
-        "--epoch-ns": str(epoch_ns),
-        "--link": str(folder.absolute() / link),
-    }
-    return Simulated(site, robot, firmware(robot, options), world.duration_s)
+    link = folder.absolute() / robot_port(robot)
+    world_of = {"world": _WORLD, "seed": _SEED, "target": _TARGET}
+    robots = firmware(robot, epoch_ns=epoch_ns, link=link, **world_of)
+    return Simulated(site, robot, robots, world.duration_s)
 
 
 def _own_cameras(world: World, real: Site, cameras: Sequence[str]) -> dict[str, dict[str, object]]:
@@ -83,9 +76,7 @@ def _own_cameras(world: World, real: Site, cameras: Sequence[str]) -> dict[str, 
 
 def _keys(real: Site, camera: CameraConfig) -> dict[str, object]:
     """What differs from the defaults, with its files by their whole paths."""
-    usual = {field.name: field.default for field in msgspec.structs.fields(CameraConfig)}
-    said = msgspec.structs.asdict(camera)
-    keys = {key: value for key, value in said.items() if value != usual[key]}
+    keys = said_of(camera)
     if camera.intrinsics is not None and not camera.estimates_intrinsics:
         keys["intrinsics"] = str(real.path(camera.intrinsics).absolute())
     scheme, _, rest = camera.source.partition("://")

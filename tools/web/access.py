@@ -6,7 +6,7 @@ import ipaddress
 import socket
 import stat
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
@@ -23,7 +23,6 @@ _LOGIN_S = 30 * DAY_S
 """A login lasts so long after the page was last opened or connected: a wall needs no hand."""
 _LEAST_TOKEN = 20
 _MOST_TOKEN = 1000
-_OPEN_PATHS = ("/login", "/board.css", "/mark.svg")
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; object-src 'none'; base-uri 'none'; "
@@ -112,10 +111,10 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 class Guard:
-    """Decides on requests."""
+    """Decides on requests; `open_paths`: what is given before anybody has logged in."""
 
-    def __init__(self, access: Access) -> None:
-        self._access = access
+    def __init__(self, access: Access, open_paths: Collection[str] = ()) -> None:
+        self._access, self._open_paths = access, open_paths
         self._names = {"localhost", socket.gethostname().lower(), *map(str.lower, access.names)}
 
     def refusal(self, request: Request) -> Response | None:
@@ -125,7 +124,7 @@ class Guard:
             return PlainTextResponse(text, 421)
         if request.method == "POST" and not self._is_own_page(request):
             return PlainTextResponse("the request does not come from this page", 403)
-        if not self._access.token or request.url.path in _OPEN_PATHS or self.is_known(request):
+        if not self._access.token or request.url.path in self._open_paths or self.is_known(request):
             return None
         if request.url.path == "/":
             return RedirectResponse("/login", 303)

@@ -8,9 +8,13 @@ from importlib import resources
 from typing import Protocol
 
 import msgspec
+from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .access import DAY_S, Guard
@@ -52,6 +56,21 @@ class Guarded:
 
         refusal = self._guard.refusal(Request(scope))
         await (refusal or self._app)(scope, receive, with_headers)
+
+
+def served_app(
+    files: dict[str, bytes], types: dict[str, str], routes: list[Route], guard: Guard
+) -> Starlette:
+    """The application of a page with these addresses, and one for each of its files that the
+    browser keeps; `types`: the media types by name."""
+
+    async def asset(request: Request) -> Response:
+        name = request.url.path.lstrip("/")
+        return kept(request, files[name], types[name])
+
+    assets = [Route(f"/{name}", asset) for name in types if not name.endswith(".html")]
+    guarded = [Middleware(Guarded, guard=guard), Middleware(GZipMiddleware)]
+    return Starlette(routes=[*routes, *assets], middleware=guarded)
 
 
 class Page(Protocol):

@@ -175,11 +175,7 @@ class Network:
 def read_trajectory(path: PathLike) -> Trajectory:
     """Read a TUM file: rows of `t x y z qx qy qz qw`, seconds and metres. Raises InputError that
     names the line."""
-    file = Path(path)
-    try:
-        return Trajectory(*files.decode_tum(file.read_bytes(), source=str(file)))
-    except OSError as reason:
-        raise InputError(f"{file}: cannot be read ({reason.strerror}); check the path") from None
+    return Trajectory(*files.load_tum(Path(path)))
 
 
 def read_network(path: PathLike) -> Network:

@@ -130,6 +130,11 @@ class CameraRecord(Struct, frozen=True, omit_defaults=False):
         """Square root of the position covariance's trace, metres."""
         return math.sqrt(float(np.trace(self.covariance_matrix[:3, :3])))
 
+    @property
+    def rotation_sigma(self) -> float:
+        """Square root of the rotation covariance's trace, radians."""
+        return math.sqrt(float(np.trace(self.covariance_matrix[3:, 3:])))
+
 
 class FaceRecord(Struct, frozen=True):
     """base_from_face."""
@@ -270,6 +275,14 @@ def encode_tum(stamps_ns: np.ndarray, poses: Pose) -> bytes:
         numbers = " ".join(f"{value:.9f}" for value in (*t, *q))
         rows.append(f"{seconds}.{nanoseconds:09d} {numbers}\n")
     return "".join(rows).encode()
+
+
+def load_tum(path: Path) -> tuple[np.ndarray, Pose]:
+    """`decode_tum` of a file; raise InputError also where it cannot be read."""
+    try:
+        return decode_tum(path.read_bytes(), source=str(path))
+    except OSError as reason:
+        raise InputError(f"{path}: cannot be read ({reason.strerror}); check the path") from None
 
 
 def decode_tum(data: bytes, *, source: str = "trajectory") -> tuple[np.ndarray, Pose]:

@@ -1,5 +1,6 @@
-"""Reads TOML files into frozen msgspec structs; errors name file, line and key."""
+"""TOML files read into frozen msgspec structs, errors naming file, line and key; and written."""
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -44,6 +45,23 @@ def parse_toml(
 def load_toml(path: Path, struct: type[Struct], kind: str, error: type[InputError]) -> Struct:
     """The struct in a TOML file; `kind`: what messages call the file («site file»)."""
     return parse_toml(read_text(path, kind, error), struct, str(path), error)
+
+
+def toml_value(value: object) -> str:
+    """A value as TOML writes it; JSON writes strings, numbers, booleans and lists the same way."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def toml_table(name: str, values: Mapping[str, object]) -> list[str]:
+    """The lines of a table, and an empty one."""
+    return [f"[{name}]", *(f"{key} = {toml_value(value)}" for key, value in values.items()), ""]
+
+
+def said_of(struct: msgspec.Struct) -> dict[str, object]:
+    """The keys of a struct whose values are not the defaults."""
+    usual = {field.name: field.default for field in msgspec.structs.fields(type(struct))}
+    values = msgspec.structs.asdict(struct)
+    return {key: value for key, value in values.items() if value != usual[key]}
 
 
 def _put(document: dict[str, Any], key: str, value: object, error: type[InputError]) -> None:

@@ -27,6 +27,7 @@ from trigpoint.map.network import PoseRecord, encode_tum
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.config import OdometryNoise, parse_site
 from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.networks.truth import NetworkError, TruthFile, network_error
 from trigpoint.tools.shapes.text import target_text
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces_each
@@ -45,15 +46,6 @@ def lens(horizontal_deg: float = 62.0, distortion: tuple[float, ...] = (-0.2, 0.
     """A camera of 640 × 480."""
     plain = CameraModel.from_field_of_view(640, 480, np.radians(horizontal_deg))
     return replace(plain, distortion=(*distortion, *[0.0] * (5 - len(distortion))))
-
-
-def looking_at(position: tuple[float, ...], goal: tuple[float, ...]) -> Pose:
-    """map_from_camera of a camera that looks at a point, its picture upright."""
-    ahead = np.subtract(goal, position)
-    ahead = ahead / np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right = right / np.linalg.norm(right)
-    return Pose(np.stack([right, np.cross(ahead, right), ahead], axis=1), np.array(position, float))
 
 
 def circle(*, radius: float = 1.2, speed: float = 0.4, hold_s: float = 0.5) -> Way:

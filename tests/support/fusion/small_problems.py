@@ -1,11 +1,10 @@
 """A least-squares problem with every kind of unknown, small enough to be looked at as a whole."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from support.builders import make_target
-from support.fusion.drives import EPOCH_NS, lens, looking_at
+from support.fusion.drives import EPOCH_NS, lens
 
 from trigpoint.base.clock import to_ns
 from trigpoint.fusion.model.assembly import Assembled, assemble
@@ -29,6 +28,7 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import parse_site
+from trigpoint.testing.views import looking_at
 
 SITE = """
 site = "lab"
@@ -262,9 +262,3 @@ def whole_matrix(problem: Problem, equations: NormalEquations) -> Array:
                 matrix[at, after] = chain.lower[node].T
         start += size
     return matrix
-
-
-def with_faces_known(state: State, robot: str, base_from_face: Pose) -> State:
-    """The state with other faces of a robot."""
-    changed = replace(state.robots[robot], base_from_face=base_from_face)
-    return State(state.cameras, state.robots | {robot: changed})

@@ -22,6 +22,7 @@ from trigpoint.contract.messages import (
 from trigpoint.contract.topics import Topic, alive_key
 from trigpoint.geometry import Pose
 from trigpoint.site.config import Site
+from trigpoint.testing.views import looking_at
 
 _SPACING_M = 4.0
 _ROUND_S = 40.0
@@ -50,10 +51,7 @@ class Truth:
         row, column = divmod(index, self._side)
         eye = np.array([_SPACING_M * column, _SPACING_M * row, 3.0])
         middle = np.array([self.size_m / 2 + 0.1, self.size_m / 2 + 0.2, 0.0])
-        ahead = (middle - eye) / np.linalg.norm(middle - eye)
-        right = np.cross(ahead, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        return Pose(np.stack([right, np.cross(ahead, right), ahead], axis=-1), eye)
+        return looking_at(eye, middle)
 
     def robot(self, index: int, time_s: float) -> tuple[float, float, float]:
         """x, y, heading."""

@@ -8,16 +8,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from support.builders import eventually
-from support.fusion.drives import lab_plan, make_session
+from support.fusion.drives import lab_plan, make_session, pushed
+from support.fusion.networks import apart_sigmas
 from support.site.faults import MORE, Fire, Watchman, kill_and_restart
 from support.site.programs import Drive, Field, Program, answers, lay_out, meeting_point
 
 from trigpoint.bus.bus import Bus
 from trigpoint.contract import cdr, topics
-from trigpoint.contract.messages import Odometry
 from trigpoint.fusion.checkpoint import read_checkpoint
 from trigpoint.fusion.inputs import load_inputs
-from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.map.network import Network, load_network
 from trigpoint.tools.shapes.text import target_text
 from trigpoint.tools.simulation.sight.targets import target_of
@@ -117,25 +116,16 @@ def network_of(field: Field, fusion: Program) -> Network:
     longer than a stop may, what comes of all that it took in."""
     if "would take longer than a stop may" not in fusion.said:
         return load_network(field.out)
-    inputs = load_inputs(field.site, network=None)
-    pipeline = Pipeline(inputs, is_live=False)
+    messages = []
     for key, payload in read_checkpoint(field.out / "checkpoint.bin"):
         topic = topics.topic_of(key)
         assert topic is not None
-        message = cdr.decode(topic.type_name, payload)
-        pipeline.push(topics.node_of(key), message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
-    pipeline.finish()
-    return pipeline.results().network
+        messages.append((topics.node_of(key), cdr.decode(topic.type_name, payload)))
+    return pushed(load_inputs(field.site, network=None), tuple(messages)).results().network
 
 
 def check_network(network: Network, expected: Network, fusion: Program) -> None:
     """The drive's cameras are where they are without the fire, within a tenth of a sigma."""
     for name, record in expected.cameras.items():
-        mine = network.cameras[name]
-        assert mine.map_from_camera is not None, fusion.said
-        assert record.map_from_camera is not None
-        apart = mine.map_from_camera.pose.difference(record.map_from_camera.pose)
-        sigma = np.sqrt(np.diagonal(record.covariance_matrix))
-        assert np.abs(apart / sigma).max() < 0.1, (name, apart / sigma, fusion.said)
+        apart = apart_sigmas(network.cameras[name], record)
+        assert np.abs(apart).max() < 0.1, (name, apart, fusion.said)

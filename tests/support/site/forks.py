@@ -12,11 +12,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from signal import SIGKILL
-from types import TracebackType
-from typing import Self
+
+from trigpoint.base.closing import Closing
 
 
-class ForkedPrograms:
+class ForkedPrograms(Closing):
     """The process that forks; what it started ends with it."""
 
     def __init__(self, folder: Path) -> None:
@@ -50,15 +50,7 @@ class ForkedPrograms:
     def said(self, name: str) -> str:
         return (self._folder / f"{name}.log").read_text(errors="replace")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         for number in self._living:
             os.killpg(number, SIGKILL)
         self._process.kill()

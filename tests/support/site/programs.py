@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +19,6 @@ from support.fusion.drives import EPOCH_NS, Sent, Session, offline
 from trigpoint.base.clock import to_ns
 from trigpoint.bus.bus import Bus
 from trigpoint.contract import cdr
-from trigpoint.contract.messages import Odometry
 from trigpoint.contract.topics import command_key
 from trigpoint.fusion.inbox import INPUT_TOPICS
 from trigpoint.map.network import Network
@@ -234,7 +233,3 @@ def answers(bus: Bus, path: str, *, timeout_s: float = 10.0) -> dict | None:
         if not reply.error:
             return json.loads(reply.payload)
     return None
-
-
-def odometry_count(messages: Sequence[tuple[str, Sent]]) -> int:
-    return sum(isinstance(message, Odometry) for _, message in messages)

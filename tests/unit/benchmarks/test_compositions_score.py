@@ -1,8 +1,6 @@
 """What is wrong, late, failed or honest in what `calibrate` says of a drawn session."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +11,14 @@ from benchmarks.compositions.score import Outcome, Score, score_of, scored
 from benchmarks.compositions.session import Composition, session_of
 from benchmarks.study.store import Store
 from trigpoint.geometry import Pose
+from trigpoint.map.network import (
+    AlternativeRecord,
+    CameraRecord,
+    Network,
+    PoseRecord,
+    Statistics,
+    save_network,
+)
 
 _SIGMA = 0.01
 
@@ -22,29 +28,25 @@ def session() -> Composition:
     return session_of(Recipe("loop-alike", 2, cameras=3))
 
 
-def _said(pose: Pose) -> dict[str, Any]:
-    return {
-        "translation": pose.translation.tolist(),
-        "quaternion": pose.quaternion.tolist(),
-    }
-
-
-def _network(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> None:
-    """A network in which some cameras are located, off by errors (6,)."""
-    cameras: dict[str, Any] = {
-        name: {"status": "undetermined", "map_from_camera": None} for name in session.last_places()
-    }
-    covariance = _SIGMA**2 * np.eye(6)
-    for name, error in errors.items():
-        pose = session.last_places()[name].disturbed(error)
-        cameras[name] = {
-            "status": "located",
-            "map_from_camera": _said(pose),
-            "covariance": covariance.ravel().tolist(),
-        }
-    (folder / "network.json").write_text(json.dumps({"cameras": cameras}))
+def _network(
+    folder: Path,
+    session: Composition,
+    errors: dict[str, np.ndarray],
+    open_at: dict[str, Pose] | None = None,
+) -> None:
+    """A network in which some cameras are located, off by errors (6,); others are left open."""
+    covariance, cameras = _SIGMA**2 * np.eye(6), dict[str, CameraRecord]()
+    told = tuple(covariance.ravel().tolist())
+    for name, place in session.last_places().items():
+        there = (open_at or {}).get(name)
+        named = () if there is None else (AlternativeRecord(PoseRecord.of(there), told, 0.4),)
+        cameras[name] = CameraRecord("undetermined", alternatives=named)
+        if name in errors:
+            found = PoseRecord.of(place.disturbed(errors[name]))
+            cameras[name] = CameraRecord("located", map_from_camera=found, covariance=told)
+    network = Network("lab", "", "smoother", cameras, {}, Statistics(1.0, 3))
     joint = _SIGMA**2 * np.eye(6 * len(errors))
-    np.savez(folder / "covariance.npz", cameras=np.array(list(errors)), covariance=joint)
+    save_network(folder, network, covariance=joint, trajectories={})
 
 
 def _judged(folder: Path, session: Composition, errors: dict[str, np.ndarray]) -> Score:
@@ -70,15 +72,12 @@ def test_a_camera_many_of_its_sigmas_off_is_wrong(tmp_path: Path, session: Compo
 def test_a_camera_without_a_pose_that_names_the_true_place_has_it_among_its_alternatives(
     tmp_path: Path, session: Composition
 ) -> None:
-    _network(tmp_path, session, {})
-    network = json.loads((tmp_path / "network.json").read_text())
     place = session.last_places()["c1"]
-    covariance = (_SIGMA**2 * np.eye(6)).ravel().tolist()
-    for name, shift in (("c1", 0.0), ("c2", 3.0)):
-        there = Pose(place.rotation, place.translation + shift)
-        named = {"map_from_camera": _said(there), "covariance": covariance, "probability": 0.4}
-        network["cameras"][name]["alternatives"] = [named]
-    (tmp_path / "network.json").write_text(json.dumps(network))
+    shifted = {
+        name: Pose(place.rotation, place.translation + shift)
+        for name, shift in (("c1", 0.0), ("c2", 3.0))
+    }
+    _network(tmp_path, session, {}, shifted)
     score = score_of(session, tmp_path, 0, 1.0, "")
     assert [camera.among for camera in score.cameras] == [True, False, None]
 

@@ -14,7 +14,7 @@ def test_memory_is_held_against_what_it_was_once_settled() -> None:
 
 
 def test_report_names_what_broke_and_who_lost() -> None:
-    samples = [Sample(float(t), "fusion", 1, 10_000_000 + t, 20, 5) for t in range(100)]
+    samples = [Sample(float(t), "fusion", 1, 10.0 + 1e-6 * t, 20, 5) for t in range(100)]
     heard = [
         {
             "t": 50.0,

@@ -15,7 +15,6 @@ from support.fusion.drives import (
     circle,
     lab_cameras,
     lab_plan,
-    looking_at,
     make_session,
     offline,
     pushed,
@@ -28,6 +27,7 @@ from trigpoint.base.clock import to_ns
 from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.sight.targets import target_of
 
 # A pose that is this many of its sigmas off in any direction is a confident wrong one: a normal

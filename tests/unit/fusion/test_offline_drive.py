@@ -9,7 +9,6 @@ from support.fusion.drives import (
     CameraPlan,
     Session,
     lab_plan,
-    looking_at,
     make_session,
     offline,
     pushed,
@@ -23,6 +22,7 @@ from trigpoint.contract.messages import Odometry, Sightings
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.geometry import Pose
 from trigpoint.map.network import encode_network
+from trigpoint.testing.views import looking_at
 
 # -- the plain drive ------------------------------------------------------------------------------
 

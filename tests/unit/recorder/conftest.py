@@ -32,6 +32,7 @@ from trigpoint.geometry.rotation import Array, about_z
 from trigpoint.geometry.uncertainty import planar_covariance
 from trigpoint.recorder.mcap.writer import McapWriter
 from trigpoint.site.target import Target, parse_target
+from trigpoint.testing.views import looking_at
 
 START_NS = 1_760_000_000_000_000_000
 CAMERAS = ("c1", "c2", "c3", "c4")
@@ -241,16 +242,6 @@ class Story:
 
     def _sent(self, topic: topics.Topic, node: str, t: float, message: Message) -> Sent:
         return Sent(topic, topic.key("lab", node), START_NS + round(t * 1e9), message)
-
-
-def looking_at(position: list[float], goal: list[float]) -> Pose:
-    """map_from_camera of a camera that looks at a point, its picture upright."""
-    ahead = np.array(goal) - np.array(position)
-    ahead = ahead / np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0, 1])
-    right = right / np.linalg.norm(right)
-    down = np.cross(ahead, right)
-    return Pose(np.stack([right, down, ahead], axis=1), np.array(position))
 
 
 def write_session(path: Path, sent: list[Sent]) -> Path:

@@ -7,23 +7,23 @@ import numpy as np
 
 from trigpoint.map.building import Building
 from trigpoint.map.survey import Residual
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.tools.pages.frame import note, row, scrolling, section, table
+from trigpoint.tools.pages.svg import element
 
 from .facts import CalibrationResults
-from .tables import table
 
 
 def building_section(results: CalibrationResults) -> str:
     """Where the map lies, and what each surveyed point is off; "" where that was not asked for."""
-    title = element("h2", "The map in the building")
+    title = "The map in the building"
     if results.building_problem:
-        return element("section", title, element("p", escape(results.building_problem)))
+        return section(title, element("p", escape(results.building_problem)))
     if results.building is None:
         return ""
-    parts = [title, element("p", escape(_words(results.building)), class_="note")]
-    if results.building.laying is not None:
-        parts.append(element("div", _residuals(results.building), class_="scroll narrow"))
-    return element("section", *parts)
+    told = note(_words(results.building))
+    if results.building.laying is None:
+        return section(title, told)
+    return section(title, told, scrolling(_residuals(results.building), narrow=True))
 
 
 def _words(building: Building) -> str:
@@ -61,4 +61,4 @@ def _row(one: Residual) -> str:
     cells = [escape(one.name), *offsets, *[""] * (3 - len(offsets))]
     cells += [f"{one.chi2:.1f}", f"{one.probability:.2g}"]
     cells.append("contradicts the others; left out" if one.is_outlier else "")
-    return element("tr", *(element("td", cell) for cell in cells))
+    return row(cells)

@@ -1,21 +1,30 @@
 """The page's section on how well robots would be corrected where they drove."""
 
 import math
+from collections.abc import Iterator
 from html import escape
 
 import numpy as np
 
 from trigpoint.fusion.coverage.accuracy_map import WITHIN_M, AccuracyMap, class_name
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.report.drawing.floor_plan import picture_on_map
-from trigpoint.tools.report.drawing.plan import Plan
-from trigpoint.tools.report.drawing.style import PALETTE
-from trigpoint.tools.report.drawing.svg import circle, drawing, element, group, text
+from trigpoint.tools.pages.floor_plan import picture_on_map
+from trigpoint.tools.pages.frame import (
+    legend,
+    note,
+    row,
+    scrolling,
+    section,
+    table,
+    wide_and_upright,
+)
+from trigpoint.tools.pages.network_map import UPRIGHT, WIDE
+from trigpoint.tools.pages.plan import Plan
+from trigpoint.tools.pages.style import PALETTE
+from trigpoint.tools.pages.svg import circle, drawing, element, group, text
 
 from .facts import CalibrationResults
-from .tables import table
 
-_WIDE, _UPRIGHT = 1000.0, 420.0
 _COLOURS = np.array(
     [
         *((26, 127, 90), (99, 177, 121), (217, 196, 91), (227, 154, 75)),
@@ -37,22 +46,15 @@ def corrected_section(results: CalibrationResults) -> str:
         "the errors of a robot's position lie after one picture by every camera that sees it, by "
         "the joint covariance, in more than half of eight headings. Walls are not known."
     )
-    return element(
-        "section",
-        element("h2", "How well a robot is corrected"),
-        element("p", escape(words), class_="note"),
-        *parts,
-    )
+    return section("How well a robot is corrected", note(words), *parts)
 
 
 def _of(results: CalibrationResults, each: AccuracyMap) -> str:
     who = [element("h3", escape(", ".join(each.robots)))] if len(results.corrected) > 1 else []
-    drawings = [
-        element("div", _drawing(results, each, _WIDE, upright=False), class_="wide"),
-        element("div", _drawing(results, each, _UPRIGHT, upright=True), class_="upright"),
-    ]
-    figure = element("figure", *drawings, _legend(each), class_="card")
-    return element("div", *who, figure, element("div", _losses(each), class_="scroll"))
+    wide = _drawing(results, each, WIDE, upright=False)
+    upright = _drawing(results, each, UPRIGHT, upright=True)
+    figure = wide_and_upright(wide, upright, legend(_meanings(each)))
+    return element("div", *who, figure, scrolling(_losses(each)))
 
 
 def _drawing(results: CalibrationResults, each: AccuracyMap, width: float, *, upright: bool) -> str:
@@ -94,22 +96,15 @@ def _pixels(each: AccuracyMap) -> np.ndarray:
     return pixels.reshape(floor.rows, floor.columns, 4)[::-1]
 
 
-def _legend(each: AccuracyMap) -> str:
+def _meanings(each: AccuracyMap) -> Iterator[tuple[str, str]]:
+    """Each colour, and how much of the floor has it."""
     sizes = [each.area_m2(within_m) for within_m in WITHIN_M]
     names = [class_name(w) for w in WITHIN_M[:-1]]
     names += [f"beyond {100 * WITHIN_M[-2]:g} cm", "not corrected"]
     shown = np.diff([0.0, *sizes, each.floor_m2])
-    entries = [
-        _entry(index, f"{name}: {area:.1f} m²")
-        for index, (name, area) in enumerate(zip(names, shown, strict=True))
-    ]
-    return element("ul", *entries, class_="legend")
-
-
-def _entry(index: int, words: str) -> str:
-    box = element("rect", x=4, y=1, width=26, height=12, class_=f"c{index}")
-    sample = element("svg", box, viewBox="0 0 34 14", aria_hidden="true")
-    return element("li", sample, element("span", escape(words)))
+    for index, (name, area) in enumerate(zip(names, shown, strict=True)):
+        box = element("rect", x=4, y=1, width=26, height=12, class_=f"c{index}")
+        yield box, f"{name}: {area:.1f} m²"
 
 
 def _losses(each: AccuracyMap) -> str:
@@ -119,6 +114,5 @@ def _losses(each: AccuracyMap) -> str:
     rows = []
     for index, name in enumerate(each.names):
         lost = [f"{each.lost_m2(index, w):.1f}" for w in _BY_FAILURE_M]
-        cells = [escape(name), f"{each.seen_m2(index):.1f}", *lost]
-        rows.append(element("tr", *(element("td", cell) for cell in cells)))
+        rows.append(row((escape(name), f"{each.seen_m2(index):.1f}", *lost)))
     return table(head, rows)

@@ -1,7 +1,6 @@
 """What the page of a calibration shows, and the figures that it is summed up in."""
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,12 +64,6 @@ class CalibrationResults:
         """Between all located cameras."""
         pairs = itertools.combinations(self.network.located, 2)
         return distances(self.network, self.covariance, pairs)
-
-    @property
-    def expected_distance_error_m(self) -> float | None:
-        """Mean error of the distances that the joint covariance lets one expect: σ √(2/π) each."""
-        sigmas = self.distances.sigmas_m
-        return float(np.mean(sigmas) * math.sqrt(2 / math.pi)) if len(sigmas) else None
 
     @property
     def sightings(self) -> int:

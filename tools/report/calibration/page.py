@@ -3,16 +3,24 @@
 from html import escape
 
 from trigpoint import __version__
+from trigpoint.base.words import counted
 from trigpoint.map.network import ON_ONE_SIGHTING, CameraRecord
-from trigpoint.tools.report.drawing.frame import brand, html_page
-from trigpoint.tools.report.drawing.residual_charts import histogram_drawing, picture_drawing
-from trigpoint.tools.report.drawing.style import PALETTE
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.tools.pages.frame import (
+    commands,
+    html_page,
+    note,
+    scrolling,
+    section,
+    warning,
+)
+from trigpoint.tools.pages.network_map import NetworkMap, Way
+from trigpoint.tools.pages.residual_charts import histogram_drawing, picture_drawing
+from trigpoint.tools.pages.style import PALETTE
+from trigpoint.tools.pages.svg import element
 
 from .building import building_section
 from .corrected import corrected_section
 from .facts import CalibrationResults
-from .map import has_map, legend, magnification, map_drawing, plan_of
 from .tables import (
     distance_table,
     guidance_table,
@@ -22,21 +30,20 @@ from .tables import (
     pose_table,
     used_table,
 )
-from .tiles import headline, tiles
+from .tiles import headline, summary
 
-_WIDE, _UPRIGHT = 1000.0, 420.0
 _OPEN_CAMERAS = 8
 _OPEN_DISTANCES = 15
 
 
 def calibration_page(results: CalibrationResults) -> str:
-    """The whole page, self-contained: no script, no picture, no font from anywhere."""
-    body = element(
-        "main",
-        _header(results),
+    """The whole page."""
+    network = results.network
+    return html_page(
+        f"Trigpoint calibration of {network.site}",
         _undetermined(results),
         _unconfirmed(results),
-        tiles(results),
+        summary(results),
         _map(results),
         building_section(results),
         corrected_section(results),
@@ -45,57 +52,43 @@ def calibration_page(results: CalibrationResults) -> str:
         _distances(results),
         _rejected(results),
         _further(results),
-        element("footer", escape(_footer_words(results))),
+        headline=headline(results),
+        lead=_lead(results),
+        footer=f"Trigpoint {__version__}. Site «{network.site}», map {network.map_id}, estimator "
+        f"{network.estimator}, {network.statistics.iterations} iterations.",
     )
-    return html_page(f"Trigpoint calibration of {results.network.site}", body)
 
 
-def _header(results: CalibrationResults) -> str:
+def _lead(results: CalibrationResults) -> str:
     network = results.network
     robots = ", ".join(results.trajectories) or "no robot"
-    seen = _counted(results.sightings, "sighting")
-    cameras = _counted(len(network.cameras), "camera")
-    lead = (
+    seen = counted(results.sightings, "sighting")
+    cameras = counted(len(network.cameras), "camera")
+    return (
         f"{results.seconds:.0f} seconds of {robots} and {seen} by {cameras} of the site "
         f"«{network.site}», worked out together by the "
         f"{network.estimator}. Every ± and every sigma on this page is one standard deviation, by "
         "the joint covariance of all cameras, in the map: the frame in which the first robot's "
         "odometry began."
     )
-    return element(
-        "header",
-        brand(),
-        element("h1", escape(headline(results))),
-        element("p", escape(lead), class_="lead"),
-    )
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _undetermined(results: CalibrationResults) -> str:
-    items = [
-        element("li", element("b", escape(name)), escape(f": {_why(results, name)}"))
+    items = (
+        element("b", escape(name)) + escape(f": {_why(results, name)}")
         for name, camera in results.network.cameras.items()
         if camera.map_from_camera is None
-    ]
-    if not items:
-        return ""
-    title = element("b", "What the session does not determine")
-    return element("div", title, element("ul", *items), class_="failures")
+    )
+    return warning("What the session does not determine", items)
 
 
 def _unconfirmed(results: CalibrationResults) -> str:
-    items = [
-        element("li", element("b", escape(name)), escape(f" {ON_ONE_SIGHTING}"))
+    items = (
+        element("b", escape(name)) + escape(f" {ON_ONE_SIGHTING}")
         for name, camera in results.network.cameras.items()
         if camera.map_from_camera is not None and not camera.confirmed
-    ]
-    if not items:
-        return ""
-    title = element("b", "Located, and not confirmed")
-    return element("div", title, element("ul", *items), class_="failures")
+    )
+    return warning("Located, and not confirmed", items)
 
 
 def _why(results: CalibrationResults, name: str) -> str:
@@ -106,25 +99,25 @@ def _why(results: CalibrationResults, name: str) -> str:
     residuals = results.residuals.get(name)
     if residuals is not None and len(residuals.places):
         x, y, _ = residuals.places[len(residuals.places) // 2]
-        times = _counted(camera.sightings, "time")
+        times = counted(camera.sightings, "time")
         words += f". It saw the target {times}, once with the robot near ({x:.1f}, {y:.1f}) m"
     return words
 
 
 def _map(results: CalibrationResults) -> str:
-    if not has_map(results):
-        return ""
-    wide = plan_of(results, _WIDE, upright=False)
-    drawings = [
-        element("div", map_drawing(results, width=_WIDE, upright=False), class_="wide"),
-        element("div", map_drawing(results, width=_UPRIGHT, upright=True), class_="upright"),
-    ]
-    key = legend(results, magnification(results, wide))
-    return element(
-        "section",
-        element("h2", "The map"),
-        element("figure", *drawings, key, class_="card"),
-    )
+    figure = NetworkMap(
+        results.network.cameras,
+        [
+            Way(
+                poses.translation[:, :2], poses.heading, "a robot's way, from the ring to the arrow"
+            )
+            for _, poses in results.trajectories.values()
+        ],
+        [suggestion.map_from_base for suggestion in results.suggestions],
+        "where to go next, in this order",
+        building=results.building,
+    ).figure()
+    return section("The map", figure) if figure else ""
 
 
 def _guidance(results: CalibrationResults) -> str:
@@ -134,7 +127,7 @@ def _guidance(results: CalibrationResults) -> str:
     open_ = [n for n, c in results.network.cameras.items() if c.status == "undetermined"]
     words = f"First drive past {', '.join(open_)} again (above). " if open_ else ""
     words += f"The camera that is known worst is {results.worst}, to {sigma_cm:.2f} cm. "
-    parts = [element("h2", "What would improve it most")]
+    shown = ""
     if results.suggestions:
         words += (
             "One picture more from the first of these poses is expected to lower that most; each "
@@ -142,17 +135,13 @@ def _guidance(results: CalibrationResults) -> str:
             "drive there by odometry from where it ended, near ways that were driven, and to be "
             "seen where a camera has seen it before."
         )
-        parts += [
-            element("p", escape(words), class_="note"),
-            element("div", guidance_table(results), class_="scroll"),
-        ]
+        shown = scrolling(guidance_table(results))
     else:
         words += (
             "No single picture more, near where robots have driven, is expected to lower that by "
             "a fiftieth."
         )
-        parts.append(element("p", escape(words), class_="note"))
-    return element("section", *parts)
+    return section("What would improve it most", note(words), shown)
 
 
 def _cameras(results: CalibrationResults) -> str:
@@ -168,13 +157,8 @@ def _cameras(results: CalibrationResults) -> str:
         )
     cameras = results.network.cameras.items()
     sections = [_camera(results, name, c, index) for index, (name, c) in enumerate(cameras)]
-    return element(
-        "section",
-        element("h2", "The cameras"),
-        element("p", escape(words), class_="note"),
-        element("div", overview_table(results), class_="scroll"),
-        *sections,
-    )
+    table = overview_table(results.network, results.error)
+    return section("The cameras", note(words), scrolling(table), *sections)
 
 
 def _camera(results: CalibrationResults, name: str, camera: CameraRecord, index: int) -> str:
@@ -226,24 +210,14 @@ def _distances(results: CalibrationResults) -> str:
     count = len(results.distances.pairs)
     if not count:
         return ""
-    shown = element("div", distance_table(results), class_="scroll narrow")
+    shown = scrolling(distance_table(results), narrow=True)
     if count > _OPEN_DISTANCES:
         shown = element("details", element("summary", f"All {count} distances"), shown)
     words = (
-        "A tape measure can check these; `trigpoint distances --measured` holds them against its "
-        "figures. What all cameras are off together does not count in them."
+        "A tape measure can check these; <code>trigpoint distances --measured</code> holds them "
+        "against its figures. What all cameras are off together does not count in them."
     )
-    return element(
-        "section",
-        element("h2", "The distances between cameras"),
-        element(
-            "p", escape(words).replace("`trigpoint distances --measured`", _CODE), class_="note"
-        ),
-        shown,
-    )
-
-
-_CODE = "<code>trigpoint distances --measured</code>"
+    return section("The distances between cameras", element("p", words, class_="note"), shown)
 
 
 def _rejected(results: CalibrationResults) -> str:
@@ -252,43 +226,26 @@ def _rejected(results: CalibrationResults) -> str:
         "single corners beyond three sigmas are left out. Sightings of a camera that is not "
         "located are not read."
     )
-    parts = [element("h2", "What was used and what was not")]
+    parts = []
     if results.residuals:
-        parts += [
-            element("p", words, class_="note"),
-            element("div", used_table(results), class_="scroll"),
-        ]
+        parts += [note(words), scrolling(used_table(results))]
     if results.left_out:
-        parts.append(element("div", left_out_table(results), class_="scroll"))
-    parts += [element("p", escape(note), class_="note") for note in results.notes]
-    return element("section", *parts) if len(parts) > 1 else ""
+        parts.append(scrolling(left_out_table(results)))
+    parts += [note(words) for words in results.notes]
+    return section("What was used and what was not", *parts) if parts else ""
 
 
 def _further(results: CalibrationResults) -> str:
-    commands = [
-        (f"trigpoint review {results.session}", "the drive in 3D"),
-        (f"trigpoint distances {results.folder}", "distances with sigmas"),
-        (f"trigpoint coverage {results.session}", "where robots are corrected how well"),
-        (f"trigpoint calibrate {results.session}", "this page again"),
-    ]
-    width = max(len(command) for command, _ in commands)
-    lines = "\n".join(f"{command:<{width}}  # {what}" for command, what in commands)
     words = (
         "network.json holds everything on this page in full precision, covariance.npz the joint "
         "covariance of the located cameras, and a .tum file each robot's way."
     )
-    return element(
-        "section",
-        element("h2", "Look further"),
-        element("p", words),
-        element("pre", escape(lines)),
+    shown = commands(
+        [
+            (f"trigpoint review {results.session}", "the drive in 3D"),
+            (f"trigpoint distances {results.folder}", "distances with sigmas"),
+            (f"trigpoint coverage {results.session}", "where robots are corrected how well"),
+            (f"trigpoint calibrate {results.session}", "this page again"),
+        ]
     )
-
-
-def _footer_words(results: CalibrationResults) -> str:
-    network = results.network
-    iterations = network.statistics.iterations
-    return (
-        f"Trigpoint {__version__}. Site «{network.site}», map {network.map_id}, estimator "
-        f"{network.estimator}, {iterations} iterations."
-    )
+    return section("Look further", element("p", words), shown)

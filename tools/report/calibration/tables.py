@@ -1,17 +1,21 @@
 """The tables of a calibration's page."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 
 import numpy as np
 
-from trigpoint.map.network import CameraRecord
-from trigpoint.tools.report.drawing.style import PALETTE
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.map.network import CameraRecord, Network
+from trigpoint.tools.networks.truth import MOST_SIGMAS, CameraError, NetworkError
+from trigpoint.tools.pages.frame import fixed, row, table
+from trigpoint.tools.pages.style import PALETTE
+from trigpoint.tools.pages.svg import element
 
 from .facts import CalibrationResults, view_angle_sigmas, view_angles
 
+_DISC = '<span class="disc"></span>'
 _REASONS = {
     "wrong_size": "pictures of another size than the camera's intrinsics are for",
     "repeated": "pictures that came twice",
@@ -31,40 +35,46 @@ _REASONS = {
 }
 
 
-def overview_table(results: CalibrationResults) -> str:
-    """One row a camera."""
+def overview_table(
+    network: Network,
+    error: NetworkError | None,
+    more: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> str:
+    """One row a camera; `error` adds columns, and `more`: head -> a cell a camera."""
     head = ["camera", "x m", "y m", "z m", "sigma<br>cm", "sigma<br>degrees"]
     head += ["sightings", "rejected", "rms<br>px"]
-    if results.error is not None:
+    if error is not None:
         head += ["error<br>cm", "error<br>degrees", "error in<br>sigmas"]
-    rows = [
-        _overview_row(results, name, index) for index, name in enumerate(results.network.cameras)
-    ]
-    return table(head, rows)
+    rows = []
+    for index, (name, camera) in enumerate(network.cameras.items()):
+        cells = [element("td", _DISC, escape(name)), *_place_cells(camera)]
+        rms = "–" if camera.reprojection_rms is None else f"{camera.reprojection_rms:.2f}"
+        cells += [element("td", n) for n in (str(camera.sightings), str(camera.rejected), rms)]
+        cells += [] if error is None else _error_cells(error.cameras.get(name))
+        cells += [element("td", escape(column[index])) for column in more.values()]
+        rows.append(element("tr", *cells, class_=f"k{index % PALETTE}"))
+    return table([*head, *more], rows)
 
 
-def _overview_row(results: CalibrationResults, name: str, index: int) -> str:
-    camera = results.network.cameras[name]
-    cells = [element("td", '<span class="disc"></span>', escape(name))]
-    columns = 5
+def _place_cells(camera: CameraRecord) -> list[str]:
     if camera.map_from_camera is None:
         why = "; ".join((camera.status, *camera.undetermined))
-        cells.append(element("td", escape(why), colspan=columns, class_="words"))
-    else:
-        turn = math.degrees(math.sqrt(float(np.trace(camera.covariance_matrix[3:, 3:]))))
-        numbers = [_fixed(value, 3) for value in camera.map_from_camera.translation]
-        numbers += [f"{100 * camera.position_sigma:.2f}", f"{turn:.2f}"]
-        cells += [element("td", number) for number in numbers]
-    rms = "–" if camera.reprojection_rms is None else f"{camera.reprojection_rms:.2f}"
-    cells += [element("td", n) for n in (str(camera.sightings), str(camera.rejected), rms)]
-    if results.error is not None:
-        mine = results.error.cameras.get(name)
-        shown = ["–"] * 3
-        if mine is not None:
-            degrees = math.degrees(mine.rotation)
-            shown = [f"{100 * mine.position:.2f}", f"{degrees:.2f}", f"{mine.sigmas:.1f}"]
-        cells += [element("td", number) for number in shown]
-    return element("tr", *cells, class_=f"k{index % PALETTE}")
+        return [element("td", escape(why), colspan=5, class_="words")]
+    numbers = [fixed(value, 3) for value in camera.map_from_camera.translation]
+    numbers.append(f"{100 * camera.position_sigma:.2f}")
+    numbers.append(f"{math.degrees(camera.rotation_sigma):.2f}")
+    return [element("td", number) for number in numbers]
+
+
+def _error_cells(error: CameraError | None) -> list[str]:
+    if error is None:
+        return [element("td", "–")] * 3
+    kind = "bad-text" if error.sigmas > MOST_SIGMAS else None
+    return [
+        element("td", f"{100 * error.position:.2f}"),
+        element("td", f"{math.degrees(error.rotation):.2f}"),
+        element("td", f"{error.sigmas:.1f}", class_=kind),
+    ]
 
 
 def pose_table(camera: CameraRecord) -> str:
@@ -73,22 +83,15 @@ def pose_table(camera: CameraRecord) -> str:
     pose, covariance = camera.map_from_camera.pose, camera.covariance_matrix
     sigmas_cm = 100 * np.sqrt(np.diagonal(covariance)[:3])
     rows = [
-        _value_row(axis, f"{_fixed(value, 4)} m", _deviation(sigma, "cm"))
+        row((axis, f"{fixed(value, 4)} m", _deviation(sigma, "cm")))
         for axis, value, sigma in zip("xyz", pose.translation, sigmas_cm, strict=True)
     ]
     names = ("looks towards", "and down by", "picture turned by")
     angles, sigmas = view_angles(pose), view_angle_sigmas(pose, covariance)
     for name, value, sigma in zip(names, angles, sigmas, strict=True):
-        rows.append(_value_row(name, f"{_fixed(value, 2)}°", _deviation(sigma, "°")))
+        rows.append(row((escape(name), f"{fixed(value, 2)}°", _deviation(sigma, "°"))))
     milliseconds, sigma_ms = 1000 * camera.time_offset, 1000 * camera.time_offset_sigma
-    known = sigma_ms == 0
-    rows.append(
-        _value_row(
-            "time offset",
-            f"{milliseconds:.2f} ms",
-            "taken as known" if known else f"{sigma_ms:.2f} ms",
-        )
-    )
+    rows.append(row(("time offset", f"{milliseconds:.2f} ms", _sigma(sigma_ms, "{:.2f} ms"))))
     return table(("pose", "", "±"), rows)
 
 
@@ -100,17 +103,12 @@ def intrinsics_table(camera: CameraRecord) -> str:
     lens, sigma = record.camera, record.sigma
     values = [("fx", lens.fx, sigma.fx), ("fy", lens.fy, sigma.fy)]
     values += [("cx", lens.cx, sigma.cx), ("cy", lens.cy, sigma.cy)]
-    rows = [_value_row(n, f"{v:.2f} px", _sigma(s, "{:.2f} px")) for n, v, s in values]
+    rows = [row((n, f"{v:.2f} px", _sigma(s, "{:.2f} px"))) for n, v, s in values]
     for name, value, deviation in zip(
         lens.model.coefficients, lens.distortion, sigma.d, strict=True
     ):
-        rows.append(_value_row(name, f"{value:.5f}", _sigma(deviation, "{:.5f}")))
+        rows.append(row((escape(name), f"{value:.5f}", _sigma(deviation, "{:.5f}"))))
     return table(("lens", escape(lens.model.value), "±"), rows)
-
-
-def _fixed(value: float, digits: int) -> str:
-    """Without a minus before zero."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}"
 
 
 def _deviation(value: float, unit: str) -> str:
@@ -121,10 +119,6 @@ def _deviation(value: float, unit: str) -> str:
 
 def _sigma(value: float, form: str) -> str:
     return form.format(value) if value > 0 else "taken as known"
-
-
-def _value_row(name: str, value: str, sigma: str) -> str:
-    return element("tr", element("td", escape(name)), element("td", value), element("td", sigma))
 
 
 def guidance_table(results: CalibrationResults) -> str:
@@ -140,27 +134,22 @@ def guidance_table(results: CalibrationResults) -> str:
             escape(", ".join(found.seen_by)), escape(found.camera),
             f"{100 * found.sigma_m:.2f}", f"{100 * found.expected_sigma_m:.2f}",
         )  # fmt: skip
-        rows.append(element("tr", *(element("td", cell) for cell in cells)))
+        rows.append(row(cells))
     return table(head, rows)
 
 
 def used_table(results: CalibrationResults) -> str:
     """What became of each camera's sightings and corners."""
     head = (
-        "camera",
-        "sightings<br>used",
-        "contradict<br>the rest",
-        "not<br>read",
-        "corners<br>used",
-    )
-    head += ("corners beyond<br>3 sigmas",)
+        "camera", "sightings<br>used", "contradict<br>the rest", "not<br>read", "corners<br>used",
+        "corners beyond<br>3 sigmas",
+    )  # fmt: skip
     rows = []
     for index, (name, found) in enumerate(results.residuals.items()):
         wild = int((~found.used).sum())
         numbers = (found.used_sightings, found.rejected, found.pending, int(found.used.sum()), wild)
-        cells = [element("td", '<span class="disc"></span>', escape(name))]
-        cells += [element("td", str(number)) for number in numbers]
-        rows.append(element("tr", *cells, class_=f"k{index % PALETTE}"))
+        cells = (_DISC + escape(name), *map(str, numbers))
+        rows.append(row(cells, class_=f"k{index % PALETTE}"))
     return table(head, rows)
 
 
@@ -180,17 +169,10 @@ def left_out_table(results: CalibrationResults) -> str:
 def distance_table(results: CalibrationResults) -> str:
     """The distances between all cameras."""
     found = results.distances
-    rows = []
-    for (first, second), metres, sigma in zip(
-        found.pairs, found.metres, found.sigmas_m, strict=True
-    ):
-        words = element("td", escape(f"{first} to {second}"))
-        numbers = element("td", f"{metres:.4f}"), element("td", f"{100 * sigma:.2f}")
-        rows.append(element("tr", words, *numbers))
+    rows = (
+        row((escape(f"{first} to {second}"), f"{metres:.4f}", f"{100 * sigma:.2f}"))
+        for (first, second), metres, sigma in zip(
+            found.pairs, found.metres, found.sigmas_m, strict=True
+        )
+    )
     return table(("cameras", "metres", "sigma<br>cm"), rows)
-
-
-def table(head: Sequence[str], rows: Sequence[str]) -> str:
-    """A table; `head`: markup of its cells."""
-    cells = element("tr", *(element("th", cell) for cell in head))
-    return element("table", element("thead", cells), element("tbody", *rows))

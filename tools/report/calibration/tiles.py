@@ -1,7 +1,7 @@
 """The page's first lines: the calibration in a sentence and in a few numbers."""
 
-from trigpoint.tools.report.drawing.frame import centimetres, tile
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.tools.networks.noise_words import noise_words
+from trigpoint.tools.pages.frame import centimetres, tile, tiles
 
 from .facts import CalibrationResults
 
@@ -20,11 +20,12 @@ def headline(results: CalibrationResults) -> str:
     return f"{located} of {count} cameras located, each to {sigma} or better"
 
 
-def tiles(results: CalibrationResults) -> str:
+def summary(results: CalibrationResults) -> str:
     """A few numbers with what they mean."""
-    shown = [_located(results), _worst(results), _distance(results), _truth(results)]
-    shown += [_noise(results), _rejected(results)]
-    return element("div", *(one for one in shown if one), class_="tiles thirds")
+    return tiles(
+        _located(results), _worst(results), _distance(results), _truth(results), _noise(results),
+        _rejected(results),
+    )  # fmt: skip
 
 
 def _located(results: CalibrationResults) -> str:
@@ -45,7 +46,7 @@ def _worst(results: CalibrationResults) -> str:
 
 
 def _distance(results: CalibrationResults) -> str:
-    expected = results.expected_distance_error_m
+    expected = results.distances.expected_error_m
     if expected is None:
         return ""
     words = "mean error of the distances between cameras, as the covariance lets one expect"
@@ -58,18 +59,6 @@ def _truth(results: CalibrationResults) -> str:
     words = "their mean error in truth; all errors against the joint covariance come to "
     words += f"{results.error.nees:.2f} per degree of freedom"
     return tile(centimetres(results.error.distance), words)
-
-
-def noise_words(chi2: float, noise: tuple[str, ...] = ()) -> str:
-    """What χ² says, what `noise` is not as stated, and what follows where χ² is far from 1."""
-    words = "χ² per degree of freedom; 1 where noise is as assumed"
-    if noise:
-        words += f", that is, of {'; of '.join(noise)}"
-    if chi2 > 2.0:
-        return f"{words}; sigmas are too small by {chi2**0.5:.1f}: see the residuals of each camera"
-    if chi2 < 0.5:
-        return f"{words}; sigmas are too large: corners or odometry are better than stated"
-    return words
 
 
 def _noise(results: CalibrationResults) -> str:

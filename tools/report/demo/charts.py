@@ -3,9 +3,18 @@
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.report.drawing.axes import Axes
-from trigpoint.tools.report.drawing.style import PALETTE
-from trigpoint.tools.report.drawing.svg import circle, drawing, element, group, line, polyline, text
+from trigpoint.tools.pages.axes import Axes
+from trigpoint.tools.pages.style import PALETTE
+from trigpoint.tools.pages.svg import (
+    circle,
+    drawing,
+    element,
+    group,
+    line,
+    polyline,
+    text,
+    thinned,
+)
 
 from .results import (
     PAPER_DISTANCE_ERROR_M,
@@ -28,8 +37,8 @@ def robot_error_chart(results: DemoResults) -> str:
     top = max([1.0, *odometry[1], *live[1]]) * 1.08
     axes = Axes.of(WIDTH, HEIGHT, x=(0.0, results.seconds), y=(0.0, top), right=88.0)
     lines = [
-        polyline(_thinned(axes.points(*odometry)), class_="way reckoned"),
-        polyline(_thinned(axes.points(*live)), class_="way corrected"),
+        polyline(thinned(axes.points(*odometry), _MOST_POINTS), class_="way reckoned"),
+        polyline(thinned(axes.points(*live), _MOST_POINTS), class_="way corrected"),
     ]
     ends = [
         (float(axes.up(errors[-1])), name, kind)
@@ -64,7 +73,7 @@ def uncertainty_chart(results: DemoResults) -> str:
     for series in results.series:
         kind = f"k{names.index(series.name) % PALETTE}"
         points = axes.points(series.t_s, 100 * series.sigma_m)
-        lines.append(group(polyline(_thinned(points), class_="series"), class_=kind))
+        lines.append(group(polyline(thinned(points, _MOST_POINTS), class_="series"), class_=kind))
         ends.append((float(points[-1, 1]), series.name, f"series-text {kind}"))
     return drawing(
         WIDTH,
@@ -83,7 +92,6 @@ def latency_chart(results: DemoResults) -> str:
     top = _round_up(float(np.quantile(milliseconds, 0.99)) * 1.15)
     counts, edges = np.histogram(np.minimum(milliseconds, top), bins=_BARS, range=(0.0, top))
     axes = Axes.of(WIDTH, HEIGHT, x=(0.0, top), y=(0.0, counts.max() * 1.15))
-    bars = [_bar(axes, edges[i], edges[i + 1], count) for i, count in enumerate(counts) if count]
     marks = [
         _mark(axes, float(np.quantile(milliseconds, share)), name, row)
         for row, (share, name) in enumerate(((0.5, "half"), (0.95, "95 %")))
@@ -92,7 +100,7 @@ def latency_chart(results: DemoResults) -> str:
         WIDTH,
         HEIGHT,
         axes.frame("milliseconds from exposure to correction", "corrections"),
-        *bars,
+        *axes.bars(counts, edges),
         *marks,
         label="Histogram of the time from exposure to correction",
         class_="chart",
@@ -117,17 +125,15 @@ def distance_chart(results: DemoResults) -> str:
         WIDTH,
         HEIGHT,
         band,
-        axes.frame("", "estimated minus true distance, cm", names=_pair_names(results)),
+        axes.frame(
+            "", "estimated minus true distance, cm", names=[(p.first, p.second) for p in pairs]
+        ),
         zero,
         words,
         *(_pair(axes, i, pair) for i, pair in enumerate(pairs)),
         label="The error of the distance between every two cameras",
         class_="chart",
     )
-
-
-def _pair_names(results: DemoResults) -> list[tuple[str, str]]:
-    return [(pair.first, pair.second) for pair in results.pairs]
 
 
 def _pair(axes: Axes, place: int, pair: PairResult) -> str:
@@ -146,11 +152,6 @@ def _errors_cm(robot: RobotResult, track: Track) -> tuple[Array, Array]:
     return track.t_s, 100 * np.linalg.norm(track.places - true.places, axis=1)
 
 
-def _thinned(points: Array) -> Array:
-    step = max(1, len(points) // _MOST_POINTS)
-    return np.concatenate([points[::step], points[-1:]])
-
-
 def _labels(axes: Axes, ends: list[tuple[float, str, str]]) -> str:
     """Names at the lines' ends, moved apart where they would lie on each other."""
     x, last = axes.across.end + 6, -np.inf
@@ -160,14 +161,6 @@ def _labels(axes: Axes, ends: list[tuple[float, str, str]]) -> str:
         last = max(min(y, room + i * _LABEL_HEIGHT), last + _LABEL_HEIGHT)
         marks.append(text(x, last + 4, name, class_=f"label {kind}"))
     return group(*marks)
-
-
-def _bar(axes: Axes, start: float, end: float, count: int) -> str:
-    x0, x1 = float(axes.across(start)), float(axes.across(end))
-    y = float(axes.up(count))
-    return element(
-        "rect", x=x0 + 0.75, y=y, width=x1 - x0 - 1.5, height=axes.up.start - y, class_="bar", rx=1
-    )
 
 
 def _mark(axes: Axes, value: float, name: str, row: int) -> str:

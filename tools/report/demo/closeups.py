@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from trigpoint.tools.report.drawing.plan import Plan
-from trigpoint.tools.report.drawing.style import PALETTE
-from trigpoint.tools.report.drawing.svg import (
+from trigpoint.tools.pages.plan import Plan
+from trigpoint.tools.pages.style import PALETTE
+from trigpoint.tools.pages.svg import (
     circle,
     drawing,
     element,
@@ -36,8 +36,8 @@ def closeups(results: DemoResults, plan: Plan) -> str:
 
 def _figure(camera: CameraResult, index: int, plan: Plan) -> str:
     if camera.error is None:
-        why = "; ".join(camera.undetermined) or "the robot never showed it its target"
-        body = element("p", f"{camera.status}: {why}", class_="quiet")
+        why = "; ".join(camera.record.undetermined) or "the robot never showed it its target"
+        body = element("p", f"{camera.record.status}: {why}", class_="quiet")
         caption = element("figcaption", element("b", camera.name))
         return element("figure", body, caption, class_=f"k{index % PALETTE} absent")
     caption = element(
@@ -50,11 +50,10 @@ def _figure(camera: CameraResult, index: int, plan: Plan) -> str:
 
 def _target(camera: CameraResult, plan: Plan) -> str:
     """From above, the truth in the middle."""
-    assert camera.estimate is not None
-    assert camera.covariance is not None
-    error = camera.estimate.translation[:2] - camera.truth.translation[:2]
-    inner = ellipse_points(error, camera.covariance[:2, :2], 1.0)
-    outer = ellipse_points(error, camera.covariance[:2, :2], SIGMAS_95)
+    assert camera.record.map_from_camera is not None
+    error = (camera.record.map_from_camera.translation - camera.truth.translation)[:2]
+    spread = camera.record.covariance_matrix[:2, :2]
+    inner, outer = (ellipse_points(error, spread, sigmas) for sigmas in (1.0, SIGMAS_95))
     reach = max(float(np.linalg.norm(outer, axis=1).max()), float(np.linalg.norm(error)))
     scale = _ROOM * _HALF / reach
     x, y = _HALF + scale * plan.turned(error)

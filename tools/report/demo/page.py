@@ -3,100 +3,91 @@
 from html import escape
 
 from trigpoint import __version__
-from trigpoint.tools.report.drawing.frame import brand, html_page
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.tools.pages.frame import (
+    commands,
+    html_page,
+    note,
+    scrolling,
+    section,
+    warning,
+)
+from trigpoint.tools.pages.network_map import WIDE, NetworkMap, Way
+from trigpoint.tools.pages.svg import element
+from trigpoint.tools.report.calibration.tables import overview_table
 
 from .charts import distance_chart, latency_chart, robot_error_chart, uncertainty_chart
 from .closeups import closeups
-from .map import legend, magnification, map_drawing, plan_of
-from .results import PAPER_DISTANCE_ERROR_M, DemoResults
-from .tables import camera_table, kinds_table, message_table, missing_words
-from .tiles import headline, tiles
-
-_WIDE, _UPRIGHT = 1000.0, 420.0
+from .results import PAPER_DISTANCE_ERROR_M, DemoResults, Track
+from .tables import camera_words, kinds_table, message_table
+from .tiles import headline, summary
 
 
 def report_page(results: DemoResults, *, folder: str) -> str:
-    """The whole page, self-contained: no script, no picture, no font from anywhere.
-
-    `folder`: where the run's files are, as the reader may type it.
-    """
-    body = element(
-        "main",
-        _header(results),
-        _failures(results),
-        tiles(results),
-        _map(results),
-        _cameras(results),
+    """The whole page; `folder`: where the run's files are, as the reader may type it."""
+    drawn = network_map(results)
+    return html_page(
+        f"Trigpoint demo, seed {results.seed}",
+        warning("What went wrong", map(escape, results.failures)),
+        summary(results),
+        section("The map", drawn.figure()),
+        _cameras(results, drawn),
         _over_time(results),
         _messages(results),
         _further(results, folder),
-        _footer(results),
-    )
-    return html_page(f"Trigpoint demo, seed {results.seed}", body)
-
-
-def _header(results: DemoResults) -> str:
-    cameras = len(results.cameras)
-    lead = (
-        f"{cameras} cameras hang in two rooms, and no two see the same place. A robot carries a "
-        "printed pattern past them. From the robot's odometry and what the cameras saw of the "
-        "pattern, Trigpoint worked out live where every camera hangs and which way it looks, and "
-        "told the robot where it is. The rooms are simulated, so the truth is known: this page "
-        "holds the result against it."
-    )
-    return element(
-        "header",
-        brand(),
-        element("h1", escape(headline(results))),
-        element("p", lead, class_="lead"),
+        headline=headline(results),
+        lead=_lead(results),
+        footer=f"Trigpoint {__version__}. World «{results.world}», seed {results.seed}, target "
+        f"{results.target}, {results.seconds:.0f} s. The paper's mean error of the distances "
+        f"between cameras is {100 * PAPER_DISTANCE_ERROR_M:.2f} cm.",
     )
 
 
-def _failures(results: DemoResults) -> str:
-    if not results.failures:
-        return ""
-    items = (element("li", escape(failure)) for failure in results.failures)
-    return element("div", element("b", "What went wrong"), element("ul", *items), class_="failures")
-
-
-def _map(results: DemoResults) -> str:
-    wide = plan_of(results, _WIDE, upright=False)
-    drawings = [
-        element("div", map_drawing(results, width=_WIDE, upright=False), class_="wide"),
-        element("div", map_drawing(results, width=_UPRIGHT, upright=True), class_="upright"),
-    ]
-    return element(
-        "section",
-        element("h2", "The map"),
-        element(
-            "figure",
-            *drawings,
-            legend(magnification(results, wide), suggests=_suggests(results)),
-            class_="card",
-        ),
+def _lead(results: DemoResults) -> str:
+    return (
+        f"{len(results.cameras)} cameras hang in two rooms, and no two see the same place. A robot "
+        "carries a printed pattern past them. From the robot's odometry and what the cameras saw "
+        "of the pattern, Trigpoint worked out live where every camera hangs and which way it "
+        "looks, and told the robot where it is. The rooms are simulated, so the truth is known: "
+        "this page holds the result against it."
     )
 
 
-def _suggests(results: DemoResults) -> bool:
-    return any(robot.suggestion is not None for robot in results.robots)
+def network_map(results: DemoResults) -> NetworkMap:
+    """What is on the map: the network as it was found and as it truly is."""
+    ways = []
+    for robot in results.robots:
+        ways += [
+            _way(robot.truth, "true", "the robot's true way, from the ring to the arrow"),
+            _way(robot.odometry, "reckoned", "its way by odometry alone"),
+            _way(robot.live, "corrected", "its way as Trigpoint said it live"),
+        ]
+    return NetworkMap(
+        {camera.name: camera.record for camera in results.cameras},
+        ways,
+        [robot.suggestion for robot in results.robots if robot.suggestion is not None],
+        "where it was last told to go next, to improve the worst camera most",
+        truth={camera.name: camera.truth for camera in results.cameras},
+        walls=results.walls,
+    )
 
 
-def _cameras(results: DemoResults) -> str:
+def _way(track: Track, kind: str, words: str) -> Way:
+    return Way(track.places, track.headings, words, kind, is_best=kind == "true")
+
+
+def _cameras(results: DemoResults, drawn: NetworkMap) -> str:
     words = (
         "Each camera from above, up close: the ring is the truth, the point is what was found. "
         "The filled ellipse is one standard deviation, the dashed one holds 95 of 100; so the "
         "ring should mostly lie inside the dashed one. The numbers count the height too."
     )
-    plan = plan_of(results, _WIDE, upright=False)
-    return element(
-        "section",
-        element("h2", "The cameras"),
-        element("p", words, class_="note"),
-        closeups(results, plan),
-        element("div", camera_table(results), class_="scroll"),
-        element("p", missing_words(results), class_="note"),
-    )
+    skipped = ["–" if c.skipped is None else str(c.skipped) for c in results.cameras]
+    table = overview_table(results.network, results.error, {"pictures<br>missed": skipped})
+    plan = drawn.plan(WIDE, upright=False)
+    return section(
+        "The cameras", note(words), closeups(results, plan), scrolling(table),
+        note(camera_words(results)),
+    )  # fmt: skip
 
 
 def _over_time(results: DemoResults) -> str:
@@ -113,7 +104,7 @@ def _over_time(results: DemoResults) -> str:
         figures.append(_figure(words, latency_chart(results)))
     if not figures:
         return ""
-    return element("section", element("h2", "In detail"), element("div", *figures, class_="charts"))
+    return section("In detail", element("div", *figures, class_="charts"))
 
 
 def _figure(title: str, chart: str) -> str:
@@ -121,16 +112,10 @@ def _figure(title: str, chart: str) -> str:
 
 
 def _messages(results: DemoResults) -> str:
-    return element(
-        "section",
-        element("h2", "The messages"),
-        element("p", _messages_words(results), class_="note"),
-        element("div", kinds_table(results), class_="scroll"),
-        element(
-            "details",
-            element("summary", "Every key by itself"),
-            element("div", message_table(results), class_="scroll"),
-        ),
+    every = element("details", element("summary", "Every key by itself"),
+                    scrolling(message_table(results)))  # fmt: skip
+    return section(
+        "The messages", note(_messages_words(results)), scrolling(kinds_table(results)), every
     )
 
 
@@ -145,32 +130,24 @@ def _messages_words(results: DemoResults) -> str:
             f" Parts that ended and were started again: {parts}; they counted anew, so these "
             "numbers need not agree."
         )
-    return escape(words)
+    return words
 
 
 def _further(results: DemoResults, folder: str) -> str:
-    commands = (
-        f"trigpoint review {folder}/session.mcap      # the drive in 3D\n"
-        f"trigpoint calibrate {folder}/session.mcap   # the same estimate from the recording\n"
-        f"trigpoint replay {folder}/session.mcap      # put it back on the bus"
-    )
+    session = f"{folder}/session.mcap"
     again = f"trigpoint demo --seed {results.seed} --target {results.target} --out {folder}"
     if not results.is_whole:
         again += f" --seconds {results.seconds:g}"
-    return element(
-        "section",
-        element("h2", "Look further"),
+    return section(
+        "Look further",
         element("p", "The recording and the network lie beside this page."),
-        element("pre", escape(commands)),
+        commands(
+            [
+                (f"trigpoint review {session}", "the drive in 3D"),
+                (f"trigpoint calibrate {session}", "the same estimate from the recording"),
+                (f"trigpoint replay {session}", "put it back on the bus"),
+            ]
+        ),
         element("p", "The same drive again:"),
         element("pre", escape(again)),
     )
-
-
-def _footer(results: DemoResults) -> str:
-    words = (
-        f"Trigpoint {__version__}. World «{results.world}», seed {results.seed}, target "
-        f"{results.target}, {results.seconds:.0f} s. The paper's mean error of the distances "
-        f"between cameras is {100 * PAPER_DISTANCE_ERROR_M:.2f} cm."
-    )
-    return element("footer", escape(words))

@@ -7,9 +7,12 @@ from enum import Enum
 
 import numpy as np
 
+from trigpoint.contract.topics import topic_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
-from trigpoint.tools.networks.truth import CameraError
+from trigpoint.map.network import CameraRecord, Network
+from trigpoint.tools.networks.distances import Distances, distances
+from trigpoint.tools.networks.truth import MOST_SIGMAS, CameraError, NetworkError
 
 PAPER_DISTANCE_ERROR_M = 0.0211
 """Mean error of the distances between cameras that the paper reached with this method."""
@@ -17,27 +20,19 @@ PAPER_DISTANCE_ERROR_M = 0.0211
 _MOST_UNSEEN = 0.03
 """The share of pictures that may go unseen before the figures suffer by it."""
 
-MOST_SIGMAS = 5.0
-"""Of three values that are normally distributed, one in 65 000 lies further out than this."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraResult:
-    """One camera. `estimate`, `covariance` (6, 6) and `error` only where it is located; `came_by`:
+    """One camera of the network beside the `truth`, `error` only where it is located. `came_by`:
     whether the robot showed it its target long enough; `pictures` that were looked at and how many
     more were `skipped`, None where its agent did not say; `given_up`: how many of those looked at
     took so long that they were searched in part."""
 
     name: str
     truth: Pose
-    status: str
+    record: CameraRecord
     came_by: bool
-    estimate: Pose | None = None
-    covariance: Array | None = None
     error: CameraError | None = None
-    undetermined: tuple[str, ...] = ()
-    sightings: int = 0
-    rejected: int = 0
     pictures: int | None = None
     skipped: int | None = None
     given_up: int = 0
@@ -46,20 +41,6 @@ class CameraResult:
     def is_missed(self) -> bool:
         """Whether it could have been located and was not."""
         return self.came_by and self.error is None
-
-    @property
-    def sigma_m(self) -> float:
-        """Root of the position covariance's trace: the error's expected size."""
-        return self._root_of_trace(0, 3)
-
-    @property
-    def sigma_rad(self) -> float:
-        """The same of the rotation."""
-        return self._root_of_trace(3, 6)
-
-    def _root_of_trace(self, start: int, end: int) -> float:
-        assert self.covariance is not None
-        return float(np.sqrt(np.trace(self.covariance[start:end, start:end])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +139,26 @@ class Arrival(Enum):
     BEST_EFFORT = "best effort"
 
 
+@dataclass(frozen=True, slots=True)
+class KindCount:
+    """The messages of all keys of one row of the contract: `path` with a `*`, how many keys, and
+    what came of them all; None where nobody said."""
+
+    path: str
+    keys: int
+    sent: int | None
+    received: int | None
+    recorded: int
+    arrival: Arrival
+
+    @property
+    def numbers(self) -> tuple[str, str, str]:
+        """Sent, received and recorded, for people."""
+        known = (self.sent, self.received, self.recorded)
+        sent, received, recorded = ("–" if number is None else str(number) for number in known)
+        return sent, received, recorded
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """A standard deviation over time: seconds (n,), metres (n,)."""
@@ -169,20 +170,20 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoResults:
-    """Everything that the table and the report show. `walls`: (n, 2, 2) ends on the floor;
-    `covariance`: (6n, 6n) of the located cameras in their order; `mean_distance_error_m`: over all
-    pairs of them, None where there is none; `bound_m`: the mean distance error that the
-    Cramér-Rao bound of this drive lets one expect, None where it was not worked out; `is_whole`:
-    whether the session was not cut shorter or longer than the drive."""
+    """Everything that the table and the report show. `covariance`: (6n, 6n) of the network's
+    located cameras in their order; `error`: the network against the truth; `walls`: (n, 2, 2) ends
+    on the floor; `bound_m`: the mean distance error that the Cramér-Rao bound of this drive lets
+    one expect, None where it was not worked out; `is_whole`: whether the session was not cut
+    shorter or longer than the drive."""
 
-    site: str
     world: str
     seed: int
     target: str
     seconds: float
-    cameras: tuple[CameraResult, ...]
+    network: Network
     covariance: Array
-    mean_distance_error_m: float | None
+    error: NetworkError
+    cameras: tuple[CameraResult, ...]
     robots: tuple[RobotResult, ...]
     keys: tuple[KeyCount, ...]
     latencies_s: Array
@@ -216,26 +217,48 @@ class DemoResults:
         )
 
     @property
+    def distances(self) -> Distances:
+        """Between all located cameras."""
+        pairs = itertools.combinations(self.network.located, 2)
+        return distances(self.network, self.covariance, pairs)
+
+    @property
     def pairs(self) -> list[PairResult]:
-        """Every pair of located cameras."""
-        numbered = enumerate(self.located)
+        """Every pair of located cameras beside the truth."""
+        found, places = self.distances, {c.name: c.truth.translation for c in self.cameras}
         return [
-            _pair(a, b, _position_covariance(self.covariance, i, j))
-            for (i, a), (j, b) in itertools.combinations(numbered, 2)
+            PairResult(a, b, metres - float(np.linalg.norm(places[b] - places[a])), sigma_m)
+            for (a, b), metres, sigma_m in zip(
+                found.pairs, found.metres.tolist(), found.sigmas_m.tolist(), strict=True
+            )
         ]
 
     @property
-    def promised_distance_error_m(self) -> float | None:
-        """The mean distance error that the network's own covariance lets one expect.
+    def kinds(self) -> list[KindCount]:
+        """The messages of each row of the contract."""
+        groups: dict[str, list[KeyCount]] = {}
+        for count in self.keys:
+            topic = topic_of(f"site/{count.path}")
+            name = topic.path.format(id="*") if topic is not None else count.path
+            groups.setdefault(name, []).append(count)
+        return [self.counted(name, counts) for name, counts in groups.items()]
 
-        The mean of |e| of a normal e is its sigma times √(2/π).
-        """
-        sigmas = [pair.sigma_m for pair in self.pairs]
-        return float(np.sqrt(2 / np.pi) * np.mean(sigmas)) if sigmas else None
+    def counted(self, path: str, counts: Sequence[KeyCount]) -> KindCount:
+        """The messages of keys of one kind, added up."""
+        sent = [count.sent for count in counts if count.sent is not None]
+        received = [min(count.received.values()) for count in counts if count.received]
+        return KindCount(
+            path,
+            len(counts),
+            sum(sent) if sent else None,
+            sum(received) if received else None,
+            sum(count.recorded for count in counts),
+            self._arrival(counts),
+        )
 
-    def arrival(self, counts: Sequence[KeyCount]) -> Arrival:
-        """What became of the messages of keys of one kind; a part that was started again has
-        counted only since then, so numbers that differ say nothing."""
+    def _arrival(self, counts: Sequence[KeyCount]) -> Arrival:
+        """What became of messages; a part that was started again has counted only since then, so
+        numbers that differ say nothing."""
         if not counts[0].is_reliable:
             return Arrival.BEST_EFFORT
         if all(count.is_complete for count in counts):
@@ -249,7 +272,7 @@ class DemoResults:
 
     def _missed(self) -> list[str]:
         return [
-            f"camera {camera.name} was missed (it is {camera.status})"
+            f"camera {camera.name} was missed (it is {camera.record.status})"
             for camera in self.cameras
             if camera.is_missed
         ]
@@ -265,7 +288,7 @@ class DemoResults:
         return [
             f"{count.path}: {count.sent} sent, {_received(count)}, {count.recorded} recorded"
             for count in self.keys
-            if self.arrival([count]) is Arrival.BROKEN
+            if self._arrival([count]) is Arrival.BROKEN
         ]
 
     def _refused(self) -> list[str]:
@@ -278,21 +301,3 @@ class DemoResults:
 def _received(count: KeyCount) -> str:
     received = ", ".join(f"{number} by {part}" for part, number in count.received.items())
     return f"received {received or 'by nobody'}"
-
-
-def _pair(a: CameraResult, b: CameraResult, covariance: Array) -> PairResult:
-    """`covariance`: (6, 6) of both places, a's first."""
-    assert a.estimate is not None
-    assert b.estimate is not None
-    apart = b.estimate.translation - a.estimate.translation
-    distance = float(np.linalg.norm(apart))
-    gradient = np.concatenate([-apart, apart]) / distance
-    true = float(np.linalg.norm(b.truth.translation - a.truth.translation))
-    sigma = float(np.sqrt(gradient @ covariance @ gradient))
-    return PairResult(a.name, b.name, distance - true, sigma)
-
-
-def _position_covariance(covariance: Array, i: int, j: int) -> Array:
-    """(6, 6) of the places of the cameras number i and j in the joint covariance."""
-    rows = [*range(6 * i, 6 * i + 3), *range(6 * j, 6 * j + 3)]
-    return covariance[np.ix_(rows, rows)]

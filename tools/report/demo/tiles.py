@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from trigpoint.tools.report.drawing.frame import centimetres, tile
-from trigpoint.tools.report.drawing.svg import element
+from trigpoint.base.words import counted
+from trigpoint.tools.pages.frame import centimetres, tile, tiles
 
 from .results import PAPER_DISTANCE_ERROR_M as _PAPER_M
 from .results import DemoResults
@@ -14,7 +14,7 @@ from .results import DemoResults
 def headline(results: DemoResults) -> str:
     """The run in one sentence."""
     located, expected = len(results.located), len(results.expected)
-    error = results.mean_distance_error_m
+    error = results.error.distance
     if located < expected:
         return f"{expected - located} of {expected} cameras could not be located"
     if error is None:
@@ -23,11 +23,12 @@ def headline(results: DemoResults) -> str:
     return f"{seen} cameras located; the distances between them are right to {centimetres(error)}"
 
 
-def tiles(results: DemoResults) -> str:
+def summary(results: DemoResults) -> str:
     """Five numbers with what they mean."""
-    shown = [_located(results), _distance(results), _robot(results), _latency(results)]
-    shown.append(_messages(results))
-    return element("div", *(tile for tile in shown if tile), class_="tiles")
+    return tiles(
+        _located(results), _distance(results), _robot(results), _latency(results),
+        _messages(results),
+    )  # fmt: skip
 
 
 def _located(results: DemoResults) -> str:
@@ -43,7 +44,7 @@ def _located(results: DemoResults) -> str:
 
 
 def _distance(results: DemoResults) -> str:
-    error = results.mean_distance_error_m
+    error = results.error.distance
     if error is None:
         return ""
     words = f"mean error of the distances between cameras; the paper's is {centimetres(_PAPER_M)}"
@@ -81,6 +82,7 @@ def _messages(results: DemoResults) -> str:
         total = sum(results.restarts.values())
         return tile(f"{total} ×", "a part ended, was started again, and the system went on")
     if broken:
-        number = f"{len(broken)} key{'s' * (len(broken) > 1)}"
-        return tile(number, "on which messages were lost that must arrive", is_bad=True)
+        return tile(
+            counted(len(broken), "key"), "on which messages were lost that must arrive", is_bad=True
+        )
     return tile("0 lost", f"of {sent} messages on reliable keys: sent, received and recorded")

@@ -5,23 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from msgspec import structs
+from support.fusion.drives import pushed
 from support.oracle.agreement import disagreements
 from support.oracle.sessions import Shape, SmallSession, small_session
 
-from trigpoint.contract.messages import Odometry
-from trigpoint.fusion.pipeline import Inputs, Pipeline
+from trigpoint.fusion.pipeline import Inputs
 from trigpoint.map.network import Network
 from trigpoint.site.config import PriorConfig
 
 
 def network_of(session: SmallSession) -> Network:
-    pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        if isinstance(message, Odometry):
-            pipeline.advance()
-    pipeline.finish()
-    return pipeline.results().network
+    inputs = Inputs(session.site, {"r1": session.target})
+    return pushed(inputs, tuple(session.messages)).results().network
 
 
 @pytest.mark.parametrize(

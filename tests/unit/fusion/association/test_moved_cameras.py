@@ -13,7 +13,6 @@ from support.fusion.drives import (
     Session,
     circle,
     lab_cameras,
-    looking_at,
     make_session,
     offline,
     pushed,
@@ -26,6 +25,7 @@ from trigpoint.fusion.model.known_cameras import KnownCameras
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.map.network import CameraRecord
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.sight.targets import target_of
 
 

@@ -10,7 +10,6 @@ from support.fusion.drives import (
     RobotPlan,
     circle,
     lens,
-    looking_at,
     make_session,
     observed,
     standing,
@@ -24,6 +23,7 @@ from trigpoint.fusion.reading.visibility import body_of, can_be_seen
 from trigpoint.geometry import Pose
 from trigpoint.site.config import OdometryNoise
 from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 

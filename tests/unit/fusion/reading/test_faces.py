@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.fusion.drives import lens, looking_at
+from support.fusion.drives import lens
 
 from trigpoint.contract.messages import FaceSighting
 from trigpoint.fusion.model.observations import Observation, Reading, View, observation_of, view_of
@@ -11,6 +11,7 @@ from trigpoint.fusion.reading import alignment, faces
 from trigpoint.geometry import Pose
 from trigpoint.site.config import CameraConfig
 from trigpoint.site.target import Target
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.simulation.sight.seen_corners import seen_faces
 from trigpoint.tools.simulation.sight.targets import target_of
 

@@ -8,6 +8,7 @@ import pytest
 from trigpoint.contract import topics
 from trigpoint.contract.messages import Polygon, PoseEstimate, PoseStamped
 from trigpoint.geometry import Pose
+from trigpoint.testing.views import looking_at
 from trigpoint.tools.board.scene import Scene
 
 S = 1_000_000_000
@@ -26,10 +27,8 @@ def robot_pose(x: float, y: float, heading: float) -> PoseEstimate:
 
 def camera_pose() -> PoseEstimate:
     """2 m up, looking along y, 30° down."""
-    ahead = np.array([0.0, math.cos(math.pi / 6), -0.5])
-    right = np.array([1.0, 0.0, 0.0])
-    rotation = np.stack([right, np.cross(ahead, right), ahead], axis=-1)
-    return PoseEstimate(0, "map", Pose(rotation, np.array([1.0, 2.0, 2.0])), np.eye(6) * 1e-4)
+    pose = looking_at([1.0, 2.0, 2.0], [1.0, 2.0 + math.cos(math.pi / 6), 1.5])
+    return PoseEstimate(0, "map", pose, np.eye(6) * 1e-4)
 
 
 def test_a_camera_is_unseen_then_undetermined_then_located() -> None:

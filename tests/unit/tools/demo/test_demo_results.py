@@ -80,11 +80,11 @@ def test_promised_distance_error_is_what_errors_drawn_from_the_covariance_come_t
         true = np.subtract(places[j], places[i])
         apart = np.linalg.norm(true + drawn[:, j] - drawn[:, i], axis=1)
         off.append(np.abs(apart - np.linalg.norm(true)).mean())
-    assert results.promised_distance_error_m == pytest.approx(np.mean(off), rel=0.05)
+    assert results.distances.expected_error_m == pytest.approx(np.mean(off), rel=0.05)
 
 
 def test_no_distance_error_is_promised_of_one_camera():
-    assert make_results(cameras=(make_camera("c1"),)).promised_distance_error_m is None
+    assert make_results(cameras=(make_camera("c1"),)).distances.expected_error_m is None
 
 
 def test_final_error_is_against_the_truth_at_the_same_moment():

@@ -1,7 +1,7 @@
 import numpy as np
 from support.builders_demo import make_camera, make_key, make_results, make_unlocated
 
-from trigpoint.tools.report.demo.lines import aligned, grouped, table
+from trigpoint.tools.report.demo.lines import table
 
 
 def line_of(text: str, start: str) -> str:
@@ -55,9 +55,10 @@ def test_robots_errors_are_dead_reckoned_and_corrected():
 
 def test_keys_of_one_kind_are_added_up():
     keys = (make_key("camera/c1/sightings"), make_key("camera/c2/sightings", recorded=90))
-    words = line_of(table(make_results(keys=keys)), "camera/*/sightings").split()
+    results = make_results(keys=keys)
+    words = line_of(table(results), "camera/*/sightings").split()
     assert words == ["camera/*/sightings", "2", "200", "200", "190", "NOT", "ALL"]
-    assert list(grouped(keys)) == ["camera/*/sightings"]
+    assert [kind.path for kind in results.kinds] == ["camera/*/sightings"]
 
 
 def test_latencies_are_given_as_median_and_95_percent():
@@ -67,10 +68,6 @@ def test_latencies_are_given_as_median_and_95_percent():
 
 def test_restarted_part_is_named():
     assert "fusion ended and was started again 2 ×" in table(make_results(restarts={"fusion": 2}))
-
-
-def test_columns_are_aligned():
-    assert aligned([("a", "12"), ("bcd", "3")]) == ["a    12", "bcd   3"]
 
 
 def test_counts_that_a_restart_broke_are_not_told_as_losses():

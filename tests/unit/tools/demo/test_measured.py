@@ -122,7 +122,7 @@ def test_located_camera_is_held_against_the_truth(results):
     c1 = results.cameras[0]
     assert c1.error.position == pytest.approx(0.003)
     assert c1.error.sigmas == pytest.approx(1.5)
-    assert (c1.pictures, c1.skipped, c1.sightings) == (60, 2, 40)
+    assert (c1.pictures, c1.skipped, c1.record.sightings) == (60, 2, 40)
 
 
 def test_cameras_that_the_robot_did_not_come_by_are_not_missed(results):
@@ -165,7 +165,7 @@ def test_recorder_counts_as_the_receiver_where_no_other_is(results):
 
 def test_no_bound_is_given_where_one_camera_was_located(results):
     assert results.bound_m is None
-    assert results.mean_distance_error_m is None
+    assert results.error.distance is None
 
 
 @pytest.mark.parametrize(("camera", "expected"), [("c1", True), ("c2", False), ("c6", False)])

@@ -122,17 +122,15 @@ def test_a_live_site_names_its_sources_ports_and_bus(tmp_path: Path) -> None:
     path = write_site(
         world,
         tmp_path,
-        sources={"c1": "file://other.mp4"},
-        ports={"r1": "/dev/pts/7"},
+        epoch_ns=5,
         bus=BusConfig(connect=("tcp/127.0.0.1:7447",)),
         recordings="here",
         pictures=True,
     )
     site = load_site(path)
     assert site.bus.connect == ("tcp/127.0.0.1:7447",)
-    assert site.camera("c1").source == "file://other.mp4"
-    assert site.camera("c2").source == "sim://c2?world=lab&seed=1&target=checkerboard"
-    assert site.robot("r1").port == "/dev/pts/7"
+    assert site.camera("c2").source == "sim://c2?world=lab&seed=1&epoch_ns=5&target=checkerboard"
+    assert site.robot("r1").port == "./r1.port"
     assert (site.recorder.directory, site.recorder.pictures) == ("here", True)
     assert load_target(tmp_path / "target.toml").faces[0].pattern == "checkerboard"
 

@@ -11,7 +11,6 @@ from support.fusion.drives import (
     CameraPlan,
     lab_cameras,
     lab_plan,
-    looking_at,
     make_session,
     write_session,
 )
@@ -32,13 +31,14 @@ from trigpoint.map.network import (
     Statistics,
 )
 from trigpoint.map.survey import SurveyedPoint, lay
+from trigpoint.testing.views import looking_at
+from trigpoint.tools.pages.residual_charts import covered_share
 from trigpoint.tools.report.calibration.facts import (
     CalibrationResults,
     view_angle_sigmas,
     view_angles,
 )
 from trigpoint.tools.report.calibration.page import calibration_page
-from trigpoint.tools.report.drawing.residual_charts import covered_share
 
 LENS = CameraModel(640, 480, 500.0, 501.0, 320.0, 240.0, (-0.2, 0.05, 1e-3, 0.0, 0.0))
 EYE = looking_at((2.0, 0.0, 1.6), (0.0, 0.0, 0.6))

@@ -14,10 +14,9 @@ from support.builders_demo import (
 from support.pages import PageReader, read_page
 
 from trigpoint.geometry import Pose
-from trigpoint.tools.report.demo.map import magnification, map_drawing, plan_of
-from trigpoint.tools.report.demo.page import report_page
+from trigpoint.tools.pages.plan import Plan, suggestion_marks
+from trigpoint.tools.report.demo.page import network_map, report_page
 from trigpoint.tools.report.demo.results import DemoResults, Track
-from trigpoint.tools.report.drawing.plan import Plan, suggestion_marks
 
 
 def read(results: DemoResults) -> PageReader:
@@ -106,7 +105,7 @@ def test_everything_lies_inside_the_map(upright, turned):
     if turned:
         walls = results.walls[..., ::-1]
         results = make_results(walls=walls, cameras=(), robots=())
-    drawing = map_drawing(results, width=400.0, upright=upright)
+    drawing = network_map(results).drawing(400.0, upright=upright)
     box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawing)
     assert box is not None
     width, height = float(box[1]), float(box[2])
@@ -118,7 +117,7 @@ def test_everything_lies_inside_the_map(upright, turned):
 
 @pytest.mark.parametrize("upright", [False, True])
 def test_map_is_turned_and_never_mirrored(upright):
-    plan = plan_of(make_results(), 400.0, upright=upright)
+    plan = network_map(make_results()).plan(400.0, upright=upright)
     origin, x, y = plan(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     across, up = x - origin, y - origin
     # The drawing's y points down, so a right-handed pair of axes turns the other way in it.
@@ -128,15 +127,17 @@ def test_map_is_turned_and_never_mirrored(upright):
 def test_small_errors_are_drawn_larger_so_that_they_show():
     small = make_results(cameras=(make_camera("c1", error=(1e-3, 0, 0), sigma=1e-3),))
     large = make_results(cameras=(make_camera("c1", error=(0.5, 0, 0), sigma=0.5),))
-    plan = plan_of(small, 1000.0, upright=False)
-    assert magnification(small, plan) > 1
-    assert magnification(large, plan) == 1
-    assert f"drawn {magnification(small, plan)} times larger" in " ".join(read(small).words)
+    plan = network_map(small).plan(1000.0, upright=False)
+    factor = network_map(small).magnification(plan)
+    assert factor > 1
+    assert network_map(large).magnification(plan) == 1
+    assert f"drawn {factor} times larger" in " ".join(read(small).words)
 
 
 def test_last_suggestion_is_on_the_map_where_there_was_one() -> None:
     robot = make_robot(suggestion=Pose.planar(3.0, 0.5, 1.0))
-    assert 'class="next"' in map_drawing(make_results(robots=(robot,)), width=400.0, upright=False)
+    drawn = network_map(make_results(robots=(robot,))).drawing(400.0, upright=False)
+    assert 'class="next"' in drawn
     assert "last told to go next" in " ".join(read(make_results(robots=(robot,))).words)
     assert "last told to go next" not in " ".join(read(make_results()).words)
 

@@ -42,9 +42,9 @@ class Plan:
 _MARK_PX = 9
 
 
-def suggestion_marks(poses: Sequence[Pose], plan: Plan, *, are_numbered: bool = True) -> list[str]:
-    """Discs, numbered in order, with a nose for each way to look there; one for places that would
-    lie on each other."""
+def suggestion_marks(poses: Sequence[Pose], plan: Plan) -> list[str]:
+    """Discs, numbered where they are several, with a nose for each way to look there; one for
+    places that would lie on each other."""
     groups: list[list[int]] = []
     places = [plan(pose.translation[:2]) for pose in poses]
     for i, place in enumerate(places):
@@ -53,7 +53,7 @@ def suggestion_marks(poses: Sequence[Pose], plan: Plan, *, are_numbered: bool = 
         groups.append([i]) if group_of is None else group_of.append(i)
     marks = []
     for members in groups:
-        numbers = ", ".join(str(i + 1) for i in members) if are_numbered else ""
+        numbers = ", ".join(str(i + 1) for i in members) if len(poses) > 1 else ""
         marks.append(_mark([poses[i] for i in members], plan, numbers))
     return marks
 

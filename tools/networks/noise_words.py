@@ -7,7 +7,7 @@ _FAR = 2.0
 
 
 def noise_text(chi2_per_dof: float) -> str:
-    """One line, or two if the noise is not as stated or as the session tells."""
+    """For the terminal: one line, or two if the noise is not as stated or as the session tells."""
     text = f"chi² per degree of freedom: {chi2_per_dof:.3f} (1: noise is as assumed)"
     if chi2_per_dof > _FAR:
         return (
@@ -23,3 +23,16 @@ def noise_text(chi2_per_dof: float) -> str:
             "the site file says"
         )
     return text
+
+
+def noise_words(chi2_per_dof: float, noise: tuple[str, ...] = ()) -> str:
+    """For a page, beside the number; `noise`: what is not as stated."""
+    words = "χ² per degree of freedom; 1 where noise is as assumed"
+    if noise:
+        words += f", that is, of {'; of '.join(noise)}"
+    if chi2_per_dof > _FAR:
+        by = math.sqrt(chi2_per_dof)
+        return f"{words}; sigmas are too small by {by:.1f}: see the residuals of each camera"
+    if chi2_per_dof < 1 / _FAR:
+        return f"{words}; sigmas are too large: corners or odometry are better than stated"
+    return words

@@ -2,17 +2,17 @@
 
 import numpy as np
 
+from trigpoint.base.words import counted
 from trigpoint.fusion.estimators.residuals import CameraResiduals
 from trigpoint.geometry.rotation import Array
 
 from .axes import Axes
-from .svg import circle, drawing, element, group, line, polyline
+from .svg import circle, drawing, element, group, largest_factor, line, polyline
 
 _WIDTH = 480.0
 _COLUMNS, _ROWS = 16, 12
 _MOST_VECTORS, _MOST_WILD = 160, 80
 _LONGEST = 20.0  # of an ordinary residual, in the drawing
-_NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _BARS, _REACH = 33, 4.125  # sigmas: the middle bar lies around 0
 
 
@@ -59,7 +59,7 @@ def picture_drawing(
     )
     left_out = len(residuals.used) - len(used)
     if left_out:
-        words += f" Crosses: {left_out} corner{'s' * (left_out > 1)} left out."
+        words += f" Crosses: {counted(left_out, 'corner')} left out."
     return picture, words
 
 
@@ -72,7 +72,7 @@ def histogram_drawing(residuals: CameraResiduals, *, name: str) -> tuple[str, st
     normal = np.exp(-(across**2) / 2) / np.sqrt(2 * np.pi) * len(values) * (edges[1] - edges[0])
     top = max(float(counts.max()), float(normal.max())) * 1.12
     axes = Axes.of(_WIDTH, 300.0, x=(-_REACH, _REACH), y=(0.0, top))
-    bars = [_bar(axes, edges[i], edges[i + 1], int(n)) for i, n in enumerate(counts) if n]
+    bars = axes.bars(counts, edges)
     chart = drawing(
         _WIDTH,
         300.0,
@@ -114,8 +114,7 @@ def _magnification(residual_px: Array, scale: float) -> int:
     if not len(residual_px):
         return 1
     ordinary = float(np.quantile(np.linalg.norm(residual_px, axis=1), 0.9)) * scale
-    fitting = [factor for factor in _NICE if factor * ordinary <= _LONGEST]
-    return fitting[-1] if fitting else 1
+    return largest_factor(ordinary, _LONGEST)
 
 
 def _vector(pixel: Array, residual: Array, scale: float) -> str:
@@ -127,14 +126,6 @@ def _vector(pixel: Array, residual: Array, scale: float) -> str:
 def _cross(pixel: Array, scale: float) -> str:
     x, y = (pixel + 0.5) * scale
     return line(x - 3, y - 3, x + 3, y + 3) + line(x - 3, y + 3, x + 3, y - 3)
-
-
-def _bar(axes: Axes, start: float, end: float, count: int) -> str:
-    x0, x1 = float(axes.across(start)), float(axes.across(end))
-    y = float(axes.up(count))
-    return element(
-        "rect", x=x0 + 0.5, y=y, width=x1 - x0 - 1, height=axes.up.start - y, class_="bar"
-    )
 
 
 def _spread(indices: np.ndarray, most: int) -> np.ndarray:

@@ -117,6 +117,9 @@ svg .reckoned-text {{ fill:var(--reckoned); font-weight:600 }}
 .paper-band {{ fill:var(--bar); fill-opacity:.09 }}
 .mark {{ stroke:var(--ink); stroke-width:1.2; stroke-dasharray:4 3 }}
 svg .mark-text {{ fill:var(--ink) }}
+.dots {{ stroke:var(--bar); stroke-width:3; stroke-linecap:round; fill:none; stroke-opacity:.45 }}
+.picture-frame {{ fill:none; stroke:var(--soft); stroke-width:1 }}
+.arrow {{ stroke:var(--reckoned); stroke-width:1.6 }}
 .picture {{ fill:var(--card); stroke:var(--faint); stroke-width:1 }}
 .shade rect {{ fill:var(--k) }}
 .residuals line {{ stroke:var(--ink); stroke-width:1 }}

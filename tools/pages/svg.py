@@ -1,11 +1,12 @@
 """Small helpers that write markup: elements, text, lines; no library, no script."""
 
-from collections.abc import Iterable
 from html import escape
 
 import numpy as np
 
 from trigpoint.geometry.rotation import Array
+
+_NICE = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def element(name: str, *content: str, **attributes: object) -> str:
@@ -57,19 +58,24 @@ def drawing(width: float, height: float, *content: str, label: str, **attributes
     )  # no xmlns: it stands in a page
 
 
-def rows(cells: Iterable[Iterable[str]], *, tag: str = "td") -> str:
-    """Table rows; each cell is markup, an attribute of it may precede with `|`."""
-    return "".join(
-        element("tr", *(element(tag, cell) for cell in row_cells)) for row_cells in cells
-    )
-
-
 def ellipse_points(centre: Array, covariance: Array, sigmas: float, count: int = 48) -> Array:
     """The outline of a 2 × 2 covariance at `sigmas` around a centre (2,); (count, 2)."""
     values, vectors = np.linalg.eigh(covariance)
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return centre + sigmas * (unit * np.sqrt(np.maximum(values, 0))) @ vectors.T
+
+
+def thinned(points: Array, most: int) -> Array:
+    """About as many of (n, 2) points as a drawing can show, the last among them."""
+    step = max(1, len(points) // most)
+    return np.concatenate([points[::step], points[-1:]])
+
+
+def largest_factor(size: float, largest: float) -> int:
+    """The largest round number of times that something can be enlarged to `largest` at most."""
+    fitting = [factor for factor in _NICE if factor * size <= largest]
+    return fitting[-1] if fitting else 1
 
 
 def _points(points: Array) -> str:

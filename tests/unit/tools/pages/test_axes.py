@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from trigpoint.tools.report.drawing.axes import Scale
+from trigpoint.tools.pages.axes import Scale
 
 
 def test_ends_of_a_scale_lie_at_the_ends_of_its_axis():

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from trigpoint.geometry.rotation import Array
 
-from .svg import group, line, text
+from .svg import element, group, line, text
 
 LEFT, RIGHT, TOP, BOTTOM = 46.0, 14.0, 14.0, 34.0
 
@@ -73,6 +73,17 @@ class Axes:
     def points(self, x: ArrayLike, y: ArrayLike) -> Array:
         """(n, 2) in the drawing."""
         return np.stack([self.across(x), self.up(y)], axis=-1)
+
+    def bars(self, counts: np.ndarray, edges: Array) -> list[str]:
+        """A histogram: `counts` (n,) between `edges` (n + 1,)."""
+        across, tops = self.across(edges), self.up(counts)
+        return [
+            element(
+                "rect", x=across[i] + 0.6, y=tops[i], width=across[i + 1] - across[i] - 1.2,
+                height=self.up.start - tops[i], class_="bar", rx=1,
+            )
+            for i in np.flatnonzero(counts)
+        ]  # fmt: skip
 
     def frame(self, x_title: str, y_title: str, *, names: Sequence[tuple[str, str]] = ()) -> str:
         """Grid, labels and titles; `names`: pairs that stand at 0, 1, … in place of numbers."""

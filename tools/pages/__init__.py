@@ -1,0 +1,1 @@
+"""What pages are drawn with: the document and its sections, tables, SVG, charts, maps."""

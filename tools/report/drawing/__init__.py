@@ -1,1 +1,0 @@
-"""SVG, axes, maps and frames that every report is drawn with."""
