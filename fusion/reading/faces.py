@@ -13,7 +13,6 @@ from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
     View,
-    base_from_faces,
     face_points,
     observation_of,
 )
@@ -94,16 +93,18 @@ def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[list[Pose],
     """Every camera_from_base that one view allows, and the index of the reading of each."""
     poses, own = [], []
     fits = {}
-    base_from_face = base_from_faces(target)
+    face_from_base = body_of(target).face_from_base
     for number, reading in enumerate(view.readings):
         face = target.faces[reading.face]
         pattern = (face.appearance, face.square, face.marker)
         if pattern not in fits:
             points = face_points(face, view.corners, is_turned=False)
             fits[pattern] = planar_poses(lens, points, view.pixels, view.sigma)
+        from_base = face_from_base[reading.face]
+        if reading.is_turned:
+            from_base = _half_turn(face) @ from_base
         for fit in fits[pattern]:
-            camera_from_face = fit.pose @ _half_turn(face) if reading.is_turned else fit.pose
-            poses.append(camera_from_face @ base_from_face[reading.face].inverse())
+            poses.append(fit.pose @ from_base)
             own.append(number)
     return poses, own
 
