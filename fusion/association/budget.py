@@ -32,12 +32,12 @@ _PLACED = 100.0
 _NUMBER = 0.0004
 _UNKNOWN = 6.0
 # Searching starts: for each way to read a single sighting, and for each pair of such ways.
-_WAY = 400.0
-_PAIR = 2.0
+_WAY = 150.0
+_PAIR = 0.05
 # Filtering a visit for wrong sightings, all filters together: for each part, and for each entry of
 # a covariance in it.
-_PART = 1500.0
-_FILTERED = 0.12
+_PART = 120.0
+_FILTERED = 0.6
 # For each view that is judged by itself; and for each view at all, which is read with its visit's
 # mode and used in the final solution.
 _VIEW = 2500.0

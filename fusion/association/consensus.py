@@ -17,8 +17,8 @@ from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
 from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
-from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
-from trigpoint.fusion.reading.visibility import body_of, by_reading
+from trigpoint.fusion.reading.faces import are_same_pose, candidates
+from trigpoint.fusion.reading.visibility import body_of, by_reading, faces_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
@@ -46,7 +46,12 @@ _COSTS = Kernel(
     "tp_start_costs",
     *(In(np.int64, ("n",)), In(np.int64, ("n",)), In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
     *(In(_REAL, ("n", 6, 6)), In(_REAL, ("n",)), In(np.int64, ("s",))),
-    *(In(_REAL, ("p", 3, 3)), In(_REAL, ("p", 3)), In(_REAL, ("p", 6, 6)), In(_REAL, ("g", 6, 6))),
+    *(
+        In(_REAL, ("p", 3, 3)),
+        In(_REAL, ("p", 3)),
+        In(_REAL, ("p", 6, 6)),
+        In(_REAL, ("p", "p", 36)),
+    ),
     *(float, float),
     Out(_REAL, ("s", "v")),
 )
@@ -140,7 +145,7 @@ def start_costs(
     _COSTS(
         *(ways.sighting, ways.picture, ways.camera_from_base.rotation),
         *(ways.camera_from_base.translation, ways.covariance, ways.excess, seeds),
-        *(there.rotation, there.translation, extra, drift.reshape(-1, 6, 6)),
+        *(there.rotation, there.translation, extra, drift.reshape(len(there), -1, 36)),
         *(events.wrong_limit, events.pose_score, costs),
     )
     return costs
@@ -178,51 +183,51 @@ def _ways(
         if not found:
             continue
         (view,) = single.views
-        least = found[0].rms_px
+        rms_px = np.array([candidate.rms_px for candidate in found])
         # Outlying corners or an inexact lens make the fit worse than the corners' stated noise.
-        scale = max(1.0, least / view.sigma)
-        covariances += list(_covariances(data, single, found, scale))
-        for candidate in found:
-            numbers.append(number)
-            pictures.append(row_of[index])
-            shown.append(candidate.camera_from_base)
-            chi2 = 2 * len(view.corners) * (candidate.rms_px**2 - least**2) / view.sigma**2
-            excess.append(float(chi2) / scale**2)
+        scale = max(1.0, rms_px[0] / view.sigma)
+        poses = Pose.stack([candidate.camera_from_base for candidate in found])
+        readings = [view.readings.index(candidate.readings[0]) for candidate in found]
+        numbers += [number] * len(found)
+        pictures += [row_of[index]] * len(found)
+        shown.append(poses)
+        covariances.append(_covariances(data, single, poses, readings, scale))
+        chi2 = 2 * len(view.corners) * (rms_px**2 - rms_px[0] ** 2) / view.sigma**2
+        excess.append(chi2 / scale**2)
     if not shown:
         return None
     return Ways(
         np.array(numbers),
         np.array(pictures),
-        Pose.stack(shown),
-        np.array(covariances),
-        np.array(excess),
+        Pose(
+            np.concatenate([poses.rotation for poses in shown]),
+            np.concatenate([poses.translation for poses in shown]),
+        ),
+        np.concatenate(covariances),
+        np.concatenate(excess),
     )
 
 
 def _covariances(
-    data: DataSet, single: Observation, found: tuple[Candidate, ...], scale: float
+    data: DataSet, single: Observation, poses: Pose, readings: list[int], scale: float
 ) -> Array:
-    """Return the covariance (k, 6, 6) of each candidate's pose, due to the corners, which scatter
-    `scale` times as much as stated, the lens, and the mounting of the face."""
+    """Return the covariance (k, 6, 6) of each of the poses (k) that one view shows by its readings
+    (k), due to the corners, which scatter `scale` times as much as stated, the lens, and the
+    mounting of the face."""
     (view,) = single.views
-    target, config = data.targets[single.robot], data.site.cameras[single.camera]
+    body, config = body_of(data.targets[single.robot]), data.site.cameras[single.camera]
     lens = data.lenses[single.camera]
-    chosen = [view.readings.index(candidate.readings[0]) for candidate in found]
-    pose = Pose.stack([candidate.camera_from_base for candidate in found])
     spread = lens_sigmas(config, lens) if config.estimates_intrinsics else np.zeros(0)
-    covariance = np.empty((len(found), 6, 6))
+    covariance = np.empty((len(readings), 6, 6))
     _COVARIANCES(
         lens.parameters,
-        *(pose.rotation, pose.translation),
-        by_reading(view, body_of(target))[chosen],
+        *(poses.rotation, poses.translation, by_reading(view, body)[readings]),
         *(view.sigma, spread, scale, covariance),
     )
     shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
-    arms_m = np.linalg.norm(body_of(target).base_from_face.translation, axis=-1)
-    for row, candidate in enumerate(found):
-        arm_m = float(arms_m[candidate.readings[0].face])
-        variances = np.repeat([shift**2 + (turn * arm_m) ** 2, turn**2], 3)
-        covariance[row] += np.diag(variances + _LEAST_VARIANCE)
+    arms_m = np.linalg.norm(body.base_from_face.translation, axis=-1)[faces_of(view)[readings]]
+    variances = np.stack([shift**2 + (turn * arms_m) ** 2, np.full(len(readings), turn**2)], axis=1)
+    covariance += np.repeat(variances + _LEAST_VARIANCE, 3, axis=1)[:, None] * np.eye(6)
     return covariance
 
 

@@ -58,8 +58,7 @@ struct Way {
     Way(const Argument* arguments, Index index)
         : sighting(wholes(arguments, SIGHTINGS)[index]),
           picture(wholes(arguments, PICTURES)[index]),
-          camera_from_base(
-              pose_at(numbers(arguments, TURNS), numbers(arguments, PLACES), index)),
+          camera_from_base(pose_at(numbers(arguments, TURNS), numbers(arguments, PLACES), index)),
           map_from_base(pose_at(numbers(arguments, ODOMETRY_TURNS),
                                 numbers(arguments, ODOMETRY_PLACES), picture)),
           covariance(numbers(arguments, COVARIANCES) + 36 * index),
@@ -129,15 +128,13 @@ void check(const Argument* arguments) {
     if (!within(SIGHTINGS, arguments[COSTS].array.shape[1]) || !within(PICTURES, pictures) ||
         !within(SEEDS, arguments[SIGHTINGS].array.shape[0]))
         throw std::invalid_argument("a sighting, a picture or a way that is none");
-    if (arguments[DRIFT].array.shape[0] != pictures * pictures)
-        throw std::invalid_argument("drift between other pictures");
 }
 
 }  // namespace
 
 // (sightings (n,), pictures (n,), camera_from_base (n, 3, 3), (n, 3), their covariances (n, 6, 6),
 // excess χ² (n,), which of these n ways are seeds (s,), map_from_base by odometry (p, 3, 3), (p,
-// 3), covariances of deviations from it (p, 6, 6) and of the drift between two (p p, 6, 6), cost of
+// 3), covariances of deviations from it (p, 6, 6) and of the drift between two (p, p, 36), cost of
 // a wrong sighting, most that ln|covariance| counts, costs (s, v)): 0; see `consensus`.
 TRIGPOINT_KERNEL(tp_start_costs) {
     check(arguments);

@@ -33,22 +33,20 @@ struct Hypothesis {
 // A hypothesis with one part more, that is right: a Kalman filter's update, prepared.
 class Update {
 public:
-    // The score then; infinite where that cannot be said.
+    // The score then; not finite where that cannot be said.
     double prepare(const Hypothesis& before, const Vector6d& shift, const Matrix6d& own,
                    const Wide& by, double most_room) {
-        constexpr double NEVER = std::numeric_limits<double>::infinity();
         gain_.noalias() = before.covariance * by.transpose();
         Matrix6d spread = own;
         spread.noalias() += by * gain_;
         const Eigen::LLT<Matrix6d> root(spread);
-        if (root.info() != Eigen::Success) return NEVER;
+        if (root.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
         pull_ = shift;
         pull_.noalias() -= by * before.mean;
         root.matrixL().solveInPlace(pull_);
         root.matrixU().solveInPlace<Eigen::OnTheRight>(gain_);
         const double room = 2 * root.matrixLLT().diagonal().array().log().sum();
-        const double score = before.score + pull_.squaredNorm() + std::min(room, most_room);
-        return std::isfinite(score) ? score : NEVER;
+        return before.score + pull_.squaredNorm() + std::min(room, most_room);
     }
     void apply(Hypothesis& after) const {
         after.mean.noalias() += gain_ * pull_;
@@ -118,10 +116,11 @@ TRIGPOINT_KERNEL(tp_likeliest_wrong) {
         by << visit.by_robot(n), visit.by_others(n);
         if (updates.size() < kept.size()) updates.resize(kept.size());
         both.clear();
-        for (std::size_t i = 0; i < kept.size(); ++i)
-            both.push_back({updates[i].prepare(kept[i], visit.shift(n), visit.own(n), by,
-                                               arguments[MOST_ROOM].number),
-                            i, false});
+        for (std::size_t i = 0; i < kept.size(); ++i) {
+            const double score = updates[i].prepare(kept[i], visit.shift(n), visit.own(n), by,
+                                                    arguments[MOST_ROOM].number);
+            if (std::isfinite(score)) both.push_back({score, i, false});
+        }
         for (std::size_t i = 0; i < kept.size(); ++i)
             both.push_back({kept[i].score + arguments[WRONG].number, i, true});
         std::stable_sort(both.begin(), both.end(),

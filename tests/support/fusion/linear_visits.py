@@ -47,7 +47,7 @@ def drawn_visit(seed: int, d: int, *, parts: int = 7, steps: int = 4, others: in
     """A visit with arbitrary equations: some nodes have several parts and others none."""
     random = np.random.default_rng(seed)
 
-    def near(shape: tuple[int, ...], middle: Array, share: float) -> Array:
+    def near(shape: tuple[int, ...], middle: Array | float, share: float) -> Array:
         return middle + share * random.normal(size=shape)
 
     def covariances(count: int, size: int, scale: float) -> Array:

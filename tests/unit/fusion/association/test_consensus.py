@@ -68,13 +68,13 @@ def test_costs_are_those_of_the_best_pairs(seed: int) -> None:
     ways, there, extra, drift = drawn(seed)
     seeds = np.array([0, 1, 7, 12, 28])
     found = start_costs(ways, seeds, 2 * PICTURES, there, extra, drift, EVENTS)
-    for row, a in zip(found, seeds, strict=True):
+    for row, a in zip(found, seeds.tolist(), strict=True):
         for sighting, cost in enumerate(row):
             if sighting == ways.sighting[a]:
                 assert cost == 0.0
                 continue
             mine = np.flatnonzero(ways.sighting == sighting)
-            costs = [slow_cost(ways, a, b, there, extra, drift) for b in mine]
+            costs = [slow_cost(ways, a, b, there, extra, drift) for b in mine.tolist()]
             assert cost == pytest.approx(min(*costs, EVENTS.wrong_limit), rel=1e-6)
 
 
