@@ -40,6 +40,8 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_fit_plane": lambda scene: {0: scene.places, 1: scene.pixels},
     "tp_settled_fit": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.03},
     "tp_scatter": lambda scene: {1: scene.places, 2: scene.pixels},
+    "tp_misfit": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
+    "tp_likeliest_wrong": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
     "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
 }  # fmt: skip
 SOUND_SHARE = 0.8
@@ -170,8 +172,10 @@ class Draw:
             return int(self._one_of((0, known["n"])))
         if axis == "s" and is_sound:
             return int(self._one_of((0, 12)))
-        if axis == "q" and is_sound:  # unknowns, of which `s` are the derivatives
-            return known["s"] // 2
+        if axis == "q" and is_sound:  # unknowns, of which `c` are the derivatives; or any
+            return known["c"] // 2 if "c" in known else int(self._one_of((6, 8, 17)))
+        if axis == "d" and is_sound:  # of a robot's pose
+            return int(self._one_of((3, 6)))
         if axis == "f" and is_sound:  # faces
             return MOST_INDEX
         if axis == "c" and is_sound:  # columns of a Jacobian by all that it may have

@@ -32,20 +32,21 @@ _PLACED = 100.0
 _NUMBER = 0.0004
 _UNKNOWN = 6.0
 # Searching starts: for each way to read a single sighting, and for each pair of such ways.
-_WAY = 400.0
-_PAIR = 2.0
+_WAY = 150.0
+_PAIR = 0.05
 # Filtering a visit for wrong sightings, all filters together: for each part, and for each entry of
 # a covariance in it.
-_PART = 1500.0
-_FILTERED = 0.12
+_PART = 120.0
+_FILTERED = 0.6
 # For each view that is judged by itself; and for each view at all, which is read with its visit's
 # mode and used in the final solution.
 _VIEW = 2500.0
 _READ = 300.0
-# The likelihood of noise: for each evaluation over a visit, and for each of the n³ operations of
-# its factor of n unknowns.
-_LIKELIHOOD = 200.0
-_LEARNT = 0.0003
+# The likelihood of noise: for each evaluation over a visit, for each of its steps, and for each of
+# the n² operations of n unknowns that its equations share, a step and an unknown.
+_LIKELIHOOD = 80.0
+_LINK = 5.0
+_LEARNT = 0.0004
 
 
 @dataclass(slots=True)
@@ -76,9 +77,10 @@ class Budget:
         """Note a view that is judged by itself."""
         self.spent += _VIEW
 
-    def spend_learning(self, *, unknowns: int) -> None:
-        """Note one evaluation of the likelihood of noise over a visit with so many unknowns."""
-        self.spent += _LIKELIHOOD + _LEARNT * unknowns**3
+    def spend_learning(self, *, steps: int, shared: int) -> None:
+        """Note one evaluation of the likelihood of noise over a visit of so many steps, whose
+        equations share so many unknowns."""
+        self.spent += _LIKELIHOOD + steps * _LINK + _LEARNT * (steps + shared) * shared**2
 
     def spend_solving(self, *, steps: int, corners: int) -> None:
         """Note the solution of a visit with so many corners in so many steps."""

@@ -15,22 +15,17 @@ import numpy as np
 from trigpoint.fusion.model.assembly import lens_sigmas
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.drift import Drift
-from trigpoint.fusion.model.observations import Observation, base_from_faces
+from trigpoint.fusion.model.observations import Observation
 from trigpoint.fusion.model.thinning import thinned
-from trigpoint.fusion.reading.faces import Candidate, are_same_pose, candidates
-from trigpoint.fusion.reading.visibility import body_of, by_reading
+from trigpoint.fusion.reading.faces import are_same_pose, candidates
+from trigpoint.fusion.reading.visibility import body_of, by_reading, faces_of
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import lever, turned_axes
 from trigpoint.native.library import In, Kernel, Out
 
 from .events import Events
 from .sightings import alone
 
-# A pair of ways whose positions differ by more than this many sigmas, by the traces of their
-# covariances alone, would fail any chi-squared gate by their full covariance too.
-_FAR_SIGMAS = 7.0
 _LEAST_VARIANCE = 1e-12
 # Starts come from at most this many sightings, spread over a visit: one of them is taken to be
 # right.
@@ -47,6 +42,19 @@ _COVARIANCES = Kernel(
     float,
     Out(_REAL, ("b", 6, 6)),
 )
+_COSTS = Kernel(
+    "tp_start_costs",
+    *(In(np.int64, ("n",)), In(np.int64, ("n",)), In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
+    *(In(_REAL, ("n", 6, 6)), In(_REAL, ("n",)), In(np.int64, ("s",))),
+    *(
+        In(_REAL, ("p", 3, 3)),
+        In(_REAL, ("p", 3)),
+        In(_REAL, ("p", 6, 6)),
+        In(_REAL, ("p", "p", 36)),
+    ),
+    *(float, float),
+    Out(_REAL, ("s", "v")),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +67,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class _Ways:
+class Ways:
     """All ways (n) to read single sightings, each by itself.
 
     `sighting` (n,), `picture` (n,): which ones a way is of; `camera_from_base` (n): the pose that
@@ -98,15 +106,11 @@ def starts_of(
     if ways is None:
         return []
     there = Pose.stack(list(poses.values()))
-    seeds = _seeds(ways)
+    seeds, limit = _seeds(ways), events.wrong_limit
     cameras = there[ways.picture[seeds]] @ ways.camera_from_base[seeds].inverse()
-    misfit = _misfit(data, observations, ways, seeds, there, drift, events)
-    limit = events.wrong_limit
-    cost = np.full((len(cameras), len(sightings)), limit)
-    for sighting in range(len(sightings)):
-        mine = ways.sighting == sighting
-        if np.any(mine):
-            cost[:, sighting] = np.minimum(misfit[:, mine].min(axis=1), limit)
+    first = next(iter(observations.values()))
+    extra = _of_pictures(data, first, observations, there)
+    cost = start_costs(ways, seeds, len(sightings), there, extra, drift, events)
     total = cost.sum(axis=1) + ways.excess[seeds]
     found: list[Start] = []
     is_open = np.ones(len(cameras), dtype=bool)
@@ -121,7 +125,33 @@ def starts_of(
     return found
 
 
-def _seeds(ways: _Ways) -> np.ndarray:
+def start_costs(
+    ways: Ways,
+    seeds: np.ndarray,
+    sightings: int,
+    there: Pose,
+    extra: Array,
+    drift: Array,
+    events: Events,
+) -> Array:
+    """Return the cost (s, v) of each of the sightings (v) where the camera is where each of the
+    `seeds` (s,), rows of the ways, puts it: by the way to read it that agrees best; that of a wrong
+    one where none agrees better.
+
+    `there` (p): the robot in each picture by odometry; `extra` (p, 6, 6), `drift` (p, p, 6, 6): the
+    covariances of its deviation from that, and of odometry between two pictures.
+    """
+    costs = np.empty((len(seeds), sightings))
+    _COSTS(
+        *(ways.sighting, ways.picture, ways.camera_from_base.rotation),
+        *(ways.camera_from_base.translation, ways.covariance, ways.excess, seeds),
+        *(there.rotation, there.translation, extra, drift.reshape(len(there), -1, 36)),
+        *(events.wrong_limit, events.pose_score, costs),
+    )
+    return costs
+
+
+def _seeds(ways: Ways) -> np.ndarray:
     """Return the rows (s,) of the ways to read at most `MOST_SEEDS` sightings, spread over the
     visit."""
     sightings = np.unique(ways.sighting)
@@ -141,12 +171,9 @@ def _wrong(
     }
 
 
-# -- what single sightings show -------------------------------------------------------------------
-
-
 def _ways(
     data: DataSet, observations: dict[int, Observation], sightings: list[tuple[int, int]]
-) -> _Ways | None:
+) -> Ways | None:
     row_of = {index: row for row, index in enumerate(observations)}
     numbers, pictures, shown, covariances, excess = [], [], [], [], []
     for number, (index, order) in enumerate(sightings):
@@ -156,114 +183,52 @@ def _ways(
         if not found:
             continue
         (view,) = single.views
-        least = found[0].rms_px
+        rms_px = np.array([candidate.rms_px for candidate in found])
         # Outlying corners or an inexact lens make the fit worse than the corners' stated noise.
-        scale = max(1.0, least / view.sigma)
-        covariances += list(_covariances(data, single, found, scale))
-        for candidate in found:
-            numbers.append(number)
-            pictures.append(row_of[index])
-            shown.append(candidate.camera_from_base)
-            chi2 = 2 * len(view.corners) * (candidate.rms_px**2 - least**2) / view.sigma**2
-            excess.append(float(chi2) / scale**2)
+        scale = max(1.0, rms_px[0] / view.sigma)
+        poses = Pose.stack([candidate.camera_from_base for candidate in found])
+        readings = [view.readings.index(candidate.readings[0]) for candidate in found]
+        numbers += [number] * len(found)
+        pictures += [row_of[index]] * len(found)
+        shown.append(poses)
+        covariances.append(_covariances(data, single, poses, readings, scale))
+        chi2 = 2 * len(view.corners) * (rms_px**2 - rms_px[0] ** 2) / view.sigma**2
+        excess.append(chi2 / scale**2)
     if not shown:
         return None
-    return _Ways(
+    return Ways(
         np.array(numbers),
         np.array(pictures),
-        Pose.stack(shown),
-        np.array(covariances),
-        np.array(excess),
+        Pose(
+            np.concatenate([poses.rotation for poses in shown]),
+            np.concatenate([poses.translation for poses in shown]),
+        ),
+        np.concatenate(covariances),
+        np.concatenate(excess),
     )
 
 
 def _covariances(
-    data: DataSet, single: Observation, found: tuple[Candidate, ...], scale: float
+    data: DataSet, single: Observation, poses: Pose, readings: list[int], scale: float
 ) -> Array:
-    """Return the covariance (k, 6, 6) of each candidate's pose, due to the corners, which scatter
-    `scale` times as much as stated, the lens, and the mounting of the face."""
+    """Return the covariance (k, 6, 6) of each of the poses (k) that one view shows by its readings
+    (k), due to the corners, which scatter `scale` times as much as stated, the lens, and the
+    mounting of the face."""
     (view,) = single.views
-    target, config = data.targets[single.robot], data.site.cameras[single.camera]
+    body, config = body_of(data.targets[single.robot]), data.site.cameras[single.camera]
     lens = data.lenses[single.camera]
-    chosen = [view.readings.index(candidate.readings[0]) for candidate in found]
-    pose = Pose.stack([candidate.camera_from_base for candidate in found])
     spread = lens_sigmas(config, lens) if config.estimates_intrinsics else np.zeros(0)
-    covariance = np.empty((len(found), 6, 6))
+    covariance = np.empty((len(readings), 6, 6))
     _COVARIANCES(
         lens.parameters,
-        *(pose.rotation, pose.translation),
-        by_reading(view, body_of(target))[chosen],
+        *(poses.rotation, poses.translation, by_reading(view, body)[readings]),
         *(view.sigma, spread, scale, covariance),
     )
     shift, turn = data.site.fusion.target_translation, data.site.fusion.target_rotation
-    arms_m = np.linalg.norm(base_from_faces(target).translation, axis=-1)
-    for row, candidate in enumerate(found):
-        arm_m = float(arms_m[candidate.readings[0].face])
-        variances = np.repeat([shift**2 + (turn * arm_m) ** 2, turn**2], 3)
-        covariance[row] += np.diag(variances + _LEAST_VARIANCE)
+    arms_m = np.linalg.norm(body.base_from_face.translation, axis=-1)[faces_of(view)[readings]]
+    variances = np.stack([shift**2 + (turn * arms_m) ** 2, np.full(len(readings), turn**2)], axis=1)
+    covariance += np.repeat(variances + _LEAST_VARIANCE, 3, axis=1)[:, None] * np.eye(6)
     return covariance
-
-
-# -- how they agree -------------------------------------------------------------------------------
-
-
-def _misfit(
-    data: DataSet,
-    observations: dict[int, Observation],
-    ways: _Ways,
-    seeds: np.ndarray,
-    there: Pose,
-    drift: Array,
-    events: Events,
-) -> Array:
-    """Return the cost (s, n) of taking both a seed (row) and another way (column) to be right:
-    infinite where they are far apart, and for other ways to read the seed's own sighting, which
-    exclude each other."""
-    first = next(iter(observations.values()))
-    shown, pictures = ways.camera_from_base, ways.picture
-    odometry = there[pictures]
-    cameras = odometry[seeds] @ shown[seeds].inverse()
-    turn, seen = cameras.rotation, shown.translation
-    predicted = np.einsum("aij,bj->abi", turn, seen)
-    shift = predicted + cameras.translation[:, None] - odometry.translation
-    squared = np.sum((seen[None] - seen[seeds, None]) ** 2, axis=-1)
-    extra = _of_pictures(data, first, observations, there)
-    shifts = np.trace(ways.covariance[:, :3, :3], axis1=1, axis2=2)
-    turns = np.trace(ways.covariance[:, 3:, 3:], axis1=1, axis2=2)
-    loose = np.trace(extra, axis1=1, axis2=2)[pictures]
-    between = np.trace(drift[..., :3, :3], axis1=2, axis2=3)[np.ix_(pictures[seeds], pictures)]
-    variance = 2 * (shifts[seeds, None] + squared * turns[seeds, None]) + shifts + between
-    variance += loose + (1 + squared) * loose[seeds, None]
-    is_near = np.sum(shift**2, axis=-1) < _FAR_SIGMAS**2 * variance
-    is_near &= ways.sighting[seeds, None] != ways.sighting
-    misfit = np.full(is_near.shape, np.inf)
-    misfit[np.arange(len(seeds)), seeds] = 0.0
-    rows, columns = np.nonzero(is_near)
-    if not len(rows):
-        return misfit
-    axes = turned_axes(turn)
-    back = np.swapaxes(axes, 1, 2)
-    own = axes @ ways.covariance[seeds] @ back + extra[pictures[seeds]]
-    turned = turn[rows] @ shown.rotation[columns]
-    error = np.concatenate(
-        [
-            shift[rows, columns],
-            so3.log(turned @ np.swapaxes(odometry.rotation[columns], 1, 2)),
-        ],
-        axis=-1,
-    )
-    # An error of the seed's own pose swings the robot in the other picture about where it is in
-    # the seed's.
-    away = seen[columns] - seen[seeds[rows]]
-    by_first = -lever((turn[rows] @ away[..., None])[..., 0])
-    # The other way's own covariance is in the axes of the same camera, as the seed places it.
-    second = axes[rows] @ ways.covariance[columns] @ back[rows]
-    spread = by_first @ own[rows] @ np.swapaxes(by_first, 1, 2)
-    spread += second + extra[pictures[columns]] + drift[pictures[seeds[rows]], pictures[columns]]
-    pulled = np.linalg.solve(spread, error[..., None])[..., 0]
-    room = np.minimum(np.linalg.slogdet(spread)[1], events.pose_score)
-    misfit[rows, columns] = np.sum(error * pulled, axis=-1) + room + ways.excess[columns]
-    return misfit
 
 
 def _of_pictures(

@@ -1,6 +1,7 @@
 """A visit linearised: where each part of its pictures by itself puts the robot."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -11,6 +12,7 @@ from trigpoint.fusion.model.odometry import PARTS
 from trigpoint.fusion.model.prediction import batch_jacobians, odometry_terms
 from trigpoint.fusion.model.problem import Batch, Chain, Problem
 from trigpoint.geometry.rotation import Array
+from trigpoint.native.library import In
 
 _EXACT = 1e-9
 HELD = 1e-6
@@ -18,49 +20,75 @@ HELD = 1e-6
 but not so small that next to a gap in odometry it is lost in a float's rounding."""
 # A pose is not determined if the least eigenvalue of its scaled information is below this.
 _FLAT = 1e-12
+_REAL = np.float64
+EQUATIONS = (
+    *(In(_REAL, ("n", 6)), In(_REAL, ("n", 6, 6)), In(np.int64, ("n",))),
+    *(In(_REAL, ("n", 6, "d")), In(_REAL, ("n", 6, "q"))),
+    *(In(_REAL, ("m", "d")), In(_REAL, ("m", "d", "d")), In(_REAL, ("m", "d", "d"))),
+    *(In(_REAL, ("m", "d", "q")), In(_REAL, ("q",))),
+)
+"""Of a visit, as the core's kernels take them first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A visit's linear equations. The unknowns (u) are the robot's poses at the visit's pictures
-    but the first, then the camera's pose (columns `camera` (6,)) and others.
+    """A visit's linear equations. The unknowns are the robot's poses (d) at the visit's m + 1
+    nodes, but for the first, which is held, and what all equations may share: `others` (q), the
+    first six of which are the camera's pose.
 
     `shifts` (n, 6): the shift of the robot's pose that each part by itself asks for, with its
-    covariance `own` (n, 6, 6) by the corners and its coefficients `by_unknowns` (n, 6, u);
-    `parts` (n,): which of the parts asked for each is; `places` (n, 3): where the robot was;
-    `steps` (m, d): the shift that odometry asks for, with coefficients `steps_by_unknowns`
-    (m, d, u), covariance `spread` (m, d, d), and that due to the stated noise and skid
-    (`by_odometry`) and to slip (`by_slip`) alone; `broken` (m, d, d): what is added to these
-    covariances where something happened on the way; `prior` (u, u): the prior information on the
-    unknowns.
+    covariance `own` (n, 6, 6) by the corners and its coefficients `by_robot` (n, 6, d), of the pose
+    at its node, and `by_others` (n, 6, q); `nodes` (n,): these nodes, in order; `parts` (n,): which
+    of the parts asked for each is; `places` (n, 3): where the robot was; `steps` (m, d): the shift
+    that odometry asks for from node to node, with coefficients `by_earlier`, `by_later` (m, d, d)
+    and `steps_by_others` (m, d, q), covariance `spread` (m, d, d), and that due to the stated noise
+    and skid (`by_odometry`) and to slip (`by_slip`) alone; `broken` (m, d, d): what is added to
+    these covariances where something happened on the way; `prior` (q,): the prior information on
+    the others.
     """
 
     shifts: Array
     own: Array
-    by_unknowns: Array
+    nodes: np.ndarray
+    by_robot: Array
+    by_others: Array
     parts: list[int]
     places: Array
     steps: Array
-    steps_by_unknowns: Array
+    by_earlier: Array
+    by_later: Array
+    steps_by_others: Array
     spread: Array
     by_odometry: Array
     by_slip: Array
     broken: Array
     prior: Array
-    camera: np.ndarray
+
+    @property
+    def equations(self) -> tuple[Array, ...]:
+        """What kernels take, as `EQUATIONS` says."""
+        parts = self.shifts, self.own, self.nodes, self.by_robot, self.by_others
+        return *parts, self.steps, self.by_earlier, self.by_later, self.steps_by_others, self.prior
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The dense columns of one camera and robot in a problem: `dense` (the camera's own), and the
-    robot's `scales` and `faces`. `place`: by column, its position among the visit's `count`
-    unknowns."""
+    """The dense columns of one camera and robot in a problem, the camera's `own` first, and then
+    those of the robot's scales and faces: `every` (q,)."""
 
-    dense: np.ndarray
-    scales: np.ndarray
-    faces: np.ndarray
-    place: dict[int, int]
-    count: int
+    every: list[int]
+    own: int
+
+    @classmethod
+    def of(cls, problem: Problem, batch: Batch) -> Self:
+        own = unknowns_of(problem, batch.camera)
+        faces = problem.layout.faces.get(batch.robot, np.arange(0))
+        every = np.concatenate([own, problem.layout.scales_of(batch.robot), faces])
+        return cls(every.tolist(), len(own))
+
+    def at(self, columns: np.ndarray) -> list[int]:
+        """Where some of them are among them all."""
+        return [self.every.index(column) for column in columns.tolist()]
 
 
 def linearised(
@@ -76,58 +104,57 @@ def linearised(
     chain = problem.chains[batch.robot]
     if chain.motion is None:
         return None
-    columns = _columns(problem, batch, len(chain.tangent) * (len(chain) - 1))
+    columns, d, nodes = _Columns.of(problem, batch), len(chain.tangent), len(chain) - 1
     jacobian, residual, names, by_base = batch_jacobians(problem, batch, state)
-    d, shifts, own, by_unknowns, kept = len(chain.tangent), [], [], [], []
-    for number, (row, part) in enumerate(parts):
-        corners = slice(None) if part is None else part
-        flat = by_base[row, corners].reshape(-1, 6)
-        normal = flat.T @ flat
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), _EXACT))
-        values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
-        if values[0] < _FLAT:
-            continue
-        root = scale[:, None] * vectors / np.sqrt(values)
-        covariance = root @ root.T
-        by = covariance @ (flat.T @ jacobian[row, corners].reshape(len(flat), -1))
-        whole, node = np.zeros((6, columns.count)), int(batch.nodes[row])
-        if node > 0:
-            whole[:, d * (node - 1) : d * node] = by[:, :d]
-        for source, column in enumerate(names):
-            if column in columns.place:
-                whole[:, columns.place[column]] = by[:, d + source]
-        shifts.append(-covariance @ (flat.T @ residual[row, corners].reshape(-1)))
-        own.append(covariance)
-        by_unknowns.append(whole)
-        kept.append(number)
-    if len(shifts) < 2:
+    rows = [row for row, _ in parts]
+    is_asked = np.zeros((len(parts), residual.shape[1], 1, 1))
+    for asked, (_, part) in zip(is_asked, parts, strict=True):
+        asked[part or slice(None)] = 1.0
+    across = np.swapaxes((is_asked * by_base[rows]).reshape(len(parts), -1, 6), 1, 2)
+    covariance, is_determined = _inverses(across @ np.swapaxes(across, 1, 2))
+    kept = np.flatnonzero(is_determined)
+    if len(kept) < 2:
         return None
-    nodes = len(chain) - 1
-    whole_steps = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
+    own, reduced = covariance[kept], covariance[kept] @ across[kept]
+    by = reduced @ jacobian[rows].reshape(len(parts), -1, jacobian.shape[-1])[kept]
+    shifts = -(reduced @ residual[rows].reshape(len(parts), -1, 1)[kept])[..., 0]
+    at = batch.nodes[rows][kept]
+    by_others = np.zeros((len(kept), 6, len(columns.every)))
+    by_others[..., columns.at(names)] = by[..., d:]
+    # The covariances of the steps vary with the noise, so they are left apart.
+    unit = replace(chain.motion, covariance=np.tile(np.eye(6), (nodes, 1, 1)))
     poses = state.robots[batch.robot].map_from_base
-    terms = odometry_terms(poses[:-1], poses[1:], whole_steps, chain.tangent)
-    steps = np.zeros((nodes, d, columns.count))
-    for step in range(nodes):
-        steps[step, :, d * step : d * (step + 1)] = terms.by_later[step]
-        if step:
-            steps[step, :, d * (step - 1) : d * step] = terms.by_earlier[step]
-        for order, column in enumerate(columns.scales):
-            steps[step, :, columns.place[column]] = terms.by_scale[step][:, order]
+    terms = odometry_terms(poses[:-1], poses[1:], unit, chain.tangent)
+    steps_by_others = np.zeros((nodes, d, len(columns.every)))
+    scales = problem.layout.scales_of(batch.robot)
+    steps_by_others[..., columns.at(scales)] = terms.by_scale[..., : len(scales)]
     free = np.ix_(range(nodes), chain.tangent, chain.tangent)
     return Linear(
-        np.array(shifts),
-        np.array(own),
-        np.array(by_unknowns),
-        kept,
-        poses.translation[batch.nodes[[parts[number][0] for number in kept]]],
+        shifts,
+        own,
+        at,
+        np.ascontiguousarray(by[..., :d]),
+        by_others,
+        kept.tolist(),
+        poses.translation[at],
         -terms.residual,
-        steps,
+        terms.by_earlier,
+        terms.by_later,
+        steps_by_others,
         chain.motion.covariance[free],
         *_step_covariances(data, chain),
         np.zeros((nodes, d, d)),
         _prior(problem, batch, columns),
-        d * nodes + np.arange(6),
     )
+
+
+def _inverses(information: Array) -> tuple[Array, np.ndarray]:
+    """The covariances (n, 6, 6) of poses by their information, and which are determined (n,)."""
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    scale = 1 / np.sqrt(np.maximum(diagonal, _EXACT))
+    values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None])
+    root = scale[:, :, None] * vectors / np.sqrt(np.maximum(values, _FLAT))[:, None]
+    return root @ np.swapaxes(root, 1, 2), values[:, 0] >= _FLAT
 
 
 def unknowns_of(problem: Problem, camera: str) -> np.ndarray:
@@ -142,20 +169,10 @@ def log_priors(problem: Problem, camera: str, robot: str) -> tuple[float, float]
     """Return ln |prior information| of a camera's own unknowns, and of the robot's scales and the
     poses of its faces."""
     batch = next(b for b in problem.batches if (b.camera, b.robot) == (camera, robot))
-    columns = _columns(problem, batch, 0)
-    information = np.diagonal(_prior(problem, batch, columns))
-    logs = np.log(np.where(information > 0, information, 1.0))
-    own = [columns.place[name] for name in columns.dense]
-    return float(logs[own].sum()), float(np.delete(logs, own).sum())
-
-
-def _columns(problem: Problem, batch: Batch, before: int) -> _Columns:
-    dense = unknowns_of(problem, batch.camera)
-    scales = problem.layout.scales_of(batch.robot)
-    faces = problem.layout.faces.get(batch.robot, np.arange(0))
-    every = np.concatenate([dense, scales, faces]).tolist()
-    place = {column: before + order for order, column in enumerate(every)}
-    return _Columns(dense, scales, faces, place, before + len(every))
+    columns = _Columns.of(problem, batch)
+    logs = np.log(_prior(problem, batch, columns)[6:])  # none is of the camera's pose
+    own, others = np.split(logs, [columns.own - 6])
+    return float(own.sum()), float(others.sum())
 
 
 def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
@@ -173,21 +190,22 @@ def _step_covariances(data: DataSet, chain: Chain) -> tuple[Array, Array]:
 
 
 def _prior(problem: Problem, batch: Batch, columns: _Columns) -> Array:
-    """Return the prior information (u, u) on the unknowns."""
-    priors, information = problem.priors, np.zeros(columns.count)
+    """Return the prior information (q,) on the columns."""
+    priors, information = problem.priors, np.zeros(len(columns.every))
 
     def put(names: np.ndarray, sigma: Array) -> None:
-        at = [columns.place[name] for name in names]
-        information[at] = np.where(sigma > 0, sigma, HELD) ** -2.0
+        information[columns.at(names)] = np.where(sigma > 0, sigma, HELD) ** -2.0
 
     layout = problem.layout
     if batch.camera in priors.lens:
         put(layout.lens[batch.camera], priors.lens[batch.camera][1])
     if batch.camera in priors.time_offset:
         put(layout.time_offset[batch.camera], priors.time_offset[batch.camera])
-    if len(columns.scales):
-        put(columns.scales, priors.scales[batch.robot])
-    if len(columns.faces):
+    if batch.robot in priors.scales:
+        put(layout.scales[batch.robot], priors.scales[batch.robot])
+    if batch.robot in priors.faces:
         expected, shift, turn = priors.faces[batch.robot]
-        put(columns.faces, np.tile(np.repeat(np.array([shift, turn]), 3), len(expected)))
-    return np.diag(information)
+        put(
+            layout.faces[batch.robot], np.tile(np.repeat(np.array([shift, turn]), 3), len(expected))
+        )
+    return information

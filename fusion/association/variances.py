@@ -13,7 +13,7 @@ What does not differ significantly from what is stated stays as stated.
 """
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -55,14 +55,12 @@ _PARTS = {
     "odometry": _Part(1.0, 0.3, (-2.0, 2.0)),
     "slip": _Part(1.0, 0.0, (-3.0, 3.0)),
 }
+_NAMES = [field.name for field in fields(Noise)]
 _JITTER, _ODOMETRY = ("tilt", "sway"), ("odometry", "slip")
 _FLOOR = (*_JITTER, "length")
 # The search ends where the likelihood changes by less than this share.
-_FLAT = 1e-6
-_MOST_STEPS = 20
-# Of one line search. A forward difference is off by half a step's curvature, so that at the minimum
-# no length of a step is good enough, however many are tried.
-_MOST_TRIES = 8
+_FLAT = 1e-7
+_MOST_STEPS = 50
 
 
 def learn(
@@ -77,9 +75,11 @@ def learn(
     learnt without those steps comes first.
     """
     budget = budget if budget is not None else Budget()
+    visits = [visit for visit in visits if math.isfinite(misfit(visit, STATED).value)]
     first = found = _learnt(visits, budget, planar=planar)
-    for order in sorted(range(len(visits)), key=lambda n: -_broken_off(visits[n], events)):
-        if _broken_off(visits[order], events) <= 0 or budget.is_spent:
+    broken_off = [_broken_off(visit, events) for visit in visits]
+    for order in sorted(range(len(visits)), key=lambda n: -broken_off[n]):
+        if broken_off[order] <= 0 or budget.is_spent:
             break
         others = _learnt(visits[:order] + visits[order + 1 :], budget, planar=planar)
         broken, count = interrupted(visits[order], others or STATED, events)
@@ -100,11 +100,14 @@ def learn(
 def _broken_off(visit: Linear, events: Events) -> float:
     """By how much events in a visit improve its score under the stated noise."""
     broken, count = interrupted(visit, STATED, events)
-    return misfit(visit, STATED) - misfit(broken, STATED) - events.happened(count)
+    if not count:
+        return 0.0
+    gain = misfit(visit, STATED).value - misfit(broken, STATED).value
+    return gain - events.happened(count)
 
 
 def _learnt(visits: list[Linear], budget: Budget, *, planar: bool) -> Noise | None:
-    freedom = sum(v.shifts.size + v.steps.size - v.by_unknowns.shape[2] for v in visits)
+    freedom = sum(v.shifts.size - len(v.prior) for v in visits)  # each step determines a pose
     if freedom < _LEAST_FREEDOM or budget.is_spent:
         return None
     if not planar:
@@ -147,29 +150,40 @@ def _likeliest(
     """The noise of greatest posterior with the parts `free` of `base` varied, and -2 ln of that
     posterior."""
     parts = [_PARTS[name] for name in free]
+    chosen = [_NAMES.index(name) for name in free]
 
     def noise_of(x: Array) -> Noise:
         values = [part.middle * math.exp(one) for part, one in zip(parts, x, strict=True)]
         return replace(base, **dict(zip(free, values, strict=True)))
 
-    def cost(x: Array) -> float:
+    def cost(x: Array) -> tuple[float, Array]:
         noise = noise_of(x)
-        prior = 2 * math.log(2) * (noise.tilt / TILT + noise.sway / SWAY)
-        prior += (math.log(noise.odometry) / _LOG_ODOMETRY) ** 2
-        prior += (math.log(noise.slip) / _LOG_SLIP) ** 2
-        if noise.length > 0:
-            prior += (math.log(noise.length / _LENGTH) / _LOG_LENGTH) ** 2
+        value, by_noise = _prior(noise)
         for visit in visits:
-            budget.spend_learning(unknowns=visit.by_unknowns.shape[2] + 2 * len(visit.places))
-        return sum(misfit(visit, noise) for visit in visits) + prior
+            floor = 2 * len(visit.parts) if noise.length > 0 else 0
+            budget.spend_learning(steps=len(visit.steps), shared=len(visit.prior) + floor)
+            more = misfit(visit, noise)
+            value, by_noise = value + more.value, by_noise + more.by_noise
+        return value, by_noise[chosen]
 
     start = np.array([part.start for part in parts])
     if not free:
-        return base, cost(start)
-    options = {"ftol": _FLAT, "eps": 1e-3, "maxiter": _MOST_STEPS, "maxls": _MOST_TRIES}
+        return base, cost(start)[0]
+    options = {"ftol": _FLAT, "maxiter": _MOST_STEPS}
     bounds = [part.bounds for part in parts]
-    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options=options)
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return noise_of(found.x), float(found.fun)
+
+
+def _prior(noise: Noise) -> tuple[float, Array]:
+    """-2 ln of the prior probability of a noise model, and its derivatives (5,) by the logarithms
+    of the model's numbers."""
+    jitter = 2 * math.log(2) * np.array([noise.tilt / TILT, noise.sway / SWAY])
+    length = math.log(noise.length / _LENGTH) / _LOG_LENGTH if noise.length > 0 else 0.0
+    odometry, slip = math.log(noise.odometry) / _LOG_ODOMETRY, math.log(noise.slip) / _LOG_SLIP
+    value = jitter.sum() + length**2 + odometry**2 + slip**2
+    by_logs = 2 * length / _LOG_LENGTH, 2 * odometry / _LOG_ODOMETRY, 2 * slip / _LOG_SLIP
+    return float(value), np.array([*jitter, *by_logs])
 
 
 # The scatter of one board of twenty corners or so is known to a third; over all boards, a

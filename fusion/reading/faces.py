@@ -13,17 +13,24 @@ from trigpoint.fusion.model.observations import (
     Observation,
     Reading,
     View,
-    base_from_faces,
     face_points,
     observation_of,
 )
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.site.target import Face, Target
+from trigpoint.site.target import Target
 
 from .planar_pose import planar_poses, refined_poses
-from .visibility import Body, body_of, by_reading, can_be_seen, faces_of, outermost
+from .visibility import (
+    Body,
+    are_seen,
+    body_of,
+    by_reading,
+    faces_of,
+    outermost,
+    pattern_from_base,
+    ways_of,
+)
 
 # The largest reprojection RMS of a candidate, pixels. It is generous, since the lens may still be a
 # nominal one.
@@ -77,54 +84,64 @@ def _by_view(
     observation: Observation, index: int, target: Target, lens: CameraModel
 ) -> _Reads | None:
     """For every reading of one view, the readings of the others that fit best with it."""
-    poses, own = _of_view(observation.views[index], target, lens)
-    if not poses:
+    found = _of_view(observation.views[index], target, lens)
+    if found is None:
         return None
-    camera_from_base = Pose.stack(poses)
+    camera_from_base, own = found
     readings = np.zeros((len(own), len(observation.views)), dtype=int)
     is_possible = np.ones(len(own), dtype=bool)
     for order, view in enumerate(observation.views):
-        rms = readings_rms_px(view, target, lens, camera_from_base)
-        readings[:, order] = own if order == index else np.argmin(rms, axis=1)
-        is_possible &= np.isfinite(rms[np.arange(len(own)), readings[:, order]])
+        if order == index:
+            rms = reading_rms_px(view, target, lens, camera_from_base, own)
+            readings[:, order] = own
+        else:
+            each = readings_rms_px(view, target, lens, camera_from_base)
+            readings[:, order], rms = np.argmin(each, axis=1), np.min(each, axis=1)
+        is_possible &= np.isfinite(rms)
     return _Reads(readings[is_possible], camera_from_base[is_possible])
 
 
-def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[list[Pose], list[int]]:
-    """Every camera_from_base that one view allows, and the index of the reading of each."""
-    poses, own = [], []
-    fits = {}
-    base_from_face = base_from_faces(target)
+def _of_view(view: View, target: Target, lens: CameraModel) -> tuple[Pose, np.ndarray] | None:
+    """Every camera_from_base (b) that one view allows, and the index of the reading of each (b,);
+    None where there is none."""
+    poses, own, fits = [], [], {}
     for number, reading in enumerate(view.readings):
         face = target.faces[reading.face]
         pattern = (face.appearance, face.square, face.marker)
         if pattern not in fits:
             points = face_points(face, view.corners, is_turned=False)
             fits[pattern] = planar_poses(lens, points, view.pixels, view.sigma)
-        for fit in fits[pattern]:
-            camera_from_face = fit.pose @ _half_turn(face) if reading.is_turned else fit.pose
-            poses.append(camera_from_face @ base_from_face[reading.face].inverse())
-            own.append(number)
-    return poses, own
-
-
-def _half_turn(face: Face) -> Pose:
-    """face_from_turned_face: the pose of the pattern when it is read from its other end."""
-    return Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1])
+        poses += [fit.pose for fit in fits[pattern]]
+        own += [number] * len(fits[pattern])
+    if not poses:
+        return None
+    faces, is_turned = ways_of(view.readings)
+    patterns = (faces + len(target.faces) * is_turned)[own]
+    return Pose.stack(poses) @ pattern_from_base(target)[patterns], np.array(own)
 
 
 def readings_rms_px(view: View, target: Target, lens: CameraModel, camera_from_base: Pose) -> Array:
-    """Reprojection RMS of a coordinate for poses (b) and each of a view's readings, pixels, (b, r);
-    infinite for a face that would be seen from behind or through another."""
+    """`reading_rms_px` for poses (b) and each of a view's readings (r), (b, r)."""
+    shape = len(camera_from_base), len(view.readings)
+    poses, readings = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    return reading_rms_px(view, target, lens, camera_from_base[poses], readings).reshape(shape)
+
+
+def reading_rms_px(
+    view: View, target: Target, lens: CameraModel, camera_from_base: Pose, readings: np.ndarray
+) -> Array:
+    """Reprojection RMS of a coordinate for poses (b), each with its own reading of a view (b,),
+    pixels, (b,); infinite for a face that would be seen from behind or through another."""
     body = body_of(target)
-    points = by_reading(view, body)
-    optical = (camera_from_base @ points.reshape(-1, 3)).reshape(-1, *points.shape)
+    points = by_reading(view, body)[readings]
+    optical = camera_from_base @ points
     ahead = np.all(optical[..., 2] > 1e-3, axis=-1)
     projected = lens.project(np.where(optical[..., 2:] > 1e-3, optical, [0.0, 0.0, 1.0]))
     rms = np.sqrt(np.mean((projected - view.pixels) ** 2, axis=(-1, -2)))
     few = points[:, outermost(view.pixels)]
-    eye = camera_from_base.inverse().translation
-    is_seen = can_be_seen(body, faces_of(view)[None], few[None], eye[:, None])[:, 0]
+    eyes = camera_from_base.inverse().translation
+    is_counted = np.ones(few.shape[:2], dtype=bool)
+    is_seen = are_seen(body, faces_of(view)[readings], few, is_counted, eyes)
     return np.where(ahead & is_seen, rms, np.inf)
 
 
@@ -162,13 +179,15 @@ def _refined(
 
 def _distinct(found: list[Candidate]) -> list[Candidate]:
     kept: list[Candidate] = []
-    for candidate in found:
-        if not any(
-            candidate.readings == other.readings
-            and is_same_pose(candidate.camera_from_base, other.camera_from_base)
-            for other in kept
-        ):
+    if not found:
+        return kept
+    poses = Pose.stack([candidate.camera_from_base for candidate in found])
+    is_open = np.ones(len(found), dtype=bool)
+    for row, candidate in enumerate(found):
+        if is_open[row]:
             kept.append(candidate)
+            is_read_alike = [other.readings == candidate.readings for other in found]
+            is_open &= ~(are_same_pose(poses, candidate.camera_from_base) & is_read_alike)
     return kept
 
 

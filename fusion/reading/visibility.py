@@ -12,6 +12,7 @@ import numpy as np
 
 from trigpoint.fusion.model.observations import Reading, View, base_from_faces
 from trigpoint.geometry import Pose
+from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Target
 
@@ -57,6 +58,19 @@ def body_of(target: Target) -> Body:
     )
 
 
+@cache
+def pattern_from_base(target: Target) -> Pose:
+    """The base as the pattern of each face sees it (f), and again (f) as it does when it is read
+    from its other end, (2 f)."""
+    upright = body_of(target).face_from_base
+    half_turns = [Pose(so3.exp([0.0, 0.0, np.pi]), face.corners[-1]) for face in target.faces]
+    turned = Pose.stack(half_turns) @ upright
+    return Pose(
+        np.concatenate([upright.rotation, turned.rotation]),
+        np.concatenate([upright.translation, turned.translation]),
+    )
+
+
 def by_reading(view: View, body: Body) -> Array:
     """A view's corners in the base frame for each of its readings, (r, n, 3)."""
     faces, is_turned = ways_of(view.readings)
@@ -92,18 +106,11 @@ def outermost(pixels: Array) -> np.ndarray:
     return np.array(sorted({rising.argmin(), rising.argmax(), falling.argmin(), falling.argmax()}))
 
 
-def can_be_seen(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
-    """Whether eyes see faces with points on them from in front and past all other faces; base
-    frame. Many views at once: `faces` (v, r), `points` (v, r, k, 3), `eyes` (b, v, 3); (b, v, r)
-    bool."""
-    return _from_in_front(body, faces, eyes) & ~_hidden(body, faces, points, eyes)
-
-
 def are_seen(
     body: Body, faces: np.ndarray, points: Array, is_counted: np.ndarray, eyes: Array
 ) -> np.ndarray:
-    """`can_be_seen` of pairs: whether each eye (v, 3) sees its face (v,), by those of its points
-    (v, k, 3) that are counted (v, k); (v,) bool."""
+    """Whether each eye (v, 3) sees its face (v,) from in front and past all other faces, by those
+    of its points (v, k, 3) that are counted (v, k); base frame, (v,) bool."""
     into = body.base_from_face.rotation[faces, :, 2]
     in_front = np.sum(into * (eyes - body.base_from_face.translation[faces]), axis=-1) < 0
     end = _in_faces(body, points.reshape(-1, 3)).reshape(len(body.counts), 3, *points.shape[:-1])
@@ -135,24 +142,6 @@ def _only(body: Body, faces: slice) -> Body:
         body.low[faces],
         body.high[faces],
     )
-
-
-def _from_in_front(body: Body, faces: np.ndarray, eyes: Array) -> np.ndarray:
-    # z of a face points into the board, so away from whoever sees its front.
-    into = body.base_from_face.rotation[faces, :, 2]
-    sight = eyes[..., None, :] - body.base_from_face.translation[faces]
-    return np.sum(into * sight, axis=-1) < 0
-
-
-def _hidden(body: Body, faces: np.ndarray, points: Array, eyes: Array) -> np.ndarray:
-    """Whether most of the lines from the eyes to the points go through another face, (b, v, r)."""
-    views, readings, corners = points.shape[:-1]
-    start = _in_faces(body, eyes.reshape(-1, 3)).reshape(-1, 3, *eyes.shape[:-1], 1)
-    end = _in_faces(body, points.reshape(-1, 3)).reshape(-1, 3, 1, views, readings * corners)
-    through = _go_through(body, start, end).reshape(-1, *eyes.shape[:-1], readings, corners)
-    others = np.arange(len(through))[:, None, None] != faces
-    through &= others[:, None, :, :, None]
-    return through.any(axis=0).mean(axis=-1) > _HIDDEN_SHARE
 
 
 def _in_faces(body: Body, points: Array) -> Array:

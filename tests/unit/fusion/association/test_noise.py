@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.fusion.linear_visits import simple_visit
 
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
@@ -21,17 +22,6 @@ def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Li
     jitter = np.zeros(6) if noise.jitter is None else noise.jitter.variances
     step = np.diag([25e-6, 25e-6, 25e-6])
     slip = np.diag([1e-6, 1e-6, 1e-12])
-    count = 3 * (pictures - 1) + 6
-    by_unknowns = np.zeros((pictures, 6, count))
-    by_unknowns[:, :, -6:] = -np.eye(6)
-    for picture in range(1, pictures):
-        nodes = slice(3 * (picture - 1), 3 * picture)
-        by_unknowns[picture, [0, 1, 5], nodes] = np.eye(3)[:, :]
-    by_steps = np.zeros((pictures - 1, 3, count))
-    for number in range(pictures - 1):
-        by_steps[number, :, 3 * number : 3 * number + 3] = np.eye(3)
-        if number:
-            by_steps[number, :, 3 * number - 3 : 3 * number] = -np.eye(3)
     spread = np.sqrt(np.diagonal(own) + jitter)
     walk = np.sqrt(noise.odometry**2 * np.diagonal(step) + noise.slip**2 * np.diagonal(slip))
     shifts = random.normal(size=(pictures, 6)) * spread
@@ -44,21 +34,8 @@ def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Li
             size=(pictures, 2)
         )
         shifts[:, 3:5] = scatter + noise.tilt * floor
-    return Linear(
-        shifts=shifts,
-        own=np.tile(own, (pictures, 1, 1)),
-        by_unknowns=by_unknowns,
-        parts=list(range(pictures)),
-        places=places,
-        steps=random.normal(size=(pictures - 1, 3)) * walk,
-        steps_by_unknowns=by_steps,
-        spread=np.tile(step + slip, (pictures - 1, 1, 1)),
-        by_odometry=np.tile(step, (pictures - 1, 1, 1)),
-        by_slip=np.tile(slip, (pictures - 1, 1, 1)),
-        broken=np.zeros((pictures - 1, 3, 3)),
-        prior=np.zeros((count, count)),
-        camera=np.arange(count - 6, count),
-    )
+    steps = random.normal(size=(pictures - 1, 3)) * walk
+    return simple_visit(shifts, own, steps, step, slip, places)
 
 
 def test_noise_as_stated_stays_as_stated() -> None:
