@@ -18,7 +18,8 @@ from trigpoint.fusion.model.prediction import (
     batch_residual,
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
-from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
+from trigpoint.fusion.solver.equations import System
+from trigpoint.fusion.solver.levenberg_marquardt import Minimum, linearise, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
@@ -30,7 +31,6 @@ from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
 from .sightings import wild_corners
-from .system import System
 from .trial import Trial
 
 _MOST_ROUNDS = 10
@@ -345,4 +345,5 @@ class _Solved:
     @cached_property
     def system(self) -> System:
         """The full normal equations; raise LinAlgError where an unknown is not determined."""
-        return System.of(self.assembled.problem, self.state, self._equations)
+        equations = self._equations or linearise(self.assembled.problem, self.state)
+        return equations.system()

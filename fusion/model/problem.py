@@ -3,7 +3,7 @@
 Unknowns are the robots' poses at their sightings («nodes», a chain per robot, linked by odometry)
 and the dense part: cameras, and where they have a prior sigma lenses, time offsets, odometry
 scales and the faces' poses. A camera sees one robot at a time, so the normal equations
-(`normal_equations`) are
+(`native/src/fusion/elimination.hpp`) are
 
     [A  B ] [nodes]     A: block-tridiagonal, one block row a node
     [Bᵀ C ] [dense]     C: small and dense

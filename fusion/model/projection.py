@@ -53,7 +53,7 @@ def projected(
     is_ahead = np.empty((count, corners), dtype=bool)
     _PROJECTED(
         lens.parameters,
-        *many(frame_from_body, shape),
+        *_many(frame_from_body, shape),
         np.ascontiguousarray(np.broadcast_to(points, (*shape, corners, 3))).reshape(-1, corners, 3),
         np.ascontiguousarray(camera.rotation),
         np.ascontiguousarray(camera.translation),
@@ -67,7 +67,7 @@ def projected(
     )
 
 
-def many(poses: Pose, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _many(poses: Pose, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Poses of some leading shape as the core takes them: (b, 3, 3) and (b, 3)."""
     rotation = np.broadcast_to(poses.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
     translation = np.broadcast_to(poses.translation, (*shape, 3)).reshape(-1, 3)
