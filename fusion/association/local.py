@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.assembly import Assembled, assemble, reassemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Verdict
@@ -64,6 +64,8 @@ class LocalProblem:
         first = next(iter(observations.values()))
         self.camera, self.robot = first.camera, first.robot
         self.target = data.targets[self.robot]
+        self._robots = data.first_state().robots
+        self._assembled_before: Assembled | None = None
 
     def mode_near(
         self,
@@ -128,8 +130,12 @@ class LocalProblem:
             read = replace(observation, chosen=chosen, outliers=outliers)
             entries.append(Entry(read.judged(Verdict.ACCEPTED), trial.poses[index]))
         small = replace(self.data, entries=entries)
-        state = State({self.camera: camera}, self.data.first_state().robots)
-        return assemble(small, state, list(range(len(entries))), anchored=False)
+        state, before = State({self.camera: camera}, self._robots), self._assembled_before
+        # Where a picture's node lies depends on the clock alone.
+        if before is not None and before.start.cameras[self.camera].clock == camera.clock:
+            return reassemble(before, small, state)
+        self._assembled_before = assemble(small, state, list(range(len(entries))), anchored=False)
+        return self._assembled_before
 
     def _move(self, trial: Trial, solved: "_Solved") -> None:
         robot = solved.state.robots[self.robot]

@@ -36,6 +36,11 @@ class CameraState:
     time_offset_s: float = 0.0
     time_drift: float = 0.0
 
+    @property
+    def clock(self) -> tuple[float, float]:
+        """The clock's offset and drift."""
+        return self.time_offset_s, self.time_drift
+
     def offset_s(self, since_epoch_s: Array) -> Array:
         """The time offset at stamps, seconds."""
         return self.time_offset_s + self.time_drift * since_epoch_s

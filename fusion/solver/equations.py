@@ -52,15 +52,20 @@ class System:
         return self.first_row[robot] + node * d + np.arange(d)
 
 
-class Equations(Handle):
-    """Half the Hessian and the gradient of the cost Σ|r/σ|² of a problem at a state; `cost`:
-    there."""
+class Held(Handle):
+    """Normal equations, held by the core."""
 
     name = "tp_equations"
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__()
-        self.problem, self.cost = problem, np.nan
+
+@dataclass(frozen=True, slots=True)
+class Equations:
+    """Half the Hessian and the gradient of the cost Σ|r/σ|² of a problem at a state; `cost`:
+    there."""
+
+    problem: Problem
+    cost: float
+    held: Held
 
     def reduced(self) -> Reduced:
         """Eliminate the chains, in a time linear in the number of nodes: what remains is the Schur
@@ -68,7 +73,7 @@ class Equations(Handle):
         LinAlgError where a chain is not determined."""
         size = self.problem.layout.size
         information, gradient = np.empty((size, size)), np.empty(size)
-        if not _REDUCED(self, information, gradient):
+        if not _REDUCED(self.held, information, gradient):
             raise LinAlgError("a chain's information is not positive definite")
         return Reduced(self.problem.layout, information, gradient)
 
@@ -80,16 +85,16 @@ class Equations(Handle):
             dense_row += (len(chain) - 1) * len(chain.tangent)
         total = dense_row + self.problem.layout.size
         covariance, step, determinant = np.empty((total, total)), np.empty(total), np.empty(1)
-        if not _SYSTEM(self, covariance, step, determinant):
+        if not _SYSTEM(self.held, covariance, step, determinant):
             raise LinAlgError("the equations are singular: an unknown is not determined")
         log_determinant = float(determinant[0])
         return System(self.problem, self.cost, covariance, step, log_determinant, rows, dense_row)
 
 
-_REDUCED = Kernel("tp_reduced", Equations, Out(np.float64, ("u", "u")), Out(np.float64, ("u",)))
+_REDUCED = Kernel("tp_reduced", Held, Out(np.float64, ("u", "u")), Out(np.float64, ("u",)))
 _SYSTEM = Kernel(
     "tp_full_system",
-    Equations,
+    Held,
     Out(np.float64, ("u", "u")),
     Out(np.float64, ("u",)),
     Out(np.float64, (1,)),

@@ -9,12 +9,12 @@ from scipy.linalg import LinAlgError
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.native.library import Kernel, Out
 
-from .equations import EXACT, Equations, Reduced
+from .equations import EXACT, Equations, Held, Reduced
 from .tables import PROBLEM, STATE, StateTables, problem_tables
 
 _MINIMISED = Kernel(
     "tp_minimised",
-    *(Equations, *STATE, *PROBLEM),
+    *(Held, *STATE, *PROBLEM),
     *(float, float, float, int, Out(np.float64, (3,))),
 )
 
@@ -64,15 +64,15 @@ def minimise(
 ) -> Minimum:
     """`solve` without the elimination at the end; raise LinAlgError where a motion's covariance is
     not positive definite."""
-    tables, equations, score = StateTables.of(problem, start), Equations(problem), np.empty(3)
+    tables, held, score = StateTables.of(problem, start), Held(), np.empty(3)
     is_solved = _MINIMISED(
-        *(equations, *tables.tables(), *problem_tables(problem, start)),
+        *(held, *tables.tables(), *problem_tables(problem, start)),
         *(EXACT, float(huber), float(tolerance), most_iterations, score),
     )
     if not is_solved:
         raise LinAlgError("a motion's covariance is not positive definite")
-    equations.cost, iterations, has_converged = score.tolist()
-    state = tables.state(problem, start)
+    cost, iterations, has_converged = score.tolist()
+    state, equations = tables.state(problem, start), Equations(problem, cost, held)
     return Minimum(state, equations, int(iterations), bool(has_converged))
 
 

@@ -60,7 +60,7 @@ class StateTables:
         return cls(
             rows_of(camera.map_from_camera for camera in cameras),
             lenses,
-            _real([(each.time_offset_s, each.time_drift) for each in cameras], 2),
+            _real([camera.clock for camera in cameras], 2),
             rows_of(robot.map_from_base for robot in robots),
             rows_of(robot.base_from_face for robot in robots),
             _real([robot.scales for robot in robots], 2),
