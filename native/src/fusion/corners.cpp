@@ -93,8 +93,7 @@ void Picture::terms(const Pose& robot, Eigen::Ref<Eigen::VectorXd> residual,
         }
         if (has_faces) {
             by.rightCols(by.cols() - next).setZero();
-            by.middleCols<6>(next + 6 * face[k]) =
-                by_disturbance(by_map * robot.rotation, in_face);
+            by.middleCols<6>(next + 6 * face[k]) = by_disturbance(by_map * robot.rotation, in_face);
         }
     }
 }
@@ -186,10 +185,10 @@ TRIGPOINT_KERNEL(tp_corner_terms) {
                               numbers(8) + corners * n};
         if (columns != 0 && columns != picture.columns())
             throw std::invalid_argument("other columns are wanted");
-        picture.terms(picture.seen, Eigen::Map<Eigen::VectorXd>(numbers(14) + rows * n, rows),
-                      Eigen::Map<RowMajor>(numbers(15) + rows * columns * n,
-                                           columns > 0 ? rows : 0, columns),
-                      Eigen::Map<ByPoses>(numbers(16) + 6 * rows * n, by_six > 0 ? rows : 0, 6));
+        picture.terms(
+            picture.seen, Eigen::Map<Eigen::VectorXd>(numbers(14) + rows * n, rows),
+            Eigen::Map<RowMajor>(numbers(15) + rows * columns * n, columns > 0 ? rows : 0, columns),
+            Eigen::Map<ByPoses>(numbers(16) + 6 * rows * n, by_six > 0 ? rows : 0, 6));
     }
     return 0;
 }

@@ -15,17 +15,17 @@ using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::Ro
 struct Picture {
     Lens lens;
     Pose camera;
-    Pose node, seen;             // of the robot, and as it was seen
-    const double* twist;         // (6,) of it then; null where the clock is not estimated
+    Pose node, seen;      // of the robot, and as it was seen
+    const double* twist;  // (6,) of it then; null where the clock is not estimated
     double since_epoch_s;
     const std::vector<Pose>& faces;
     Tangent tangent;
-    bool has_lens, has_faces;    // whether these are estimated
+    bool has_lens, has_faces;  // whether these are estimated
     Eigen::Index corners;
-    const std::int64_t* face;    // (k,)
-    const double* points;        // (k, 3), in their faces
-    const double* pixels;        // (k, 2)
-    const double* weights;       // (k,)
+    const std::int64_t* face;  // (k,)
+    const double* points;      // (k, 3), in their faces
+    const double* pixels;      // (k, 2)
+    const double* weights;     // (k,)
 
     // Of the node, 6 of the camera, p of its lens, 2 of its clock, 6 f of the faces, as far as they
     // are estimated.

@@ -56,9 +56,8 @@ void Equations::add(ChainEquations& chain, Index node, Index inner, const Ranges
         chain.diagonal.middleCols(d * at, d) += square.block(d * k, d * k, d, d);
         chain.gradient.col(at) += pull.segment(d * k, d);
         for (const Range& part : parts)
-            chain.coupling.middleCols(
-                chain.coupled.begin(at) + place(chain.coupled[at], part), part.count) +=
-                square.block(d * k, part.at, d, part.count);
+            chain.coupling.middleCols(chain.coupled.begin(at) + place(chain.coupled[at], part),
+                                      part.count) += square.block(d * k, part.at, d, part.count);
     }
     if (inner == 2) chain.lower.middleCols(d * node, d) += square.block(d, 0, d, d);
     add_dense(parts, square, pull);

@@ -96,8 +96,7 @@ private:
     Eigen::MatrixXd factor_, rows_;
 
     auto rows(Index node) {
-        return rows_.middleCols(filled_.begin(node),
-                                filled_.begin(node + 1) - filled_.begin(node));
+        return rows_.middleCols(filled_.begin(node), filled_.begin(node + 1) - filled_.begin(node));
     }
     void onto(Index neighbour, const Ranges& ranges,
               const Eigen::Ref<const Eigen::MatrixXd>& across,

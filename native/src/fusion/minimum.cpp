@@ -153,7 +153,8 @@ TRIGPOINT_KERNEL(tp_minimised) {
 TRIGPOINT_KERNEL(tp_reduced) {
     const auto& equations = static_cast<Linearised*>(arguments[0].object)->equations;
     const Index size = equations.gradient.size();
-    if (arguments[2].array.shape[0] != size) throw std::invalid_argument("other columns are wanted");
+    if (arguments[2].array.shape[0] != size)
+        throw std::invalid_argument("other columns are wanted");
     Reduced reduced(equations);
     if (!reduced.set(equations, 0)) return 0;
     Eigen::Map<RowMajor>(arguments[1].array.as<double>(), size, size) = reduced.information;
@@ -169,7 +170,8 @@ TRIGPOINT_KERNEL(tp_full_system) {
     Eigen::VectorXd gradient;
     write_out(found.equations, matrix, gradient);
     const Index size = gradient.size();
-    if (arguments[2].array.shape[0] != size) throw std::invalid_argument("other columns are wanted");
+    if (arguments[2].array.shape[0] != size)
+        throw std::invalid_argument("other columns are wanted");
     const Eigen::VectorXd scale = matrix.diagonal().cwiseMax(1e-300).array().rsqrt();
     matrix = (scale.asDiagonal() * matrix * scale.asDiagonal()).eval();
     if (!factorised(matrix)) return 0;

@@ -26,6 +26,12 @@ constexpr double LEAST_FOCAL_PX = 1;
 
 std::size_t at(Index index) { return static_cast<std::size_t>(index); }
 
+RowMajor& part(State& state, int which) { return state[at(which - CAMERA_POSES)]; }
+const RowMajor& part(const State& state, int which) { return state[at(which - CAMERA_POSES)]; }
+Pose pose_of(const State& state, int which, Index row) {
+    return pose_at(part(state, which).row(row).data());
+}
+
 void require(bool is_so) {
     if (!is_so) throw std::invalid_argument("the tables of a problem do not fit together");
 }
@@ -54,8 +60,10 @@ Problem::Problem(const Argument* given) : given_(given), size_(given[COLUMNS].wh
     require(size_ >= 0 && size_ <= MOST_COLUMNS);
     read_cameras();
     read_robots();
-    check_pictures();
-    check_priors();
+    read_pictures();
+    require_rows(PRIOR_COLUMNS, size_);
+    require_rows(KNOWN_CAMERAS, array(CAMERAS).shape[0]);
+    require(array(KNOWN_INFORMATION).shape[0] == 6 * array(KNOWN_CAMERAS).shape[0]);
 }
 
 const std::int64_t* Problem::whole(int which, Index row) const {
@@ -64,7 +72,7 @@ const std::int64_t* Problem::whole(int which, Index row) const {
 
 Range Problem::columns(std::int64_t first, Index count) const {
     require(first >= -1 && first <= size_ - (first < 0 ? 0 : count));
-    return {first, first < 0 ? 0 : count, 0};
+    return first < 0 ? Range{0, 0, 0} : Range{first, count, 0};
 }
 
 void Problem::read_cameras() {
@@ -88,9 +96,8 @@ void Problem::read_robots() {
         const Index first_node = taken(node, nodes, array(NODES).shape[0]);
         const Index first_motion = taken(motion, motions, array(MOTIONS).shape[0]);
         const Index first_face = taken(face, robot[FACE_COUNT], array(FACES).shape[0]);
-        robots_.push_back({first_node, nodes, first_motion, motions, at(first_face),
-                           at(robot[FACE_COUNT]), tangent, robot[IS_HELD] != 0,
-                           columns(robot[SCALES_COLUMN], 2),
+        robots_.push_back({first_node, nodes, first_motion, motions, first_face, robot[FACE_COUNT],
+                           tangent, robot[IS_HELD] != 0, columns(robot[SCALES_COLUMN], 2),
                            columns(robot[FACES_COLUMN], 6 * robot[FACE_COUNT]),
                            columns(robot[LAST_COLUMN], tangent.count)});
         for (Index m = first_motion; m < motion; ++m)
@@ -100,7 +107,7 @@ void Problem::read_robots() {
             face == array(FACES).shape[0]);
 }
 
-void Problem::check_pictures() {
+void Problem::read_pictures() {
     Index corner = 0;
     for (Index p = 0; p < array(PICTURES).shape[0]; ++p) {
         const std::int64_t* picture = whole(PICTURES, p);
@@ -111,71 +118,59 @@ void Problem::check_pictures() {
     }
 }
 
-void Problem::check_priors() const {
-    for (Index v = 0; v < array(PRIOR_COLUMNS).shape[0]; ++v)
-        require(*whole(PRIOR_COLUMNS, v) >= 0 && *whole(PRIOR_COLUMNS, v) < size_);
-    for (Index z = 0; z < array(KNOWN_CAMERAS).shape[0]; ++z)
-        require(*whole(KNOWN_CAMERAS, z) >= 0 &&
-                *whole(KNOWN_CAMERAS, z) < array(CAMERAS).shape[0]);
-    require(array(KNOWN_INFORMATION).shape[0] == 6 * array(KNOWN_CAMERAS).shape[0]);
+void Problem::require_rows(int which, Index limit) const {
+    for (Index row = 0; row < array(which).shape[0]; ++row)
+        require(*whole(which, row) >= 0 && *whole(which, row) < limit);
 }
 
 State Problem::state() const {
-    State state;
-    for (Index c = 0; c < array(CAMERAS).shape[0]; ++c)
-        state.cameras.push_back({pose_at(numbers(CAMERA_POSES) + 12 * c),
-                                 array(LENSES).rows<12>().row(c), array(CLOCKS).rows<2>().row(c)});
-    for (Index n = 0; n < array(NODES).shape[0]; ++n)
-        state.nodes.push_back(pose_at(numbers(NODES) + 12 * n));
-    for (Index f = 0; f < array(FACES).shape[0]; ++f)
-        state.faces.push_back(pose_at(numbers(FACES) + 12 * f));
-    for (Index r = 0; r < array(ROBOTS).shape[0]; ++r)
-        state.scales.push_back(array(SCALES).rows<2>().row(r));
-    return state;
+    State found;
+    for (int which = CAMERA_POSES; which <= SCALES; ++which)
+        part(found, which) = Eigen::Map<const RowMajor>(numbers(which), array(which).shape[0],
+                                                        array(which).shape[1]);
+    return found;
 }
 
 void Problem::put(const State& state) const {
-    for (Index c = 0; c < array(CAMERAS).shape[0]; ++c) {
-        put_pose(state.cameras[at(c)].pose, numbers(CAMERA_POSES) + 12 * c);
-        array(LENSES).rows<12>().row(c) = state.cameras[at(c)].lens;
-        array(CLOCKS).rows<2>().row(c) = state.cameras[at(c)].clock;
-    }
-    for (Index n = 0; n < array(NODES).shape[0]; ++n)
-        put_pose(state.nodes[at(n)], numbers(NODES) + 12 * n);
-    for (Index f = 0; f < array(FACES).shape[0]; ++f)
-        put_pose(state.faces[at(f)], numbers(FACES) + 12 * f);
-    for (Index r = 0; r < array(ROBOTS).shape[0]; ++r)
-        array(SCALES).rows<2>().row(r) = state.scales[at(r)];
+    for (int which = CAMERA_POSES; which <= SCALES; ++which)
+        Eigen::Map<RowMajor>(numbers(which), array(which).shape[0], array(which).shape[1]) =
+            part(state, which);
 }
 
 State Problem::moved(const State& state, const Step& step) const {
     State found = state;
+    const auto change = [&](int which, Index row, const auto& pose) {
+        put_pose(pose(pose_of(state, which, row)), part(found, which).row(row).data());
+    };
     for (std::size_t c = 0; c < cameras_.size(); ++c) {
         const Camera& camera = cameras_[c];
-        State::Camera& mine = found.cameras[c];
-        mine.pose = trigpoint::moved(mine.pose, step.dense.segment<6>(camera.pose.first));
-        if (camera.lens.count > 0) {
-            mine.lens.head(camera.lens.count) +=
-                step.dense.segment(camera.lens.first, camera.lens.count);
-            for (int k = 0; k < 2; ++k) mine.lens[k] = std::max(mine.lens[k], LEAST_FOCAL_PX);
-        }
-        if (camera.clock.count > 0) mine.clock += step.dense.segment<2>(camera.clock.first);
+        const Index row = static_cast<Index>(c);
+        change(CAMERA_POSES, row, [&](const Pose& pose) {
+            return trigpoint::moved(pose, step.dense.segment<6>(camera.pose.first));
+        });
+        auto lens = part(found, LENSES).row(row).head(camera.lens.count);
+        lens += step.dense.segment(camera.lens.first, camera.lens.count).transpose();
+        for (Index k = 0; k < std::min<Index>(2, lens.size()); ++k)
+            lens[k] = std::max(lens[k], LEAST_FOCAL_PX);
+        part(found, CLOCKS).row(row).head(camera.clock.count) +=
+            step.dense.segment(camera.clock.first, camera.clock.count).transpose();
     }
     for (std::size_t r = 0; r < robots_.size(); ++r) {
         const Robot& robot = robots_[r];
         for (Index n = 0; n < robot.nodes; ++n) {
             Vector6d by = Vector6d::Zero();
             for (Index k = 0; k < robot.tangent.count; ++k)
-                by[robot.tangent.axes[k]] = n + 1 < robot.nodes ? step.nodes[r](k, n)
-                                                                : step.dense[robot.last.first + k];
-            Pose& node = found.nodes[at(robot.first_node + n)];
-            node = trigpoint::moved(node, by);
+                by[robot.tangent.axes[k]] =
+                    n + 1 < robot.nodes ? step.nodes[r](k, n) : step.dense[robot.last.first + k];
+            change(NODES, robot.first_node + n,
+                   [&](const Pose& pose) { return trigpoint::moved(pose, by); });
         }
-        if (robot.scales.count > 0) found.scales[r] += step.dense.segment<2>(robot.scales.first);
-        for (Index f = 0; f < robot.faces.count / 6; ++f) {
-            Pose& face = found.faces[robot.first_face + at(f)];
-            face = face.disturbed(step.dense.segment<6>(robot.faces.first + 6 * f));
-        }
+        part(found, SCALES).row(static_cast<Index>(r)).head(robot.scales.count) +=
+            step.dense.segment(robot.scales.first, robot.scales.count).transpose();
+        for (Index k = 0; k < robot.faces.count; k += 6)
+            change(FACES, robot.first_face + k / 6, [&](const Pose& pose) {
+                return pose.disturbed(step.dense.segment<6>(robot.faces.first + k));
+            });
     }
     return found;
 }
@@ -192,8 +187,8 @@ Ranges Problem::of_picture(Index index) const {
     const std::int64_t* picture = whole(PICTURES, index);
     const Camera& camera = cameras_[at(picture[CAMERA])];
     const Robot& robot = robots_[at(picture[ROBOT])];
-    Ranges found = side_by_side(robot.tangent.count,
-                                {camera.pose, camera.lens, camera.clock, robot.faces});
+    Ranges found =
+        side_by_side(robot.tangent.count, {camera.pose, camera.lens, camera.clock, robot.faces});
     if (picture[NODE] + 1 == robot.nodes) found.push_back(robot.last);
     return found;
 }
@@ -246,16 +241,17 @@ void Problem::linearise(const State& state, double huber, Equations& equations) 
 
 void Problem::add_motions(const State& state, std::size_t r, Equations& equations) const {
     const Robot& robot = robots_[r];
-    const Eigen::Vector2d from = array(MOTION_SCALES).rows<2>().row(static_cast<Index>(r));
+    const Index own = static_cast<Index>(r);
+    const Eigen::Vector2d change =
+        part(state, SCALES).row(own) - array(MOTION_SCALES).rows<2>().row(own);
     Eigen::MatrixXd square;
     Eigen::VectorXd pull;
     for (Index m = 0; m < robot.motions; ++m) {
         const Index row = robot.first_motion + m, node = robot.first_node + m;
         const BySteps by_scale = Eigen::Map<const BySteps>(numbers(MOTION_BY_SCALE) + 12 * row);
-        const Pose motion =
-            pose_at(numbers(MOTIONS) + 12 * row).disturbed(by_scale * (state.scales[r] - from));
-        const OdometryTerm term(state.nodes[at(node)], state.nodes[at(node + 1)], motion, by_scale,
-                                robot.tangent, white_[at(row)]);
+        const Pose motion = pose_at(numbers(MOTIONS) + 12 * row).disturbed(by_scale * change);
+        const OdometryTerm term(pose_of(state, NODES, node), pose_of(state, NODES, node + 1),
+                                motion, by_scale, robot.tangent, white_[at(row)]);
         square.noalias() = term.by.transpose() * term.by;
         pull.noalias() = term.by.transpose() * term.residual;
         equations.cost += term.residual.squaredNorm();
@@ -265,34 +261,34 @@ void Problem::add_motions(const State& state, std::size_t r, Equations& equation
 }
 
 void Problem::add_pictures(const State& state, double huber, Equations& equations) const {
-    std::vector<std::vector<Pose>> faces;
-    for (const Robot& robot : robots_) {
-        const auto first = state.faces.begin() + static_cast<std::ptrdiff_t>(robot.first_face);
-        faces.emplace_back(first, first + static_cast<std::ptrdiff_t>(robot.face_count));
-    }
+    std::vector<std::vector<Pose>> faces(robots_.size());
+    for (std::size_t r = 0; r < robots_.size(); ++r)
+        for (Index f = 0; f < robots_[r].face_count; ++f)
+            faces[r].push_back(pose_of(state, FACES, robots_[r].first_face + f));
     PictureEquations terms;
     for (Index p = 0; p < array(PICTURES).shape[0]; ++p) {
         const std::int64_t* picture = whole(PICTURES, p);
-        const Camera& camera = cameras_[at(picture[CAMERA])];
-        const State::Camera& eye = state.cameras[at(picture[CAMERA])];
+        const Index eye = picture[CAMERA], corner = first_corner_[at(p)];
+        const Camera& camera = cameras_[at(eye)];
         const Robot& robot = robots_[at(picture[ROBOT])];
-        const Pose& node = state.nodes[at(robot.first_node + picture[NODE])];
-        const Index corner = first_corner_[at(p)];
+        const Pose node = pose_of(state, NODES, robot.first_node + picture[NODE]);
         const bool has_clock = camera.clock.count > 0;
         const double assumed_s = numbers(MOMENTS)[2 * p], since_s = numbers(MOMENTS)[2 * p + 1];
         const double* twist = numbers(TWISTS) + 6 * p;
         Pose seen = node;
         if (has_clock) {
-            const double early_s = assumed_s - (eye.clock[0] + eye.clock[1] * since_s);
+            const double* clock = part(state, CLOCKS).row(eye).data();
+            const double early_s = assumed_s - (clock[0] + clock[1] * since_s);
             seen = node.times(pose_at(numbers(WAYS) + 12 * p)
                                   .times(motion_of(early_s * Eigen::Map<const Vector6d>(twist))));
         }
-        terms.set({Lens(eye.lens.data(), camera.lens_parameters), eye.pose, node, seen,
-                   has_clock ? twist : nullptr, since_s, faces[at(picture[ROBOT])], robot.tangent,
-                   camera.lens.count > 0, robot.faces.count > 0, picture[CORNER_COUNT],
-                   array(CORNER_FACES).as<std::int64_t>() + corner, numbers(POINTS) + 3 * corner,
-                   numbers(PIXELS) + 2 * corner, numbers(WEIGHTS) + corner},
-                  picture[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * p : nullptr, huber);
+        terms.set(
+            {Lens(part(state, LENSES).row(eye).data(), camera.lens_parameters),
+             pose_of(state, CAMERA_POSES, eye), node, seen, has_clock ? twist : nullptr, since_s,
+             faces[at(picture[ROBOT])], robot.tangent, camera.lens.count > 0, robot.faces.count > 0,
+             picture[CORNER_COUNT], array(CORNER_FACES).as<std::int64_t>() + corner,
+             numbers(POINTS) + 3 * corner, numbers(PIXELS) + 2 * corner, numbers(WEIGHTS) + corner},
+            picture[DEVIATES] != 0 ? numbers(DEVIATIONS) + 6 * p : nullptr, huber);
         equations.cost += terms.cost;
         equations.log_determinant += terms.log_determinant;
         equations.add(equations.chains[at(picture[ROBOT])], picture[NODE],
@@ -303,17 +299,15 @@ void Problem::add_pictures(const State& state, double huber, Equations& equation
 
 void Problem::add_priors(const State& state, Equations& equations) const {
     Eigen::VectorXd values = Eigen::VectorXd::Zero(size_);
+    const auto fill = [&](const Range& range, int which, std::size_t row) {
+        values.segment(range.first, range.count) =
+            part(state, which).row(static_cast<Index>(row)).head(range.count);
+    };
     for (std::size_t c = 0; c < cameras_.size(); ++c) {
-        const Camera& camera = cameras_[c];
-        if (camera.lens.count > 0)
-            values.segment(camera.lens.first, camera.lens.count) =
-                state.cameras[c].lens.head(camera.lens.count);
-        if (camera.clock.count > 0)
-            values.segment<2>(camera.clock.first) = state.cameras[c].clock;
+        fill(cameras_[c].lens, LENSES, c);
+        fill(cameras_[c].clock, CLOCKS, c);
     }
-    for (std::size_t r = 0; r < robots_.size(); ++r)
-        if (robots_[r].scales.count > 0)
-            values.segment<2>(robots_[r].scales.first) = state.scales[r];
+    for (std::size_t r = 0; r < robots_.size(); ++r) fill(robots_[r].scales, SCALES, r);
     const auto add = [&](Index column, double error, double variance) {
         equations.dense(column, column) += 1 / variance;
         equations.gradient[column] += error / variance;
@@ -325,9 +319,9 @@ void Problem::add_priors(const State& state, Equations& equations) const {
     }
     for (const Robot& robot : robots_)
         for (Index k = 0; k < robot.faces.count; ++k) {
-            const Index face = static_cast<Index>(robot.first_face) + k / 6;
-            const Vector6d error = state.faces[at(face)].difference(
-                pose_at(numbers(EXPECTED_FACES) + 12 * face));
+            const Index face = robot.first_face + k / 6;
+            const Vector6d error = pose_of(state, FACES, face)
+                                       .difference(pose_at(numbers(EXPECTED_FACES) + 12 * face));
             add(robot.faces.first + k, error[k % 6], numbers(FACE_VARIANCES)[6 * face + k % 6]);
         }
 }
@@ -341,12 +335,12 @@ void Problem::add_known_cameras(const State& state, Equations& equations) const 
     Eigen::MatrixXd jacobian = Eigen::MatrixXd::Identity(6 * count, 6 * count);
     Ranges parts;
     for (Index z = 0; z < count; ++z) {
-        const std::size_t which = at(*whole(KNOWN_CAMERAS, z));
-        const Vector6d mine = state.cameras[which].pose.difference(
-            pose_at(numbers(EXPECTED_CAMERAS) + 12 * z));
+        const Index which = *whole(KNOWN_CAMERAS, z);
+        const Vector6d mine = pose_of(state, CAMERA_POSES, which)
+                                  .difference(pose_at(numbers(EXPECTED_CAMERAS) + 12 * z));
         error.segment<6>(6 * z) = mine;
         jacobian.block<3, 3>(6 * z + 3, 6 * z + 3) = left_jacobian(mine.tail<3>()).inverse();
-        parts.push_back({cameras_[which].pose.first, 6, 6 * z});
+        parts.push_back({cameras_[at(which)].pose.first, 6, 6 * z});
     }
     const Eigen::VectorXd pull = information * error;
     equations.cost += error.dot(pull);

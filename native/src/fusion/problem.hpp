@@ -2,6 +2,7 @@
 // unknowns are is said in `fusion/model/problem.py`.
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include "border.hpp"
@@ -48,19 +49,11 @@ enum Given {
     HUBER,              // sigmas beyond which a corner's cost is linear
     TOLERANCE,
     MOST_ITERATIONS,
-    SCORE               // (3,): cost, iterations, whether it has converged
+    SCORE  // (3,): cost, iterations, whether it has converged
 };
 
-struct State {
-    struct Camera {
-        Pose pose;
-        Eigen::Matrix<double, 12, 1> lens;
-        Eigen::Vector2d clock;
-    };
-    std::vector<Camera> cameras;
-    std::vector<Pose> nodes, faces;
-    std::vector<Eigen::Vector2d> scales;
-};
+// The tables from CAMERA_POSES to SCALES.
+using State = std::array<RowMajor, 6>;
 
 // A step of the dense part, and of the inner nodes (d, n) of each chain.
 struct Step {
@@ -88,8 +81,7 @@ private:
         Range pose, lens, clock;  // of no columns where they are not estimated
     };
     struct Robot {
-        Index first_node, nodes, first_motion, motions;
-        std::vector<Pose>::size_type first_face, face_count;
+        Index first_node, nodes, first_motion, motions, first_face, face_count;
         Tangent tangent;
         bool is_held;
         Range scales, faces, last;
@@ -105,10 +97,10 @@ private:
     double* numbers(int which) const { return array(which).as<double>(); }
     const std::int64_t* whole(int which, Index row) const;
     Range columns(std::int64_t first, Index count) const;
+    void require_rows(int which, Index limit) const;
     void read_cameras();
     void read_robots();
-    void check_pictures();
-    void check_priors() const;
+    void read_pictures();
 
     // The columns of the dense part that a term depends on, as they follow each other in it.
     Ranges of_motion(const Robot& robot, Index motion) const;

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from trigpoint.fusion.model.motion import Motion
 from trigpoint.fusion.model.prediction import (
     batch_jacobian,
     batch_residual,
@@ -134,7 +135,7 @@ def _add_odometry(slow: Slow, problem: Problem, name: str, robot: RobotState) ->
     chain, nodes = problem.chains[name], robot.map_from_base
     if chain.motion is None:
         return
-    motion = chain.motion.rescaled(robot.scales - chain.scales)
+    motion = rescaled(chain.motion, robot.scales - chain.scales)
     terms = odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent)
     scales = problem.layout.scales_of(name)
     for step in range(len(chain) - 1):
@@ -147,6 +148,12 @@ def _add_odometry(slow: Slow, problem: Problem, name: str, robot: RobotState) ->
         )
         parts = terms.by_earlier[step], terms.by_later[step], terms.by_scale[step, :, : len(scales)]
         slow.add(columns, np.concatenate(parts, axis=1), terms.residual[step])
+
+
+def rescaled(motion: Motion, change: Array) -> Motion:
+    """The motion after a small change (2,) of the scale errors, to first order."""
+    moved = motion.earlier_from_later.disturbed(motion.by_scale @ change)
+    return replace(motion, earlier_from_later=moved)
 
 
 def _priors(problem: Problem, state: State) -> list[tuple[np.ndarray, Array, Array]]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import LinAlgError
+from support.fusion.slow_problem import rescaled
 from support.fusion.small_problems import (
     first_state,
     shaken,
@@ -82,7 +83,7 @@ def residuals(problem: Problem, state: State) -> Array:
     for name, chain in problem.chains.items():
         assert chain.motion is not None
         nodes, scales = state.robots[name].map_from_base, state.robots[name].scales
-        motion = chain.motion.rescaled(scales - chain.scales)
+        motion = rescaled(chain.motion, scales - chain.scales)
         found.append(odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent).residual)
     priors = problem.priors
     for name, (expected, sigma) in priors.lens.items():
