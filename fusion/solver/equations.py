@@ -70,7 +70,7 @@ class Equations:
     def reduced(self) -> Reduced:
         """Eliminate the chains, in a time linear in the number of nodes: what remains is the Schur
         complement on the dense part, S = C - BᵀA⁻¹B, and S⁻¹ its marginal covariance. Raises
-        LinAlgError where a chain is not determined."""
+        LinAlgError where a chain is not determined or the cost is not finite."""
         size = self.problem.layout.size
         information, gradient = np.empty((size, size)), np.empty(size)
         if not _REDUCED(self.held, information, gradient):
@@ -78,7 +78,8 @@ class Equations:
         return Reduced(self.problem.layout, information, gradient)
 
     def system(self) -> System:
-        """Invert the whole; raise LinAlgError where an unknown is not determined."""
+        """Invert the whole; raise LinAlgError where an unknown is not determined or the cost is not
+        finite."""
         rows, dense_row = {}, 0
         for name, chain in self.problem.chains.items():
             rows[name] = dense_row

@@ -10,7 +10,7 @@ from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.native.library import Kernel, Out
 
 from .equations import EXACT, Equations, Held, Reduced
-from .tables import PROBLEM, STATE, StateTables, problem_tables
+from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 
 _MINIMISED = Kernel(
     "tp_minimised",
@@ -64,15 +64,15 @@ def minimise(
 ) -> Minimum:
     """`solve` without the elimination at the end; raise LinAlgError where a motion's covariance is
     not positive definite."""
-    tables, held, score = StateTables.of(problem, start), Held(), np.empty(3)
+    tables, held, score = state_tables(problem, start), Held(), np.empty(3)
     is_solved = _MINIMISED(
-        *(held, *tables.tables(), *problem_tables(problem, start)),
+        *(held, *tables, *problem_tables(problem, start)),
         *(EXACT, float(huber), float(tolerance), most_iterations, score),
     )
     if not is_solved:
         raise LinAlgError("a motion's covariance is not positive definite")
     cost, iterations, has_converged = score.tolist()
-    state, equations = tables.state(problem, start), Equations(problem, cost, held)
+    state, equations = state_of(problem, start, tables), Equations(problem, cost, held)
     return Minimum(state, equations, int(iterations), bool(has_converged))
 
 

@@ -149,21 +149,22 @@ TRIGPOINT_KERNEL(tp_minimised) {
 }
 
 // (equations, information (q, q) and gradient (q,) of the dense part): 1, or 0 where a chain is not
-// determined.
+// determined or the cost is not finite.
 TRIGPOINT_KERNEL(tp_reduced) {
     const auto& equations = static_cast<Linearised*>(arguments[0].object)->equations;
     const Index size = equations.gradient.size();
     if (arguments[2].array.shape[0] != size)
         throw std::invalid_argument("other columns are wanted");
     Reduced reduced(equations);
-    if (!reduced.set(equations, 0)) return 0;
+    if (!std::isfinite(equations.cost) || !reduced.set(equations, 0)) return 0;
     Eigen::Map<RowMajor>(arguments[1].array.as<double>(), size, size) = reduced.information;
     Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = reduced.gradient;
     return 1;
 }
 
 // (equations, covariance (u, u) of all unknowns, the step (u,) to the minimum, ln |information|
-// (1,)): 1, or 0 where an unknown is not determined; see `system.System`.
+// (1,)): 1, or 0 where an unknown is not determined or the cost is not finite; see
+// `equations.System`.
 TRIGPOINT_KERNEL(tp_full_system) {
     const auto& found = *static_cast<Linearised*>(arguments[0].object);
     Eigen::MatrixXd matrix;
@@ -174,7 +175,7 @@ TRIGPOINT_KERNEL(tp_full_system) {
         throw std::invalid_argument("other columns are wanted");
     const Eigen::VectorXd scale = matrix.diagonal().cwiseMax(1e-300).array().rsqrt();
     matrix = (scale.asDiagonal() * matrix * scale.asDiagonal()).eval();
-    if (!factorised(matrix)) return 0;
+    if (!std::isfinite(found.equations.cost) || !factorised(matrix)) return 0;
     Eigen::Map<RowMajor> covariance(arguments[1].array.as<double>(), size, size);
     Eigen::MatrixXd root = Eigen::MatrixXd::Identity(size, size);
     matrix.triangularView<Eigen::Lower>().solveInPlace(root);

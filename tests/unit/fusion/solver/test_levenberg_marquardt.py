@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from support.fusion.slow_problem import slow_equations, slow_minimum
+from support.fusion.slow_problem import node_rows, slow_equations, slow_minimum
 from support.fusion.small_problems import (
     first_state,
     shaken,
@@ -18,7 +18,7 @@ from support.fusion.small_problems import (
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.problem import Problem, State
-from trigpoint.fusion.solver.equations import covariance_of
+from trigpoint.fusion.solver.equations import EXACT, covariance_of
 from trigpoint.fusion.solver.levenberg_marquardt import (
     Solution,
     linearise,
@@ -256,3 +256,62 @@ def test_iteration_is_the_one_written_out(
         assert (found.iterations, found.has_converged) == (iterations, has_converged)
         assert found.equations.cost == pytest.approx(slow.cost, rel=1e-8)
         np.testing.assert_allclose(in_a_row(found.state), in_a_row(state), rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_system_is_the_matrix_written_out(situation: str) -> None:
+    given = dict(SITUATIONS[situation])
+    entries = given.pop("entries")
+    data = small_data(noise_px=0.5, known=True, **{k: v for k, v in given.items() if k != "known"})
+    assembled = assemble(data, first_state(data), entries)
+    problem, state = jittered(assembled.problem), shaken(assembled)
+    system, slow = linearise(problem, state).system(), slow_equations(problem, state)
+    sigma = np.sqrt(np.diagonal(system.covariance))
+    whitened = slow.matrix * sigma[:, None] * sigma
+    unit = system.covariance / sigma[:, None] / sigma @ whitened
+    np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-6)
+    expected = -np.linalg.solve(whitened, sigma * slow.gradient)
+    np.testing.assert_allclose(system.step / sigma, expected, rtol=1e-6, atol=1e-6)
+    determinant = np.linalg.slogdet(whitened)[1] - 2 * np.sum(np.log(sigma))
+    held = sum(len(c.tangent) for c in problem.chains.values() if c.is_anchored)
+    determinant += slow.log_determinant - held * np.log(EXACT)
+    assert system.log_determinant == pytest.approx(determinant, abs=1e-5)
+    for name in problem.chains:
+        np.testing.assert_array_equal(system.node_rows(name, 0), node_rows(problem, name, 0))
+
+
+def test_same_problem_gives_the_same_bits(assembled: Assembled) -> None:
+    start = shaken(assembled)
+    first, second = (solve(jittered(assembled.problem), start, huber=3.0) for _ in range(2))
+    np.testing.assert_array_equal(in_a_row(first.state), in_a_row(second.state))
+    np.testing.assert_array_equal(first.reduced.information, second.reduced.information)
+
+
+def test_what_is_not_finite_is_no_minimum(assembled: Assembled) -> None:
+    batch = assembled.problem.batches[0]
+    pixels = batch.pixels.copy()
+    pixels[0, 0] = np.nan
+    problem = replace(assembled.problem, batches=(replace(batch, pixels=pixels),))
+    found = minimise(problem, assembled.start, huber=np.inf, tolerance=1e-6, most_iterations=50)
+    assert not np.isfinite(found.equations.cost)
+    assert not found.has_converged
+    np.testing.assert_array_equal(in_a_row(found.state), in_a_row(assembled.start))
+    for ask in (found.equations.reduced, found.equations.system):
+        with pytest.raises(np.linalg.LinAlgError):
+            ask()
+
+
+def test_motion_of_no_covariance_is_refused(assembled: Assembled) -> None:
+    chain = assembled.problem.chains["r1"]
+    assert chain.motion is not None
+    motion = replace(chain.motion, covariance=0 * chain.motion.covariance)
+    chains = assembled.problem.chains | {"r1": replace(chain, motion=motion)}
+    with pytest.raises(np.linalg.LinAlgError):
+        linearise(replace(assembled.problem, chains=chains), assembled.start)
+
+
+def test_picture_of_a_node_that_is_none_is_refused(assembled: Assembled) -> None:
+    batch = assembled.problem.batches[0]
+    beyond = replace(batch, nodes=batch.nodes + len(assembled.problem.chains[batch.robot]))
+    with pytest.raises(RuntimeError, match="do not fit together"):
+        linearise(replace(assembled.problem, batches=(beyond,)), assembled.start)
