@@ -41,7 +41,7 @@ def problem(rng: np.random.Generator) -> list[object]:
         rng.uniform(0.1, 1.0, (13, 2)),
         *(_poses(rng, 3, faces), rng.uniform(1e-6, 1e-2, (3, 6))),
         *(np.array([1]), cameras[1:], 1e4 * np.eye(6)),
-        *(_COLUMNS, 1e13, float(rng.choice([3.0, np.inf])), 1e-3, 12, np.empty(3)),
+        *(_COLUMNS, 1e13, float(rng.choice([3.0, np.inf])), 1e-3, 12, np.empty(4)),
     ]
 
 

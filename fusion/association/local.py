@@ -19,7 +19,7 @@ from trigpoint.fusion.model.prediction import (
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
 from trigpoint.fusion.solver.equations import System
-from trigpoint.fusion.solver.levenberg_marquardt import Minimum, linearise, minimise
+from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import symmetric
@@ -115,9 +115,7 @@ class LocalProblem:
         except LinAlgError:
             return None  # at a state where an unknown is not determined
         self.budget.spend_solving(steps=found.iterations, corners=self._corners)
-        if not np.isfinite(found.equations.cost):
-            return None
-        return _Solved(assembled, found, is_robust=np.isfinite(huber))
+        return _Solved(assembled, found) if np.isfinite(found.cost) else None
 
     def _assembled(self, trial: Trial, camera: CameraState) -> Assembled:
         entries = []
@@ -341,15 +339,13 @@ class LocalProblem:
 
 
 class _Solved:
-    """A visit's problem and `state` at a minimum. The normal equations of a robust minimum are not
-    kept: they are those of the robust cost and do not give the covariance."""
+    """A visit's problem and `state` at a minimum."""
 
-    def __init__(self, assembled: Assembled, found: Minimum, *, is_robust: bool) -> None:
+    def __init__(self, assembled: Assembled, found: Minimum) -> None:
         self.assembled, self.state = assembled, found.state
-        self._equations = None if is_robust else found.equations
+        self._equations = found.equations
 
     @cached_property
     def system(self) -> System:
         """The full normal equations; raise LinAlgError where an unknown is not determined."""
-        equations = self._equations or linearise(self.assembled.problem, self.state)
-        return equations.system()
+        return self._equations.system()

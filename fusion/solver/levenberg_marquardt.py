@@ -15,7 +15,7 @@ from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 _MINIMISED = Kernel(
     "tp_minimised",
     *(Held, *STATE, *PROBLEM),
-    *(float, float, float, int, Out(np.float64, (3,))),
+    *(float, float, float, int, Out(np.float64, (4,))),
 )
 
 
@@ -32,10 +32,12 @@ class Solution:
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """A state of least cost, and the normal equations there."""
+    """A state of least `cost`, and the normal equations there, which are those of least squares
+    also where the cost is robust."""
 
     state: State
     equations: Equations
+    cost: float
     iterations: int
     has_converged: bool
 
@@ -50,13 +52,14 @@ def solve(
 ) -> Solution:
     """Find the state of least cost near `start`; raise LinAlgError where a chain is not determined.
 
-    Has converged when the predicted decrease of the cost, a χ², is less than `tolerance`.
+    Corners beyond `huber` sigmas have a linear cost (Huber). Has converged when the predicted
+    decrease of the cost, a χ², is less than `tolerance`.
     """
     found = minimise(
         problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations
     )
-    reduced, cost = found.equations.reduced(), found.equations.cost
-    return Solution(found.state, reduced, cost, found.iterations, found.has_converged)
+    reduced = found.equations.reduced()
+    return Solution(found.state, reduced, found.cost, found.iterations, found.has_converged)
 
 
 def minimise(
@@ -64,18 +67,18 @@ def minimise(
 ) -> Minimum:
     """`solve` without the elimination at the end; raise LinAlgError where a motion's covariance is
     not positive definite."""
-    tables, held, score = state_tables(problem, start), Held(), np.empty(3)
+    tables, held, score = state_tables(problem, start), Held(), np.empty(4)
     is_solved = _MINIMISED(
         *(held, *tables, *problem_tables(problem, start)),
         *(EXACT, float(huber), float(tolerance), most_iterations, score),
     )
     if not is_solved:
         raise LinAlgError("a motion's covariance is not positive definite")
-    cost, iterations, has_converged = score.tolist()
-    state, equations = state_of(problem, start, tables), Equations(problem, cost, held)
-    return Minimum(state, equations, int(iterations), bool(has_converged))
+    cost, iterations, has_converged, plain_cost = score.tolist()
+    state, equations = state_of(problem, start, tables), Equations(problem, plain_cost, held)
+    return Minimum(state, equations, cost, int(iterations), bool(has_converged))
 
 
-def linearise(problem: Problem, state: State, *, huber: float = np.inf) -> Equations:
-    """The normal equations at a state; corners beyond `huber` sigmas have a linear cost (Huber)."""
-    return minimise(problem, state, huber=huber, tolerance=0.0, most_iterations=0).equations
+def linearise(problem: Problem, state: State) -> Equations:
+    """The normal equations at a state; raise LinAlgError as `minimise`."""
+    return minimise(problem, state, huber=np.inf, tolerance=0.0, most_iterations=0).equations

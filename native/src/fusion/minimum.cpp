@@ -2,6 +2,7 @@
 // equations there tell of the unknowns.
 #include <Eigen/Cholesky>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "border.hpp"
@@ -17,7 +18,7 @@ namespace {
 constexpr double DAMPING_LEAST = 1e-6, DAMPING_NONE = 1e-9, DAMPING_END = 1e8;
 constexpr std::int64_t MOST_EVER = 10'000;
 
-// The equations where a minimum was looked for last.
+// The equations of least squares where a minimum was looked for last.
 struct Linearised {
     Equations equations;
     double log_held = 0;  // ln |information| of what is held exactly
@@ -101,7 +102,7 @@ void write_out(const Equations& equations, Eigen::MatrixXd& matrix, Eigen::Vecto
 TRIGPOINT_OBJECT(tp_equations, Linearised)
 
 // (the equations there, a problem and its state, as `Given` says): 1, or 0 where a motion is not
-// determined; the state is that of the minimum, and the score is its.
+// determined; the state is that of the minimum, and the score and the equations are its.
 TRIGPOINT_KERNEL(tp_minimised) {
     const std::int64_t most = arguments[MOST_ITERATIONS].whole;
     if (most < 0 || most > MOST_EVER) throw std::invalid_argument("so many iterations are none");
@@ -140,6 +141,10 @@ TRIGPOINT_KERNEL(tp_minimised) {
         score[0] = equations.cost;
         score[1] = static_cast<double>(iterations);
         score[2] = has_converged;
+        // Of the robust cost they would not give the covariance.
+        if (std::isfinite(huber))
+            problem.linearise(state, std::numeric_limits<double>::infinity(), equations);
+        score[3] = equations.cost;
         found.log_held = static_cast<double>(problem.held()) * std::log(arguments[EXACT].number);
         found.equations = std::move(equations);
     } catch (const Undetermined&) {

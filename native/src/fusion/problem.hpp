@@ -49,7 +49,7 @@ enum Given {
     HUBER,              // sigmas beyond which a corner's cost is linear
     TOLERANCE,
     MOST_ITERATIONS,
-    SCORE  // (3,): cost, iterations, whether it has converged
+    SCORE  // (4,): cost, iterations, whether it has converged, cost without Huber's
 };
 
 // The tables from CAMERA_POSES to SCALES.

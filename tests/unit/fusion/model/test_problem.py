@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import LinAlgError
-from support.fusion.slow_problem import rescaled
+from support.fusion.slow_problem import rescaled, slow_equations
 from support.fusion.small_problems import (
     first_state,
     shaken,
@@ -21,7 +21,7 @@ from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.fusion.solver.equations import EXACT
-from trigpoint.fusion.solver.levenberg_marquardt import linearise
+from trigpoint.fusion.solver.levenberg_marquardt import linearise, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -56,12 +56,22 @@ def sigmas(problem: Problem, state: State) -> Array:
     return 1 / np.sqrt(diagonal)
 
 
+def cost_of(problem: Problem, state: State, huber: float) -> float:
+    """The cost at a state."""
+    return minimise(problem, state, huber=huber, tolerance=0.0, most_iterations=0).cost
+
+
 @pytest.mark.parametrize("huber", [np.inf, 3.0])
 def test_gradient_is_the_slope_of_the_cost_by_every_unknown(
     assembled: Assembled, huber: float
 ) -> None:
     problem, state = assembled.problem, shaken(assembled)
-    gradient = whole_gradient(linearise(problem, state, huber=huber))
+    # The core keeps the equations of least squares alone; its robust steps are held to the others.
+    gradient = (
+        slow_equations(problem, state, huber=huber).gradient
+        if np.isfinite(huber)
+        else whole_gradient(linearise(problem, state))
+    )
     order, sigma = unknowns(problem), sigmas(problem, state)
     for kind, members in kinds(problem).items():
         assert members, kind
@@ -69,7 +79,7 @@ def test_gradient_is_the_slope_of_the_cost_by_every_unknown(
             at = order.index(unknown)
             step = 1e-3 * sigma[at]
             upper, lower = (
-                linearise(problem, stepped(problem, state, unknown, sign * step), huber=huber).cost
+                cost_of(problem, stepped(problem, state, unknown, sign * step), huber)
                 for sign in (1, -1)
             )
             slope = (upper - lower) / (4 * step)  # the gradient is half the cost's
@@ -139,7 +149,7 @@ def test_cost_far_off_counts_linearly_beyond_huber(assembled: Assembled) -> None
         np.sum(batch_jacobian(problem, batch, state)[1] ** 2) for batch in problem.batches
     )
     rest = linearise(problem, state).cost - without
-    cost = linearise(problem, state, huber=huber).cost
+    cost = cost_of(problem, state, huber)
     np.testing.assert_allclose(cost, rest + expected, rtol=1e-12)
     assert cost < linearise(problem, state).cost
 
