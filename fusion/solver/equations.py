@@ -52,7 +52,7 @@ class System:
         return self.first_row[robot] + node * d + np.arange(d)
 
 
-class Held(Handle):
+class EquationsHandle(Handle):
     """Normal equations, held by the core."""
 
     name = "tp_equations"
@@ -65,7 +65,7 @@ class Equations:
 
     problem: Problem
     cost: float
-    held: Held
+    handle: EquationsHandle
 
     def reduced(self) -> Reduced:
         """Eliminate the chains, in a time linear in the number of nodes: what remains is the Schur
@@ -73,7 +73,7 @@ class Equations:
         LinAlgError where a chain is not determined or the cost is not finite."""
         size = self.problem.layout.size
         information, gradient = np.empty((size, size)), np.empty(size)
-        if not _REDUCED(self.held, information, gradient):
+        if not _REDUCED(self.handle, information, gradient):
             raise LinAlgError("a chain's information is not positive definite")
         return Reduced(self.problem.layout, information, gradient)
 
@@ -86,16 +86,18 @@ class Equations:
             dense_row += (len(chain) - 1) * len(chain.tangent)
         total = dense_row + self.problem.layout.size
         covariance, step, determinant = np.empty((total, total)), np.empty(total), np.empty(1)
-        if not _SYSTEM(self.held, covariance, step, determinant):
+        if not _SYSTEM(self.handle, covariance, step, determinant):
             raise LinAlgError("the equations are singular: an unknown is not determined")
         log_determinant = float(determinant[0])
         return System(self.problem, self.cost, covariance, step, log_determinant, rows, dense_row)
 
 
-_REDUCED = Kernel("tp_reduced", Held, Out(np.float64, ("u", "u")), Out(np.float64, ("u",)))
+_REDUCED = Kernel(
+    "tp_reduced", EquationsHandle, Out(np.float64, ("u", "u")), Out(np.float64, ("u",))
+)
 _SYSTEM = Kernel(
     "tp_full_system",
-    Held,
+    EquationsHandle,
     Out(np.float64, ("u", "u")),
     Out(np.float64, ("u",)),
     Out(np.float64, (1,)),

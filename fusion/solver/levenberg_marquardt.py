@@ -9,12 +9,12 @@ from scipy.linalg import LinAlgError
 from trigpoint.fusion.model.problem import Problem, State
 from trigpoint.native.library import Kernel, Out
 
-from .equations import EXACT, Equations, Held, Reduced
+from .equations import EXACT, Equations, EquationsHandle, Reduced
 from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 
 _MINIMISED = Kernel(
     "tp_minimised",
-    *(Held, *STATE, *PROBLEM),
+    *(EquationsHandle, *STATE, *PROBLEM),
     *(float, float, float, int, Out(np.float64, (4,))),
 )
 
@@ -67,15 +67,15 @@ def minimise(
 ) -> Minimum:
     """`solve` without the elimination at the end; raise LinAlgError where a motion's covariance is
     not positive definite."""
-    tables, held, score = state_tables(problem, start), Held(), np.empty(4)
+    tables, handle, score = state_tables(problem, start), EquationsHandle(), np.empty(4)
     is_solved = _MINIMISED(
-        *(held, *tables, *problem_tables(problem, start)),
+        *(handle, *tables, *problem_tables(problem, start)),
         *(EXACT, float(huber), float(tolerance), most_iterations, score),
     )
     if not is_solved:
         raise LinAlgError("a motion's covariance is not positive definite")
     cost, iterations, has_converged, plain_cost = score.tolist()
-    state, equations = state_of(problem, start, tables), Equations(problem, plain_cost, held)
+    state, equations = state_of(problem, start, tables), Equations(problem, plain_cost, handle)
     return Minimum(state, equations, cost, int(iterations), bool(has_converged))
 
 
