@@ -11,6 +11,7 @@ from trigpoint.fusion.model.prediction import batch_jacobians, batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
 from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
+from trigpoint.geometry import Pose
 
 JITTER = Jitter(sway=0.003, tilt=0.02)
 
