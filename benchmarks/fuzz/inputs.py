@@ -15,6 +15,7 @@ import numpy as np
 from trigpoint.native.library import Handle, In, Kernel, Out
 
 from .kernels import OBJECTS, object_of
+from .problem import full_system, problem, reduced
 from .scene import TEXELS, Scene
 
 T = TypeVar("T")
@@ -36,7 +37,7 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
         4: np.arange(1.0 * len(scene.places)), 5: scene.pixels,
     },
     "tp_grown": lambda scene: {2: scene.columns + scene.rows},
-    "tp_corner_terms": lambda scene: {16: 1, 17: int(scene.cell > 0)},
+    "tp_corner_terms": lambda scene: {12: 1, 13: int(scene.cell > 0)},
     "tp_fit_plane": lambda scene: {0: scene.places, 1: scene.pixels},
     "tp_settled_fit": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.03},
     "tp_scatter": lambda scene: {1: scene.places, 2: scene.pixels},
@@ -44,6 +45,12 @@ SOUND: dict[str, Callable[[Scene], Mapping[int, np.ndarray | float]]] = {
     "tp_likeliest_wrong": lambda scene: {2: np.sign(np.arange(len(scene.places)))},
     "tp_sound_corners": lambda scene: {0: scene.places, 1: scene.pixels, 4: 0.7, 6: -1.0},
 }  # fmt: skip
+# All arguments but the object, where nothing of them may be drawn by itself.
+WHOLE: dict[str, Callable[[np.random.Generator], list[object]]] = {
+    "tp_minimised": problem,
+    "tp_reduced": lambda _: reduced(),
+    "tp_full_system": lambda _: full_system(),
+}
 SOUND_SHARE = 0.8
 # Inputs that are one sound one, each spoilt in another way but the first.
 VARIANTS = 8
@@ -125,6 +132,8 @@ class Draw:
     def arguments(self, kernel: Kernel) -> list[object]:
         """Such as the kernel's declaration lets pass."""
         self.lengths = {}
+        if kernel.name in WHOLE and self.rng.random() < SOUND_SHARE:
+            return [self._argument(kernel.parameters[0]), *WHOLE[kernel.name](self.rng)]
         values = [self._argument(parameter) for parameter in kernel.parameters]
         if kernel.name in SOUND and self.rng.random() < SOUND_SHARE:
             for at, value in SOUND[kernel.name](self.scene).items():

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.assembly import Assembled, assemble, reassemble
 from trigpoint.fusion.model.dataset import DataSet, Entry
 from trigpoint.fusion.model.gates import HUBER_SIGMAS
 from trigpoint.fusion.model.observations import Observation, Verdict
@@ -18,6 +18,7 @@ from trigpoint.fusion.model.prediction import (
     batch_residual,
 )
 from trigpoint.fusion.model.problem import Batch, CameraState, Problem, State
+from trigpoint.fusion.solver.equations import System
 from trigpoint.fusion.solver.levenberg_marquardt import Minimum, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
@@ -30,7 +31,6 @@ from .linear import Linear, linearised, log_priors, unknowns_of
 from .masks import likeliest_wrong
 from .mode import Mode
 from .sightings import wild_corners
-from .system import System
 from .trial import Trial
 
 _MOST_ROUNDS = 10
@@ -64,6 +64,8 @@ class LocalProblem:
         first = next(iter(observations.values()))
         self.camera, self.robot = first.camera, first.robot
         self.target = data.targets[self.robot]
+        self._robots = data.first_state().robots
+        self._assembled_before: Assembled | None = None
 
     def mode_near(
         self,
@@ -113,9 +115,7 @@ class LocalProblem:
         except LinAlgError:
             return None  # at a state where an unknown is not determined
         self.budget.spend_solving(steps=found.iterations, corners=self._corners)
-        if not np.isfinite(found.equations.cost):
-            return None
-        return _Solved(assembled, found, is_robust=np.isfinite(huber))
+        return _Solved(assembled, found) if np.isfinite(found.cost) else None
 
     def _assembled(self, trial: Trial, camera: CameraState) -> Assembled:
         entries = []
@@ -128,8 +128,12 @@ class LocalProblem:
             read = replace(observation, chosen=chosen, outliers=outliers)
             entries.append(Entry(read.judged(Verdict.ACCEPTED), trial.poses[index]))
         small = replace(self.data, entries=entries)
-        state = State({self.camera: camera}, self.data.first_state().robots)
-        return assemble(small, state, list(range(len(entries))), anchored=False)
+        state, before = State({self.camera: camera}, self._robots), self._assembled_before
+        # Where a picture's node lies depends on the clock alone.
+        if before is not None and before.start.cameras[self.camera].clock == camera.clock:
+            return reassemble(before, small, state)
+        self._assembled_before = assemble(small, state, list(range(len(entries))), anchored=False)
+        return self._assembled_before
 
     def _move(self, trial: Trial, solved: "_Solved") -> None:
         robot = solved.state.robots[self.robot]
@@ -335,14 +339,13 @@ class LocalProblem:
 
 
 class _Solved:
-    """A visit's problem and `state` at a minimum. The normal equations of a robust minimum are not
-    kept: they are those of the robust cost and do not give the covariance."""
+    """A visit's problem and `state` at a minimum."""
 
-    def __init__(self, assembled: Assembled, found: Minimum, *, is_robust: bool) -> None:
+    def __init__(self, assembled: Assembled, found: Minimum) -> None:
         self.assembled, self.state = assembled, found.state
-        self._equations = None if is_robust else found.equations
+        self._equations = found.equations
 
     @cached_property
     def system(self) -> System:
         """The full normal equations; raise LinAlgError where an unknown is not determined."""
-        return System.of(self.assembled.problem, self.state, self._equations)
+        return self._equations.system()

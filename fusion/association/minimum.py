@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trigpoint.geometry import Pose
+from trigpoint.geometry.pose import rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.native.library import In, Kernel, Out
 
@@ -56,7 +57,7 @@ class _Minimum:
         for robot in graph.paths:
             self.first[robot], count = count, count + len(nodes[robot])
         self.place = {key: count + order for order, key in enumerate(layout.places)}
-        self.poses = _rows(
+        self.poses = rows_of(
             [*(nodes[robot] for robot in graph.paths), *(places[key] for key in layout.places)]
         )
         self.ways = {robot: _way(graph, robot, variant) for robot in graph.paths}
@@ -176,7 +177,7 @@ class _Minimum:
             information.append(self.graph.known_information(order))
         return (
             np.array(which, dtype=_WHOLE),
-            _rows(expected),
+            rows_of(expected),
             np.array(information).reshape(-1, 6, 6),
         )
 
@@ -199,10 +200,10 @@ class _Minimum:
             start = mine.stop
             ends[mine, 0] = self.first[robot] + np.arange(len(by_odometry.motion))
             ends[mine, 1], ends[mine, 2] = ends[mine, 0] + 1, self.value.get(robot, -1)
-            motion[mine], by_scale[mine] = _rows([by_odometry.motion]), by_odometry.by_scale
+            motion[mine], by_scale[mine] = rows_of([by_odometry.motion]), by_odometry.by_scale
             about[mine] = by_odometry.about
             shown, free = mine.start + way.steps, mine.start + np.array(anywhere, dtype=int)
-            motion[shown], by_scale[shown], about[shown] = _rows([way.motion]), way.by_scale, 0.0
+            motion[shown], by_scale[shown], about[shown] = rows_of([way.motion]), way.by_scale, 0.0
             information[mine] = _whole(way.information, path.tangent)
             # Only the prior of the room keeps such a step determined.
             information[free] = _whole(np.diag(1 / self.graph.room(path))[None], path.tangent)
@@ -243,15 +244,6 @@ def _way(graph: Graph, robot: str, variant: Variant) -> tuple[Way, list[int]]:
         if across is None:
             anywhere.append(step)
     return way, anywhere
-
-
-def _rows(poses: Sequence[Pose]) -> Array:
-    """Return poses, each one or many, as rows of twelve numbers: rotation, translation."""
-    rotations = [pose.rotation.reshape(-1, 9) for pose in poses]
-    translations = [pose.translation.reshape(-1, 3) for pose in poses]
-    if not poses:
-        return np.zeros((0, 12))
-    return np.hstack([np.concatenate(rotations), np.concatenate(translations)])
 
 
 def _whole(information: Array, tangent: list[int]) -> Array:

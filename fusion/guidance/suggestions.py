@@ -20,8 +20,8 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.model.problem import Layout
+from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.filter import is_placed
-from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array

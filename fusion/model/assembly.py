@@ -74,6 +74,23 @@ def assemble(
     return Assembled(Problem(chains, batches, priors, layout), start, node_of)
 
 
+def reassemble(before: Assembled, data: DataSet, state: State) -> Assembled:
+    """Assemble the same entries, otherwise read or judged, about another state with the same clocks
+    and scales: only the pictures and the start are made anew; not of an anchored problem."""
+    problem, node_of = before.problem, before.node_of
+    nodes = {
+        robot: _start_poses(chain, _guesses(data, robot, node_of))
+        for robot, chain in problem.chains.items()
+    }
+    start = State(
+        {name: state.cameras[name] for name in before.start.cameras},
+        {robot: replace(state.robots[robot], map_from_base=nodes[robot]) for robot in nodes},
+    )
+    entries = list(node_of)
+    batches = _batches(data, state, problem.chains, nodes, entries, node_of, problem.layout)
+    return Assembled(replace(problem, batches=batches), start, node_of)
+
+
 def _cameras_of(data: DataSet, state: State, entries: list[int], *, anchored: bool) -> list[str]:
     seen = {data.entries[index].observation.camera for index in entries}
     known = set(data.known.poses) if anchored else set()
@@ -128,9 +145,6 @@ def _chain(
         motion = motion.where(~motion.is_still)
     node_of = dict(zip(entries, group[np.searchsorted(moments, times)].tolist(), strict=True))
     stamps = moments[np.unique(group, return_index=True)[1]]
-    guesses = {node: data.entries[i].map_from_base for i, node in node_of.items()}
-    if is_first:
-        guesses[0] = track.odom_from_base[0]
     chain = Chain(
         robot=robot,
         stamps_ns=stamps,
@@ -140,7 +154,10 @@ def _chain(
         planar=track.planar,
         is_anchored=is_first or not anchored,
     )
-    return _BuiltChain(chain, _start_poses(track, scales, stamps, guesses), node_of)
+    guesses = _guesses(data, robot, node_of)
+    if is_first:
+        guesses[0] = track.odom_from_base[0]
+    return _BuiltChain(chain, _start_poses(chain, guesses), node_of)
 
 
 def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
@@ -155,17 +172,22 @@ def _filled(moments: np.ndarray, track: OdometryTrack) -> np.ndarray:
     return np.unique(np.concatenate(parts))
 
 
-def _start_poses(
-    track: OdometryTrack, scales: Array, stamps_ns: np.ndarray, guesses: dict[int, Pose | None]
-) -> Pose:
+def _guesses(data: DataSet, robot: str, node_of: dict[int, int]) -> dict[int, Pose | None]:
+    """Where the entries have a robot, by node."""
+    entries = [(node, data.entries[index]) for index, node in node_of.items()]
+    return {node: each.map_from_base for node, each in entries if each.observation.robot == robot}
+
+
+def _start_poses(chain: Chain, guesses: dict[int, Pose | None]) -> Pose:
     """The initial pose of each node: its guess, or by odometry between and beyond the guesses."""
     known = {node: guesses[node] for node in sorted(guesses) if guesses[node] is not None}
     poses = Pose.stack([pose for pose in known.values() if pose is not None])
-    if len(known) == len(stamps_ns):
+    if len(known) == len(chain):
         return poses
     if not known:
-        return Pose.identity().repeated(len(stamps_ns))
-    return interpolated(track, scales, stamps_ns[list(known)], poses, stamps_ns)
+        return Pose.identity().repeated(len(chain))
+    moments = chain.stamps_ns[list(known)]
+    return interpolated(chain.track, chain.scales, moments, poses, chain.stamps_ns)
 
 
 def _batches(

@@ -1,6 +1,6 @@
 """Motion composed of many small steps, with its covariance and its derivative by the scales."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,14 +39,6 @@ class Motion:
             self.covariance[chosen],
             self.by_scale[chosen],
             self.is_still[chosen],
-        )
-
-    def rescaled(self, change: Array) -> "Motion":
-        """The motion after a small change (2,) of the scale errors, to first order."""
-        if not np.any(change):
-            return self
-        return replace(
-            self, earlier_from_later=self.earlier_from_later.disturbed(self.by_scale @ change)
         )
 
 

@@ -7,25 +7,22 @@ axes.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import relative_jacobians
 from trigpoint.native.library import In, Kernel, Out
 
 from .motion import Motion
 from .problem import Batch, Problem, State
-from .projection import many
 
 _NO_TWISTS = np.empty((0, 6))
 _REAL = np.float64
-_BATCH = (
+_TERMS = Kernel(
+    "tp_corner_terms",
     In(_REAL, ("p",)),
-    *(In(_REAL, (1, 3, 3)), In(_REAL, (1, 3))),
-    *(In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
-    *(In(_REAL, ("n", 3, 3)), In(_REAL, ("n", 3))),
-    *(In(_REAL, ("f", 3, 3)), In(_REAL, ("f", 3))),
+    In(_REAL, (1, 12)),
+    *(In(_REAL, ("n", 12)), In(_REAL, ("n", 12)), In(_REAL, ("f", 12))),
     In(np.int64, ("n", "k")),
     In(_REAL, ("n", "k", 3)),
     In(_REAL, ("n", "k", 2)),
@@ -34,24 +31,17 @@ _BATCH = (
     In(_REAL, ("n",)),
     In(np.int64, ("d",)),
     *(int, int),
-)
-_TERMS = Kernel(
-    "tp_corner_terms",
-    *_BATCH,
     Out(_REAL, ("n", "k", 2)),
     Out(_REAL, ("n", "k", "c")),
     Out(_REAL, ("n", "k", "s")),
 )
-_EQUATIONS = Kernel(
-    "tp_corner_equations",
-    *_BATCH,
-    In(_REAL, ("j", 6)),
-    float,
-    Out(_REAL, ("n", "c", "c")),
-    Out(_REAL, ("n", "c")),
-    Out(_REAL, (2,)),
+_ODOMETRY = Kernel(
+    "tp_odometry_terms",
+    *(In(_REAL, ("n", 12)), In(_REAL, ("n", 12)), In(_REAL, ("n", 12))),
+    *(In(_REAL, ("n", 6, 6)), In(_REAL, ("n", 6, 2)), In(np.int64, ("d",))),
+    Out(_REAL, ("n", "d")),
+    *(Out(_REAL, ("n", "d", "d")), Out(_REAL, ("n", "d", "d")), Out(_REAL, ("n", "d", 2))),
 )
-_NO_JITTER = np.empty((0, 6))
 
 
 def batch_residual(batch: Batch, state: State) -> Array:
@@ -96,25 +86,6 @@ def _dense_columns(problem: Problem, batch: Batch) -> np.ndarray:
     return np.concatenate(columns)
 
 
-def corner_equations(
-    problem: Problem, batch: Batch, state: State, huber: float
-) -> tuple[Array, Array, np.ndarray, tuple[float, float]]:
-    """The normal equations of each picture of a batch: Hessian (n, d + q, d + q) and gradient
-    (n, d + q) in the columns of `batch_jacobian`, the dense ones (q,), and the cost and
-    ln |covariance| of all. Corners beyond `huber` sigmas have a linear cost (Huber); the robot's
-    deviation in a picture is eliminated about its best fit, since what is left of a tilt has the
-    same sign in all pictures."""
-    columns = _dense_columns(problem, batch)
-    tangent = problem.chains[batch.robot].tangent
-    count, size = len(batch.nodes), len(tangent) + len(columns)
-    hessian, gradient, score = np.empty((count, size, size)), np.empty((count, size)), np.empty(2)
-    jitter = _NO_JITTER if batch.jitter is None else np.ascontiguousarray(batch.jitter)
-    given = _given(batch, state, problem)
-    _EQUATIONS(*given, jitter, float(huber), hessian, gradient, score)
-    cost, log_determinant = score.tolist()
-    return hessian, gradient, columns, (cost, log_determinant)
-
-
 def _terms(
     batch: Batch,
     state: State,
@@ -147,10 +118,7 @@ def _given(batch: Batch, state: State, problem: Problem | None) -> tuple[object,
         twists = np.ascontiguousarray(batch.carried.twists)
     return (
         camera.lens.parameters,
-        *many(camera.map_from_camera, (1,)),
-        *many(node, (len(node),)),
-        *many(seen, (len(node),)),
-        *many(robot.base_from_face, (len(robot.base_from_face),)),
+        *(camera.map_from_camera.rows(), node.rows(), seen.rows(), robot.base_from_face.rows()),
         *map(np.ascontiguousarray, (batch.faces, batch.face_points, batch.pixels, batch.weights)),
         twists,
         np.ascontiguousarray(batch.since_epoch_s),
@@ -173,22 +141,19 @@ class OdometryTerms:
 def odometry_terms(earlier: Pose, later: Pose, motion: Motion, tangent: list[int]) -> OdometryTerms:
     """Odometry's residual: t = R_iᵀ(t_j - t_i) - Δt, r = Log(R_iᵀ R_j ΔRᵀ), whitened.
 
-    A disturbance of R_iᵀ R_j turns r by J_l⁻¹(r) (Solà et al.), one of ΔR by -J_r⁻¹(r), where
-    J_r(r) = J_l(-r).
+    Raises LinAlgError where a covariance is not positive definite.
     """
-    residual = (earlier.inverse() @ later).difference(motion.earlier_from_later)
-    turn = residual[:, 3:]
-    by_earlier, by_later = relative_jacobians(earlier, later)
-    inverse = np.linalg.inv(so3.left_jacobian(turn))
-    turning = inverse @ by_later[:, 3:, 3:]
-    by_earlier[:, 3:, 3:], by_later[:, 3:, 3:] = -turning, turning
-    by_scale = -motion.by_scale
-    by_scale[:, 3:] = np.swapaxes(inverse, 1, 2) @ by_scale[:, 3:]  # J_l(-r) = J_l(r)ᵀ
-    free = np.ix_(range(len(residual)), tangent, tangent)
-    whitening = np.linalg.inv(np.linalg.cholesky(motion.covariance[free]))
-    return OdometryTerms(
-        (whitening @ residual[:, tangent, None])[..., 0],
-        whitening @ by_earlier[free],
-        whitening @ by_later[free],
-        whitening @ by_scale[:, tangent],
+    count, d = len(earlier), len(tangent)
+    terms = OdometryTerms(
+        np.empty((count, d)), np.empty((count, d, d)), np.empty((count, d, d)),
+        np.empty((count, d, 2)),
+    )  # fmt: skip
+    is_determined = _ODOMETRY(
+        *(earlier.rows(), later.rows(), motion.earlier_from_later.rows()),
+        *map(np.ascontiguousarray, (motion.covariance, motion.by_scale)),
+        np.array(tangent, dtype=np.int64),
+        *(terms.residual, terms.by_earlier, terms.by_later, terms.by_scale),
     )
+    if not is_determined:
+        raise LinAlgError("a motion's covariance is not positive definite")
+    return terms

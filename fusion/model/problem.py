@@ -3,7 +3,7 @@
 Unknowns are the robots' poses at their sightings («nodes», a chain per robot, linked by odometry)
 and the dense part: cameras, and where they have a prior sigma lenses, time offsets, odometry
 scales and the faces' poses. A camera sees one robot at a time, so the normal equations
-(`normal_equations`) are
+(`native/src/fusion/elimination.hpp`) are
 
     [A  B ] [nodes]     A: block-tridiagonal, one block row a node
     [Bᵀ C ] [dense]     C: small and dense
@@ -35,6 +35,11 @@ class CameraState:
     lens: CameraModel
     time_offset_s: float = 0.0
     time_drift: float = 0.0
+
+    @property
+    def clock(self) -> tuple[float, float]:
+        """The clock's offset and drift."""
+        return self.time_offset_s, self.time_drift
 
     def offset_s(self, since_epoch_s: Array) -> Array:
         """The time offset at stamps, seconds."""

@@ -1,7 +1,6 @@
 """Projects corners into a picture, with the derivative by the poses that they depend on."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +52,7 @@ def projected(
     is_ahead = np.empty((count, corners), dtype=bool)
     _PROJECTED(
         lens.parameters,
-        *many(frame_from_body, shape),
+        *_many(frame_from_body, shape),
         np.ascontiguousarray(np.broadcast_to(points, (*shape, corners, 3))).reshape(-1, corners, 3),
         np.ascontiguousarray(camera.rotation),
         np.ascontiguousarray(camera.translation),
@@ -67,29 +66,8 @@ def projected(
     )
 
 
-def many(poses: Pose, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _many(poses: Pose, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Poses of some leading shape as the core takes them: (b, 3, 3) and (b, 3)."""
     rotation = np.broadcast_to(poses.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
     translation = np.broadcast_to(poses.translation, (*shape, 3)).reshape(-1, 3)
     return np.ascontiguousarray(rotation), np.ascontiguousarray(translation)
-
-
-def by_disturbance(by_point: Array, arm: Array, tangent: Sequence[int] = range(6)) -> Array:
-    """Derivative (…, k, 2, d) by the components `tangent` of a disturbance of the pose of a body
-    that carries the points: metres, then radians, by the contract, t' = t + δt, R' = Exp(δθ) R.
-
-    `by_point`: (…, k, 2, 3) by the point, in the axes of the pose's parent; `arm`: (…, k, 3) the
-    point from the body's origin, in the same axes. With p = t + a: ∂p/∂δt = I, ∂p/∂δθ = -[a]× (Solà
-    et al., section 4), and a row b of `by_point` times -[a]× is a × b. To a camera the points move
-    the opposite way: the derivative by its pose is this one with `-by_point`, and the point from
-    the camera as `arm`.
-    """
-    result = np.empty((*by_point.shape[:-1], len(tangent)))
-    for column, component in enumerate(tangent):
-        if component < 3:
-            result[..., column] = by_point[..., component]
-        else:
-            i, j = (component + 1) % 3, (component + 2) % 3
-            result[..., column] = by_point[..., j] * arm[..., i, None]
-            result[..., column] -= by_point[..., i] * arm[..., j, None]
-    return result

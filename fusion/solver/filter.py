@@ -32,9 +32,8 @@ from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import lever
 
+from .equations import EXACT, Reduced, covariance_of
 from .gaussian import Gaussian
-from .levenberg_marquardt import Reduced, covariance_of
-from .normal_equations import EXACT
 from .picture_jitter import PictureJitter
 
 # A pose with a larger sigma counts as unknown: behind a jump of the odometry nothing connects it to

@@ -1,40 +1,22 @@
-"""Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains.
+"""Solves the smoother's problem: Levenberg-Marquardt steps by elimination of the chains, in the
+compiled core."""
 
-The chains are eliminated (`elimination`) in a time linear in the number of nodes. What remains is
-S = C - BᵀA⁻¹B, the marginal information of the dense part, and S⁻¹ its marginal covariance.
-"""
-
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError
 
-from trigpoint.fusion.model.problem import CameraState, Layout, Problem, RobotState, State
-from trigpoint.geometry.rotation import Array
-from trigpoint.geometry.uncertainty import symmetric
+from trigpoint.fusion.model.problem import Problem, State
+from trigpoint.native.library import Kernel, Out
 
-from .elimination import Elimination, eliminated
-from .normal_equations import NormalEquations, linearise
+from .equations import EXACT, Equations, EquationsHandle, Reduced
+from .tables import PROBLEM, STATE, problem_tables, state_of, state_tables
 
-# Damping, relative to the diagonal, after a failed step. The bending of a long chain is so weakly
-# determined beside its nodes that even the least damping suppresses it: after successful steps
-# there is soon none.
-_DAMPING_LEAST = 1e-6
-_DAMPING_NONE = 1e-9
-_DAMPING_END = 1e8
-
-
-@dataclass(frozen=True, slots=True)
-class Reduced:
-    """The dense part after the chains are eliminated: information and gradient at a state."""
-
-    layout: Layout
-    information: Array
-    gradient: Array
-
-    def covariance(self) -> Array:
-        """Joint covariance of the dense part; raise LinAlgError where it is not determined."""
-        return covariance_of(self.information)
+_MINIMISED = Kernel(
+    "tp_minimised",
+    *(EquationsHandle, *STATE, *PROBLEM),
+    *(float, float, float, int, Out(np.float64, (4,))),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +30,18 @@ class Solution:
     has_converged: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """A state of least `cost`, and the normal equations there, which are those of least squares
+    also where the cost is robust."""
+
+    state: State
+    equations: Equations
+    cost: float
+    iterations: int
+    has_converged: bool
+
+
 def solve(
     problem: Problem,
     start: State,
@@ -56,142 +50,35 @@ def solve(
     tolerance: float = 1e-6,
     most_iterations: int = 50,
 ) -> Solution:
-    """Find the state of least cost near `start`.
+    """Find the state of least cost near `start`; raise LinAlgError where a chain is not determined.
 
-    Has converged when the predicted decrease of the cost, a χ², is less than `tolerance`.
+    Corners beyond `huber` sigmas have a linear cost (Huber). Has converged when the predicted
+    decrease of the cost, a χ², is less than `tolerance`.
     """
     found = minimise(
         problem, start, huber=huber, tolerance=tolerance, most_iterations=most_iterations
     )
-    reduced = reduce(problem, found.equations)
-    cost = found.equations.cost
-    return Solution(found.state, reduced, cost, found.iterations, found.has_converged)
-
-
-@dataclass(frozen=True, slots=True)
-class Minimum:
-    """A state of least cost, and the normal equations there."""
-
-    state: State
-    equations: NormalEquations
-    iterations: int
-    has_converged: bool
+    reduced = found.equations.reduced()
+    return Solution(found.state, reduced, found.cost, found.iterations, found.has_converged)
 
 
 def minimise(
     problem: Problem, start: State, *, huber: float, tolerance: float, most_iterations: int
 ) -> Minimum:
-    """`solve` without the elimination at the end."""
-    state, damping = start, 0.0
-    equations = linearise(problem, state, huber=huber)
-    iterations, has_converged = 0, False
-    while iterations < most_iterations and damping < _DAMPING_END:
-        iterations += 1
-        try:
-            step, promised, chains = _step(equations, damping)
-        except LinAlgError:
-            damping = max(damping * 100, _DAMPING_LEAST)
-            continue
-        if promised < tolerance:
-            has_converged = True
-            break
-        moved = moved_state(problem, state, step, chains)
-        candidate = linearise(problem, moved, huber=huber)
-        if np.isfinite(candidate.cost) and candidate.cost <= equations.cost:
-            state, equations = moved, candidate
-            damping = damping / 30 if damping > _DAMPING_NONE else 0.0
-        else:
-            damping = max(damping * 30, _DAMPING_LEAST)
-    return Minimum(state, equations, iterations, has_converged)
+    """`solve` without the elimination at the end; raise LinAlgError where a motion's covariance is
+    not positive definite."""
+    tables, handle, score = state_tables(problem, start), EquationsHandle(), np.empty(4)
+    is_solved = _MINIMISED(
+        *(handle, *tables, *problem_tables(problem, start)),
+        *(EXACT, float(huber), float(tolerance), most_iterations, score),
+    )
+    if not is_solved:
+        raise LinAlgError("a motion's covariance is not positive definite")
+    cost, iterations, has_converged, plain_cost = score.tolist()
+    state, equations = state_of(problem, start, tables), Equations(problem, plain_cost, handle)
+    return Minimum(state, equations, cost, int(iterations), bool(has_converged))
 
 
-def reduce(problem: Problem, equations: NormalEquations) -> Reduced:
-    """Eliminate the chains: the information and the gradient of the dense part."""
-    information, gradient, _ = eliminate(equations, 0.0)
-    return Reduced(problem.layout, information, gradient)
-
-
-def covariance_of(information: Array) -> Array:
-    """Inverse of an information matrix after scaling its diagonal to 1; raise LinAlgError where it
-    is not positive definite."""
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    scaled = symmetric(information) * scale[:, None] * scale
-    inverse = cho_solve(cho_factor(scaled, lower=True), np.eye(len(scaled)))
-    return symmetric(inverse) * scale[:, None] * scale
-
-
-def eliminate(
-    equations: NormalEquations, damping: float
-) -> tuple[Array, Array, dict[str, Elimination]]:
-    """Information and gradient of the dense part after the chains' elimination, and the eliminated
-    chains."""
-    information, gradient = equations.dense.copy(), equations.gradient.copy()
-    chains: dict[str, Elimination] = {}
-    for name, chain in equations.chains.items():
-        if len(chain.diagonal) == 0:
-            continue
-        chains[name] = eliminated(chain, equations.dense, damping)
-        gradient += chains[name].gradient
-        information += chains[name].information
-    return symmetric(information), gradient, chains
-
-
-def _step(equations: NormalEquations, damping: float) -> tuple[Array, float, dict[str, Array]]:
-    """The damped step of the dense part, the predicted decrease of χ², and the chains' steps."""
-    information, gradient, chains = eliminate(equations, damping)
-    damped = information + np.diag(damping * np.abs(np.diagonal(information)))
-    diagonal = np.diagonal(damped)
-    if np.any(diagonal <= 0):
-        raise LinAlgError("the equations are singular: an unknown is not determined")
-    scale = 1 / np.sqrt(diagonal)
-    factor = cho_factor(damped * scale[:, None] * scale, lower=True)
-    step = -scale * cho_solve(factor, scale * gradient)
-    nodes = {name: chain.nodes(step) for name, chain in chains.items()}
-    promised = -float(equations.gradient @ step)
-    for name, moves in nodes.items():
-        promised -= float(np.sum(equations.chains[name].gradient * moves))
-    return step, promised, nodes
-
-
-def moved_state(
-    problem: Problem, state: State, step: Array, chain_steps: dict[str, Array]
-) -> State:
-    """The state after a step of the dense part and of the chains' inner nodes."""
-    layout = problem.layout
-    cameras = dict(state.cameras)
-    for name in layout.pose:
-        cameras[name] = _moved_camera(state.cameras[name], layout, name, step)
-    robots = dict(state.robots)
-    for name in problem.chains:
-        robots[name] = _moved_robot(problem, state.robots[name], name, step, chain_steps.get(name))
-    return State(cameras, robots)
-
-
-def _moved_camera(camera: CameraState, layout: Layout, name: str, step: Array) -> CameraState:
-    pose = camera.map_from_camera.moved(step[layout.pose[name]])
-    lens, offset, drift = camera.lens, camera.time_offset_s, camera.time_drift
-    if name in layout.lens:
-        parameters = lens.parameters + step[layout.lens[name]]
-        parameters[:2] = np.maximum(parameters[:2], 1.0)  # a focal length stays positive
-        lens = lens.with_parameters(parameters)
-    if name in layout.time_offset:
-        change = step[layout.time_offset[name]]
-        offset, drift = offset + float(change[0]), drift + float(change[1])
-    return CameraState(pose, lens, offset, drift)
-
-
-def _moved_robot(
-    problem: Problem, robot: RobotState, name: str, step: Array, moves: Array | None
-) -> RobotState:
-    layout, chain = problem.layout, problem.chains[name]
-    disturbance = np.zeros((len(chain), 6))
-    if moves is not None:
-        disturbance[:-1, chain.tangent] = moves
-    disturbance[-1, chain.tangent] = step[layout.last[name]]
-    moved = replace(robot, map_from_base=robot.map_from_base.moved(disturbance))
-    if name in layout.scales:
-        moved = replace(moved, scales=robot.scales + step[layout.scales[name]])
-    if name in layout.faces:
-        faces = robot.base_from_face.disturbed(step[layout.faces[name]].reshape(-1, 6))
-        moved = replace(moved, base_from_face=faces)
-    return moved
+def linearise(problem: Problem, state: State) -> Equations:
+    """The normal equations at a state; raise LinAlgError as `minimise`."""
+    return minimise(problem, state, huber=np.inf, tolerance=0.0, most_iterations=0).equations

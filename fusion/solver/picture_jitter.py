@@ -7,7 +7,7 @@ inverse is I - J M⁻¹ Jᵀ with M = Σ⁻¹ + JᵀJ (Woodbury): ε is eliminat
 
 The corners are not linear in ε: what a tilt ε leaves at a distance d, ε²d, has the same sign in all
 pictures, and does not average out. So the normal equations are those about the best-fitting ε
-(`model/prediction.corner_equations`).
+(`PictureEquations` of the core).
 """
 
 from dataclasses import dataclass

@@ -17,8 +17,7 @@ from trigpoint.fusion.model.observations import Observation, Verdict
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState, State
 from trigpoint.fusion.reading.best_readings import read_where_they_are
-from trigpoint.fusion.solver.levenberg_marquardt import reduce
-from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -73,7 +72,7 @@ def cramer_rao(data: DataSet, oracle: Oracle) -> Bound:
     taken as the contract states it, with nothing added.
     """
     assembled = oracle_problem(data, oracle)
-    reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
+    reduced = linearise(assembled.problem, assembled.start).reduced()
     names = list(reduced.layout.pose)
     columns = np.concatenate(list(reduced.layout.pose.values()))
     covariance = reduced.covariance()[np.ix_(columns, columns)]

@@ -1,5 +1,6 @@
 """Rigid transforms, named `a_from_b`: they take coordinates in b to coordinates in a."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self, overload
 
@@ -46,6 +47,18 @@ class Pose:
             np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
             np.array([pose.translation for pose in poses]).reshape(-1, 3),
         )
+
+    @classmethod
+    def from_rows(cls, rows: Array) -> Self:
+        """From `rows` (…, 12), as the compiled core writes them."""
+        rotation = np.ascontiguousarray(rows[..., :9]).reshape(*rows.shape[:-1], 3, 3)
+        return cls(rotation, np.ascontiguousarray(rows[..., 9:]))
+
+    def rows(self) -> Array:
+        """As the compiled core takes poses: the rotation row by row, then the translation;
+        (n, 12), one pose as a row of its own."""
+        rotation, translation = self.rotation.reshape(-1, 9), self.translation.reshape(-1, 3)
+        return np.concatenate([rotation, translation], axis=1)
 
     def repeated(self, count: int) -> "Pose":
         """This pose `count` times; read-only."""
@@ -110,6 +123,11 @@ class Pose:
         """The disturbance d (…, 6) with `other.disturbed(d) == self`."""
         turn = so3.log(self.rotation @ np.swapaxes(other.rotation, -1, -2))
         return np.concatenate([self.translation - other.translation, turn], axis=-1)
+
+
+def rows_of(poses: Iterable[Pose]) -> Array:
+    """The rows (n, 12) of poses one after the other, each of them one or many."""
+    return np.concatenate([np.empty((0, 12)), *(pose.rows() for pose in poses)])
 
 
 def angle_between(first: Pose, second: Pose) -> Array:

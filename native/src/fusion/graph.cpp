@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "border.hpp"
-#include "geometry/pose.hpp"
+#include "fusion/motion.hpp"
 
 using namespace trigpoint;
 
@@ -101,17 +101,6 @@ private:
 
 using Places = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, 12, Eigen::RowMajor>>;
 
-Pose pose_of(const double* numbers) { return pose_at(numbers, numbers + 9, 0); }
-
-// The derivatives of a_from_b by the disturbances of a and of b.
-void relative_jacobians(const Pose& a, const Pose& b, Matrix6d& by_a, Matrix6d& by_b) {
-    const Eigen::Matrix3d to_a = a.rotation.transpose();
-    by_b.setZero();
-    by_b.topLeftCorner<3, 3>() = by_b.bottomRightCorner<3, 3>() = to_a;
-    by_a = -by_b;
-    by_a.topRightCorner<3, 3>() = to_a * hat(b.translation - a.translation);
-}
-
 // What `tp_graph_minimum` is given, in its order.
 enum Given {
     FACTOR,
@@ -182,7 +171,7 @@ public:
                 const Index row = integers(POSE_ROWS)[6 * i + k];
                 shift[k] = row < 0 ? 0 : by[row];
             }
-            put_pose(pose(i).disturbed(shift), &poses_(i, 0), &poses_(i, 9), 0);
+            put_pose(pose(i).disturbed(shift), &poses_(i, 0));
         }
         for (Index i = 0; i < values(); ++i) {
             const double limit = numbers(BOUNDS)[i];
@@ -202,7 +191,7 @@ private:
     Index poses() const { return poses_.rows(); }
     Index values() const { return array(VALUES).shape[0]; }
     Index own() const { return array(TIE_VALUES).shape[1]; }
-    Pose pose(Index i) const { return pose_of(&poses_(i, 0)); }
+    Pose pose(Index i) const { return pose_at(&poses_(i, 0)); }
 
     // Refuses integers beyond these limits; of several, only from the third on may they be -1.
     void checked(int which, int width, std::vector<Index> limits) const {
@@ -223,7 +212,7 @@ private:
         const Index which = integers(PRIOR_OF)[i];
         free(term.rows, which);
         term.jacobian = Matrix6d::Identity();
-        term.residual = pose(which).difference(pose_of(numbers(PRIOR_AT) + 12 * i));
+        term.residual = pose(which).difference(pose_at(numbers(PRIOR_AT) + 12 * i));
         term.information = Eigen::Map<const Rows>(numbers(PRIOR_INFORMATION) + 36 * i, 6, 6);
         return term;
     }
@@ -256,7 +245,7 @@ private:
     Term step(Index i) const {
         const std::int64_t* ends = integers(STEP_ENDS) + 4 * i;
         const Index scale = ends[2];
-        Pose expected = pose_of(numbers(STEP_MOTION) + 12 * i);
+        Pose expected = pose_at(numbers(STEP_MOTION) + 12 * i);
         Eigen::Matrix<double, 6, 2> by_scale;
         by_scale.setZero();
         if (scale >= 0) {
@@ -283,7 +272,7 @@ private:
     Term tie(Index i) const {
         const std::int64_t* ends = integers(TIE_ENDS) + 4 * i;
         const Index count = ends[3], whole = array(TIE_INFORMATION).shape[1];
-        Term term = between(ends[0], ends[1], pose_of(numbers(TIE_MOTION) + 12 * i), count);
+        Term term = between(ends[0], ends[1], pose_at(numbers(TIE_MOTION) + 12 * i), count);
         term.information =
             Eigen::Map<const Rows>(numbers(TIE_INFORMATION) + whole * whole * i, whole, whole)
                 .topLeftCorner(6 + count, 6 + count);

@@ -67,6 +67,9 @@ inline Pose pose_at(const double* rotations, const double* translations, Eigen::
             Eigen::Map<const Eigen::Vector3d>(translations + 3 * index)};
 }
 
+// Of twelve numbers, its rotation row by row and its translation; and written as such.
+inline Pose pose_at(const double* numbers) { return pose_at(numbers, numbers + 9, 0); }
+
 // Writes one of many poses there.
 inline void put_pose(const Pose& pose, double* rotations, double* translations,
                      Eigen::Index index) {
@@ -74,5 +77,6 @@ inline void put_pose(const Pose& pose, double* rotations, double* translations,
     Eigen::Map<Rows>(rotations + 9 * index) = pose.rotation;
     Eigen::Map<Eigen::Vector3d>(translations + 3 * index) = pose.translation;
 }
+inline void put_pose(const Pose& pose, double* numbers) { put_pose(pose, numbers, numbers + 9, 0); }
 
 }  // namespace trigpoint

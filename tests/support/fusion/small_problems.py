@@ -22,13 +22,14 @@ from trigpoint.fusion.model.observations import (
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.model.problem import CameraState, Problem, RobotState, State
 from trigpoint.fusion.model.rolling_shutter import sweep_of
-from trigpoint.fusion.solver.levenberg_marquardt import moved_state
-from trigpoint.fusion.solver.normal_equations import NormalEquations
+from trigpoint.fusion.solver.equations import Equations, covariance_of
 from trigpoint.geometry import Pose
 from trigpoint.geometry import rotation as so3
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.config import parse_site
 from trigpoint.testing.views import looking_at
+
+from .slow_problem import moved_state
 
 SITE = """
 site = "lab"
@@ -88,7 +89,12 @@ MAP_FROM_ODOM = {"r1": Pose.identity(), "r2": Pose.planar(0.4, -0.6, 0.7)}
 
 
 def small_data(
-    *, known: bool = False, noise_px: float = 0.0, line_delay_s: float = 0.0, seed: int = 0
+    *,
+    known: bool = False,
+    noise_px: float = 0.0,
+    line_delay_s: float = 0.0,
+    seed: int = 0,
+    sightings: int = 12,
 ) -> DataSet:
     """Two robots that two cameras see at a few moments; all is true where there is no noise.
 
@@ -102,9 +108,9 @@ def small_data(
     data = DataSet(site, targets, lenses, known_eyes(random) if known else KnownCameras.none())
     for robot, track in data.tracks.items():
         fill_track(track, robot)
-    for number in range(12):
+    for number in range(sightings):
         robot, camera = ("r1", "r2")[number % 2], ("c1", "c2")[number // 2 % 2]
-        stamp_ns = EPOCH_NS + to_ns(SECONDS * (number + 0.63) / 13)
+        stamp_ns = EPOCH_NS + to_ns(SECONDS * (number + 0.63) / (sightings + 1))
         observation = see(data, camera, robot, stamp_ns, noise_px, random)
         pose = true_pose(data, robot, observation.stamp_ns)
         data.entries.append(Entry(observation, pose))
@@ -235,30 +241,11 @@ def stepped(problem: Problem, state: State, unknown: tuple[str, int], step: floa
     return moved_state(problem, state, dense, moves)
 
 
-def whole_gradient(problem: Problem, equations: NormalEquations) -> Array:
-    """The gradient in the order of `unknowns`."""
-    nodes = [equations.chains[name].gradient.reshape(-1) for name in problem.chains]
-    return np.concatenate([*nodes, equations.gradient])
-
-
-def whole_matrix(problem: Problem, equations: NormalEquations) -> Array:
+def whole_matrix(equations: Equations) -> Array:
     """The normal equations' matrix with nothing eliminated, in the order of `unknowns`."""
-    sizes = [equations.chains[name].gradient.size for name in problem.chains]
-    total = sum(sizes) + problem.layout.size
-    matrix, start = np.zeros((total, total)), 0
-    dense = slice(sum(sizes), total)
-    matrix[dense, dense] = equations.dense
-    for name, size in zip(problem.chains, sizes, strict=True):
-        chain, d = equations.chains[name], len(problem.chains[name].tangent)
-        coupling = chain.coupling.reshape(size, -1)
-        matrix[start : start + size, dense] = coupling
-        matrix[dense, start : start + size] = coupling.T
-        for node in range(size // d):
-            at = slice(start + node * d, start + (node + 1) * d)
-            matrix[at, at] = chain.diagonal[node]
-            if node + 1 < size // d:
-                after = slice(at.stop, at.stop + d)
-                matrix[after, at] = chain.lower[node]
-                matrix[at, after] = chain.lower[node].T
-        start += size
-    return matrix
+    return covariance_of(equations.system().covariance)
+
+
+def whole_gradient(equations: Equations) -> Array:
+    """The gradient in the order of `unknowns`."""
+    return -whole_matrix(equations) @ equations.system().step

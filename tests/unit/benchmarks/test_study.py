@@ -15,8 +15,7 @@ from benchmarks.study.session import StudySession, simulated_session, worked_out
 from benchmarks.study.situations import SITUATIONS
 from benchmarks.study.store import Job, Store, jobs_of, open_jobs
 from benchmarks.study.summary import summary_of
-from trigpoint.fusion.solver.levenberg_marquardt import solve
-from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.fusion.solver.levenberg_marquardt import linearise, solve
 from trigpoint.tools.networks.cramer_rao import oracle_problem
 
 MEASURE = Measure(

@@ -18,7 +18,7 @@ from trigpoint.fusion.guidance.suggestions import JointCovariance, Options, opti
 from trigpoint.fusion.live.guidance_thread import GuidanceThread
 from trigpoint.fusion.model.odometry import OdometryTrack
 from trigpoint.fusion.pipeline import Pipeline
-from trigpoint.fusion.solver.levenberg_marquardt import covariance_of
+from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.snapshot import ExpectedMotion, GuidanceWorld, RobotPlace
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.linalg import LinAlgError
+from support.fusion.slow_problem import rescaled, slow_equations
 from support.fusion.small_problems import (
     first_state,
     shaken,
@@ -18,7 +20,8 @@ from support.fusion.small_problems import (
 from trigpoint.fusion.model.assembly import Assembled, assemble
 from trigpoint.fusion.model.prediction import batch_jacobian, odometry_terms
 from trigpoint.fusion.model.problem import Problem, State
-from trigpoint.fusion.solver.normal_equations import EXACT, linearise
+from trigpoint.fusion.solver.equations import EXACT
+from trigpoint.fusion.solver.levenberg_marquardt import linearise, minimise
 from trigpoint.geometry import Pose
 from trigpoint.geometry.rotation import Array
 
@@ -48,9 +51,14 @@ def kinds(problem: Problem) -> dict[str, list[tuple[str, int]]]:
 
 def sigmas(problem: Problem, state: State) -> Array:
     """About what moves the cost by one, for each unknown."""
-    diagonal = np.diagonal(whole_matrix(problem, linearise(problem, state))).copy()
+    diagonal = np.diagonal(whole_matrix(linearise(problem, state))).copy()
     diagonal[diagonal > EXACT / 2] -= EXACT
     return 1 / np.sqrt(diagonal)
+
+
+def cost_of(problem: Problem, state: State, huber: float) -> float:
+    """The cost at a state."""
+    return minimise(problem, state, huber=huber, tolerance=0.0, most_iterations=0).cost
 
 
 @pytest.mark.parametrize("huber", [np.inf, 3.0])
@@ -58,7 +66,12 @@ def test_gradient_is_the_slope_of_the_cost_by_every_unknown(
     assembled: Assembled, huber: float
 ) -> None:
     problem, state = assembled.problem, shaken(assembled)
-    gradient = whole_gradient(problem, linearise(problem, state, huber=huber))
+    # The core keeps the equations of least squares alone; its robust steps are held to the others.
+    gradient = (
+        slow_equations(problem, state, huber=huber).gradient
+        if np.isfinite(huber)
+        else whole_gradient(linearise(problem, state))
+    )
     order, sigma = unknowns(problem), sigmas(problem, state)
     for kind, members in kinds(problem).items():
         assert members, kind
@@ -66,7 +79,7 @@ def test_gradient_is_the_slope_of_the_cost_by_every_unknown(
             at = order.index(unknown)
             step = 1e-3 * sigma[at]
             upper, lower = (
-                linearise(problem, stepped(problem, state, unknown, sign * step), huber=huber).cost
+                cost_of(problem, stepped(problem, state, unknown, sign * step), huber)
                 for sign in (1, -1)
             )
             slope = (upper - lower) / (4 * step)  # the gradient is half the cost's
@@ -80,7 +93,7 @@ def residuals(problem: Problem, state: State) -> Array:
     for name, chain in problem.chains.items():
         assert chain.motion is not None
         nodes, scales = state.robots[name].map_from_base, state.robots[name].scales
-        motion = chain.motion.rescaled(scales - chain.scales)
+        motion = rescaled(chain.motion, scales - chain.scales)
         found.append(odometry_terms(nodes[:-1], nodes[1:], motion, chain.tangent).residual)
     priors = problem.priors
     for name, (expected, sigma) in priors.lens.items():
@@ -116,7 +129,7 @@ def test_matrix_is_that_of_the_residuals_slopes(assembled: Assembled) -> None:
         )
         slopes.append((upper - lower) / (2 * step))
     jacobian = np.stack(slopes, axis=1) * sigma
-    matrix = whole_matrix(problem, linearise(problem, state))
+    matrix = whole_matrix(linearise(problem, state))
     for index, (name, node) in enumerate(unknowns(problem)):
         if name and problem.chains[name].is_anchored and node < len(problem.chains[name].tangent):
             matrix[index, index] -= EXACT
@@ -136,7 +149,7 @@ def test_cost_far_off_counts_linearly_beyond_huber(assembled: Assembled) -> None
         np.sum(batch_jacobian(problem, batch, state)[1] ** 2) for batch in problem.batches
     )
     rest = linearise(problem, state).cost - without
-    cost = linearise(problem, state, huber=huber).cost
+    cost = cost_of(problem, state, huber)
     np.testing.assert_allclose(cost, rest + expected, rtol=1e-12)
     assert cost < linearise(problem, state).cost
 
@@ -160,8 +173,7 @@ def test_corner_behind_the_camera_costs_much_and_stays_finite(assembled: Assembl
     cameras = assembled.start.cameras | {"c1": replace(eye, map_from_camera=behind)}
     state = replace(assembled.start, cameras=cameras)
     equations = linearise(assembled.problem, state)
-    matrix = whole_matrix(assembled.problem, equations)
-    assert np.all(np.isfinite(matrix))
+    assert np.all(np.isfinite(equations.reduced().information))
     assert linearise(assembled.problem, assembled.start).cost < equations.cost < np.inf
 
 
@@ -170,10 +182,12 @@ def test_robot_seen_once_has_no_inner_node() -> None:
     assembled = assemble(data, first_state(data), [1])
     equations = linearise(assembled.problem, assembled.start)
     assert len(assembled.problem.chains["r2"]) == 1
-    assert equations.chains["r2"].gradient.size == 0
+    with pytest.raises(LinAlgError):  # one sighting tells nothing of where in the map it was
+        equations.system()
     # A first pose that is the only one is held in the dense part.
     held = replace(assembled.problem.chains["r2"], is_anchored=True)
     problem = replace(assembled.problem, chains={"r2": held})
     last = problem.layout.last["r2"]
-    gained = linearise(problem, assembled.start).dense - equations.dense
+    gained = linearise(problem, assembled.start).reduced().information
+    gained -= equations.reduced().information
     assert np.all(np.diagonal(gained)[last] == pytest.approx(EXACT))

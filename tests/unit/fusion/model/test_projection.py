@@ -11,7 +11,7 @@ from support.fusion.drives import lens
 
 from trigpoint.fusion.model.prediction import batch_jacobian
 from trigpoint.fusion.model.problem import Batch, CameraState, RobotState, State
-from trigpoint.fusion.model.projection import NEAREST_M, by_disturbance, projected
+from trigpoint.fusion.model.projection import NEAREST_M, projected
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.camera import LensModel
 from trigpoint.geometry.rotation import Array
@@ -88,27 +88,6 @@ def test_derivatives_by_a_lens_are_the_models(camera: CameraModel) -> None:
     assert_allclose(residual, 4 * pixels, rtol=1e-12)
     assert_allclose(jacobian[..., 12:], 4 * by_lens, rtol=1e-9, atol=1e-9)
     assert_allclose(jacobian[..., :3], -jacobian[..., 6:9])  # the camera moves the other way
-
-
-def test_camera_moves_what_it_sees_the_other_way() -> None:
-    camera_from_body, points = scene()
-    pose = ROOM_FROM_CAMERA @ camera_from_body
-    room = pose @ points
-
-    def pixels_of(camera: Pose) -> Array:
-        return lens().project(camera.inverse() @ room)
-
-    by_optical = lens().project_by_point(camera_from_body @ points)[1]
-    by_room = by_optical @ ROOM_FROM_CAMERA.rotation.T
-    found = by_disturbance(-by_room, room - ROOM_FROM_CAMERA.translation)
-    assert_allclose(found, slopes(pixels_of, ROOM_FROM_CAMERA), rtol=1e-6, atol=1e-4)
-
-
-def test_chosen_components_are_those_of_all() -> None:
-    random = np.random.default_rng(5)
-    by_point, arm = random.normal(size=(4, 2, 3)), random.normal(size=(4, 3))
-    every = by_disturbance(by_point, arm)
-    assert_allclose(by_disturbance(by_point, arm, [0, 1, 5]), every[..., [0, 1, 5]])
 
 
 def test_corner_behind_the_camera_is_pushed_before_it() -> None:

@@ -19,7 +19,7 @@ from trigpoint.fusion.model.observations import (
 )
 from trigpoint.fusion.model.rolling_shutter import sweep_of
 from trigpoint.fusion.reading.visibility import body_of, by_reading
-from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry import rotation as so3
 from trigpoint.site.config import CameraConfig
 from trigpoint.tools.simulation.sight.targets import target_of

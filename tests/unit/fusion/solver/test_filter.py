@@ -14,10 +14,10 @@ from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.pipeline import Pipeline
 from trigpoint.fusion.reading.alignment import _Search
+from trigpoint.fusion.solver.equations import EXACT
 from trigpoint.fusion.solver.filter import Filter, carried_on
 from trigpoint.fusion.solver.gaussian import Gaussian
-from trigpoint.fusion.solver.levenberg_marquardt import reduce
-from trigpoint.fusion.solver.normal_equations import EXACT, linearise
+from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.geometry import Pose
 
 BATCH = 6  # so many observations are solved together, the others come one by one
@@ -26,7 +26,7 @@ BATCH = 6  # so many observations are solved together, the others come one by on
 def batch_filter(data: DataSet, count: int) -> Filter:
     """The filter after a batch over the first observations, at the fixed point of the guesses."""
     assembled = assemble(data, first_state(data), list(range(count)))
-    reduced = reduce(assembled.problem, linearise(assembled.problem, assembled.start))
+    reduced = linearise(assembled.problem, assembled.start).reduced()
     return Filter.after(assembled.start, assembled.problem, reduced)
 
 

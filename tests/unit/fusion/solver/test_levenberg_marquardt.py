@@ -1,24 +1,30 @@
 """Elimination against the dense matrix, and steps to the least cost."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from support.fusion.slow_problem import node_rows, slow_equations, slow_minimum
 from support.fusion.small_problems import (
     first_state,
     shaken,
     small_data,
     small_problem,
     unknowns,
-    whole_matrix,
 )
-from support.fusion.small_problems import whole_gradient as gradient_of
 
 from trigpoint.fusion.model.assembly import Assembled, assemble
+from trigpoint.fusion.model.jitter import Jitter
 from trigpoint.fusion.model.problem import Problem, State
-from trigpoint.fusion.solver import levenberg_marquardt
-from trigpoint.fusion.solver.levenberg_marquardt import covariance_of, reduce, solve
-from trigpoint.fusion.solver.normal_equations import linearise
+from trigpoint.fusion.solver.equations import EXACT, covariance_of
+from trigpoint.fusion.solver.levenberg_marquardt import (
+    Solution,
+    linearise,
+    minimise,
+    solve,
+)
 from trigpoint.geometry.rotation import Array
 
 
@@ -29,17 +35,16 @@ def assembled(request: pytest.FixtureRequest) -> Assembled:
 
 
 def split(problem: Problem, state: State) -> tuple[Array, Array, Array, Array]:
-    """The dense matrix' parts A, B, C and where C begins."""
-    equations = linearise(problem, state)
-    matrix, inner = whole_matrix(problem, equations), len(unknowns(problem)) - problem.layout.size
-    gradient = gradient_of(problem, equations)
-    return matrix[:inner, :inner], matrix[:inner, inner:], matrix[inner:, inner:], gradient
+    """The parts A, B, C of the matrix written out, and the gradient."""
+    slow, inner = slow_equations(problem, state), len(unknowns(problem)) - problem.layout.size
+    matrix = slow.matrix
+    return matrix[:inner, :inner], matrix[:inner, inner:], matrix[inner:, inner:], slow.gradient
 
 
 def test_reduced_information_is_the_schur_complement(assembled: Assembled) -> None:
     state = shaken(assembled)
     a, b, c, gradient = split(assembled.problem, state)
-    reduced = reduce(assembled.problem, linearise(assembled.problem, state))
+    reduced = linearise(assembled.problem, state).reduced()
     solved = np.linalg.solve(a, np.column_stack([gradient[: len(a)], b]))
     expected = c - b.T @ solved[:, 1:]
     scale = 1 / np.sqrt(np.diagonal(expected))
@@ -58,7 +63,7 @@ def test_covariance_is_the_block_of_the_dense_inverse(assembled: Assembled) -> N
     scale = 1 / np.sqrt(np.diagonal(matrix))
     inverse = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
     expected = inverse[len(a) :, len(a) :]
-    found = reduce(assembled.problem, linearise(assembled.problem, assembled.start)).covariance()
+    found = linearise(assembled.problem, assembled.start).reduced().covariance()
     sigma = np.sqrt(np.diagonal(expected))
     np.testing.assert_allclose(
         found / sigma[:, None] / sigma, expected / sigma[:, None] / sigma, atol=1e-6
@@ -79,7 +84,7 @@ def test_covariance_of_what_nothing_determines_is_refused() -> None:
         covariance_of(np.zeros((2, 2)))
 
 
-def solved_anew(assembled_of, state: State) -> tuple[State, list[levenberg_marquardt.Solution]]:
+def solved_anew(assembled_of, state: State) -> tuple[State, list[Solution]]:
     """Solve, and make the problem anew for the scales and offsets found, a few times."""
     solutions = []
     for _ in range(6):
@@ -111,20 +116,12 @@ def test_data_without_noise_lead_back_to_the_truth(known: bool, seed: int) -> No
         np.testing.assert_allclose(state.robots[name].scales, 0.0, atol=1e-5)
 
 
-def test_no_step_raises_the_cost(assembled: Assembled, monkeypatch: pytest.MonkeyPatch) -> None:
-    costs: list[float] = []
-
-    def watched(problem: Problem, state: State, step: Array, chains: dict[str, Array]) -> State:
-        costs.append(linearise(problem, state).cost)  # that of the state a step starts from
-        return moved(problem, state, step, chains)
-
-    moved = levenberg_marquardt.moved_state
-    monkeypatch.setattr(levenberg_marquardt, "moved_state", watched)
-    solution = solve(assembled.problem, shaken(assembled, amount=10.0))
-    assert len(costs) > 3
-    assert all(
-        after <= before for before, after in zip(costs, [*costs[1:], solution.cost], strict=True)
-    )
+def test_no_step_raises_the_cost(assembled: Assembled) -> None:
+    start = shaken(assembled, amount=10.0)
+    costs = [solve(assembled.problem, start, most_iterations=n).cost for n in range(8)]
+    assert len(set(costs)) > 3
+    assert all(after <= before for before, after in pairwise(costs))
+    solution = solve(assembled.problem, start)
     assert solution.cost == linearise(assembled.problem, solution.state).cost
 
 
@@ -186,3 +183,145 @@ def test_camera_that_nothing_is_known_of_ends_without_an_error() -> None:
     assert not solution.has_converged
     with pytest.raises(np.linalg.LinAlgError):
         solution.reduced.covariance()
+
+
+SITUATIONS = {
+    "one node each": {"entries": [0, 1]},
+    "one node, and two": {"entries": [0, 1, 3]},
+    "two robots seen by one camera": {"entries": [0, 1, 4, 5, 8, 9]},
+    "all": {"entries": list(range(12))},
+    "many nodes": {"entries": list(range(50)), "sightings": 50},
+    "known cameras": {"entries": list(range(12)), "known": True},
+    "a rolling shutter": {"entries": list(range(12)), "line_delay_s": 3e-4},
+}
+
+
+def jittered(problem: Problem) -> Problem:
+    """The problem with robots that sway and tilt in each picture."""
+    variances = Jitter(sway=0.003, tilt=0.02).variances
+    batches = [
+        replace(batch, jitter=np.tile(variances, (len(batch.nodes), 1)))
+        for batch in problem.batches
+    ]
+    return replace(problem, batches=tuple(batches))
+
+
+def unlinked(problem: Problem) -> Problem:
+    """The problem without odometry: each node is where its pictures say."""
+    return replace(problem, chains={n: replace(c, motion=None) for n, c in problem.chains.items()})
+
+
+def holding(problem: Problem) -> Problem:
+    """The problem with clocks and scales that are known exactly."""
+    priors = problem.priors
+    clocks = dict.fromkeys(priors.time_offset, np.zeros(2))
+    scales = dict.fromkeys(priors.scales, np.zeros(2))
+    return replace(problem, priors=replace(priors, time_offset=clocks, scales=scales))
+
+
+def in_a_row(state: State) -> Array:
+    """All numbers of a state."""
+    cameras = [
+        [*c.map_from_camera.rows()[0], *c.lens.parameters, c.time_offset_s, c.time_drift]
+        for c in state.cameras.values()
+    ]
+    robots = [
+        [*r.map_from_base.rows().reshape(-1), *r.scales, *r.base_from_face.rows().reshape(-1)]
+        for r in state.robots.values()
+    ]
+    return np.concatenate([*cameras, *robots])
+
+
+@pytest.mark.parametrize(
+    ("situation", "changed"),
+    [
+        *((situation, replace) for situation in SITUATIONS),
+        *((situation, jittered) for situation in SITUATIONS),
+        *(("known cameras", changed) for changed in (unlinked, holding)),
+    ],
+)
+@pytest.mark.parametrize("huber", [np.inf, 3.0])
+def test_iteration_is_the_one_written_out(
+    situation: str, changed: Callable[[Problem], Problem], huber: float
+) -> None:
+    given = dict(SITUATIONS[situation])
+    entries = given.pop("entries")
+    data = small_data(noise_px=0.5, **given)
+    assembled = assemble(data, first_state(data), entries)
+    problem, start = changed(assembled.problem), shaken(assembled)
+    for most in (0, 1, 12):
+        settings = {"huber": huber, "tolerance": 1e-3, "most_iterations": most}
+        found = minimise(problem, start, **settings)
+        state, slow, iterations, has_converged = slow_minimum(problem, start, **settings)
+        assert (found.iterations, found.has_converged) == (iterations, has_converged)
+        assert found.cost == pytest.approx(slow.cost, rel=1e-8)
+        np.testing.assert_allclose(in_a_row(found.state), in_a_row(state), rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_system_is_the_matrix_written_out(situation: str) -> None:
+    given = dict(SITUATIONS[situation])
+    entries = given.pop("entries")
+    data = small_data(noise_px=0.5, known=True, **{k: v for k, v in given.items() if k != "known"})
+    assembled = assemble(data, first_state(data), entries)
+    problem, state = jittered(assembled.problem), shaken(assembled)
+    system, slow = linearise(problem, state).system(), slow_equations(problem, state)
+    sigma = np.sqrt(np.diagonal(system.covariance))
+    whitened = slow.matrix * sigma[:, None] * sigma
+    unit = system.covariance / sigma[:, None] / sigma @ whitened
+    np.testing.assert_allclose(unit, np.eye(len(unit)), atol=1e-6)
+    expected = -np.linalg.solve(whitened, sigma * slow.gradient)
+    np.testing.assert_allclose(system.step / sigma, expected, rtol=1e-6, atol=1e-6)
+    determinant = np.linalg.slogdet(whitened)[1] - 2 * np.sum(np.log(sigma))
+    held = sum(len(c.tangent) for c in problem.chains.values() if c.is_anchored)
+    determinant += slow.log_determinant - held * np.log(EXACT)
+    assert system.log_determinant == pytest.approx(determinant, abs=1e-5)
+    for name in problem.chains:
+        np.testing.assert_array_equal(system.node_rows(name, 0), node_rows(problem, name, 0))
+
+
+def test_same_problem_gives_the_same_bits(assembled: Assembled) -> None:
+    start = shaken(assembled)
+    first, second = (solve(jittered(assembled.problem), start, huber=3.0) for _ in range(2))
+    np.testing.assert_array_equal(in_a_row(first.state), in_a_row(second.state))
+    np.testing.assert_array_equal(first.reduced.information, second.reduced.information)
+
+
+def test_equations_of_a_robust_minimum_are_those_of_least_squares() -> None:
+    noisy = small_problem(noise_px=0.5)
+    found = minimise(noisy.problem, shaken(noisy), huber=2.0, tolerance=1e-6, most_iterations=3)
+    plain = linearise(noisy.problem, found.state)
+    assert found.cost < found.equations.cost == plain.cost
+    np.testing.assert_array_equal(
+        found.equations.reduced().information, plain.reduced().information
+    )
+
+
+def test_what_is_not_finite_is_no_minimum(assembled: Assembled) -> None:
+    batch = assembled.problem.batches[0]
+    pixels = batch.pixels.copy()
+    pixels[0, 0] = np.nan
+    problem = replace(assembled.problem, batches=(replace(batch, pixels=pixels),))
+    found = minimise(problem, assembled.start, huber=np.inf, tolerance=1e-6, most_iterations=50)
+    assert not np.isfinite(found.cost)
+    assert not found.has_converged
+    np.testing.assert_array_equal(in_a_row(found.state), in_a_row(assembled.start))
+    for ask in (found.equations.reduced, found.equations.system):
+        with pytest.raises(np.linalg.LinAlgError):
+            ask()
+
+
+def test_motion_of_no_covariance_is_refused(assembled: Assembled) -> None:
+    chain = assembled.problem.chains["r1"]
+    assert chain.motion is not None
+    motion = replace(chain.motion, covariance=0 * chain.motion.covariance)
+    chains = assembled.problem.chains | {"r1": replace(chain, motion=motion)}
+    with pytest.raises(np.linalg.LinAlgError):
+        linearise(replace(assembled.problem, chains=chains), assembled.start)
+
+
+def test_picture_of_a_node_that_is_none_is_refused(assembled: Assembled) -> None:
+    batch = assembled.problem.batches[0]
+    beyond = replace(batch, nodes=batch.nodes + len(assembled.problem.chains[batch.robot]))
+    with pytest.raises(RuntimeError, match="do not fit together"):
+        linearise(replace(assembled.problem, batches=(beyond,)), assembled.start)

@@ -7,13 +7,9 @@ import pytest
 from support.fusion.small_problems import small_problem
 
 from trigpoint.fusion.model.jitter import Jitter
-from trigpoint.fusion.model.prediction import (
-    batch_jacobian,
-    batch_jacobians,
-    batch_residual,
-    corner_equations,
-)
+from trigpoint.fusion.model.prediction import batch_jacobians, batch_residual
 from trigpoint.fusion.model.problem import Batch, Problem, State
+from trigpoint.fusion.solver.levenberg_marquardt import linearise
 from trigpoint.fusion.solver.picture_jitter import PictureJitter
 from trigpoint.geometry import Pose
 
@@ -43,42 +39,24 @@ def swayed(state: State, batch: Batch, by: np.ndarray) -> State:
     return replace(state, robots=state.robots | {batch.robot: moved})
 
 
-def test_a_pictures_equations_weigh_with_the_inverse_of_its_joint_covariance() -> None:
+def test_a_picture_weighs_with_the_inverse_of_its_joint_covariance() -> None:
     problem, batch, state = shaken()
     n, shared = len(batch.nodes), np.diag(JITTER.variances)
-    hessian, gradient, columns, (cost, log_determinant) = corner_equations(
-        problem, batch, state, np.inf
-    )
-    jacobian, residual, wanted, by_base = batch_jacobians(problem, batch, state)
-    assert np.array_equal(columns, wanted)
+    jacobian, residual, _, by_base = batch_jacobians(problem, batch, state)
     jacobian, by = jacobian.reshape(n, -1, jacobian.shape[-1]), by_base.reshape(n, -1, 6)
-    covariance = np.eye(by.shape[1]) + by @ shared @ np.swapaxes(by, 1, 2)
-    weight = np.linalg.inv(covariance)
-    pull = np.swapaxes(by, 1, 2) @ residual.reshape(n, -1, 1)
-    fit = -np.linalg.solve(np.linalg.inv(shared) + np.swapaxes(by, 1, 2) @ by, pull)
-    about = batch_residual(batch, swayed(state, batch, fit[..., 0])).reshape(n, -1, 1) - by @ fit
+    residual = residual.reshape(n, -1)
+    weight = np.linalg.inv(np.eye(by.shape[1]) + by @ shared @ np.swapaxes(by, 1, 2))
+    rows, left = PictureJitter.by(by, np.tile(JITTER.variances, (n, 1))).rows(jacobian, residual)
+    turned, pull = np.swapaxes(jacobian, 1, 2) @ weight, residual[..., None]
     np.testing.assert_allclose(
-        hessian, np.swapaxes(jacobian, 1, 2) @ weight @ jacobian, rtol=1e-6, atol=1e-3
+        np.swapaxes(rows, 1, 2) @ rows, turned @ jacobian, rtol=1e-6, atol=1e-3
     )
     np.testing.assert_allclose(
-        gradient, (np.swapaxes(jacobian, 1, 2) @ weight @ about)[..., 0], rtol=1e-6, atol=1e-3
+        np.swapaxes(rows, 1, 2) @ left[..., None], turned @ pull, rtol=1e-6, atol=1e-3
     )
-    assert np.isclose(cost, float(np.sum(np.swapaxes(about, 1, 2) @ weight @ about)))
-    assert np.isclose(log_determinant, np.linalg.slogdet(covariance)[1].sum())
-
-
-def test_a_far_corner_costs_and_pulls_as_huber_says() -> None:
-    problem, batch, state = shaken()
-    batch, limit = replace(batch, jitter=None), 1.5
-    hessian, gradient, _, (cost, _) = corner_equations(problem, batch, state, limit)
-    jacobian, residual, _ = batch_jacobian(problem, batch, state)
-    length = np.linalg.norm(residual, axis=-1)
-    assert np.any(length > limit)
-    assert np.isclose(cost, np.where(length > limit, limit * (2 * length - limit), length**2).sum())
-    weight = np.minimum(1.0, limit / np.maximum(length, 1e-12))
-    weighted = jacobian * weight[..., None, None]
-    np.testing.assert_allclose(gradient, np.einsum("nkic,nki->nc", weighted, residual), atol=1e-6)
-    np.testing.assert_allclose(hessian, np.einsum("nkic,nkid->ncd", weighted, jacobian), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.sum(left**2, axis=1), (np.swapaxes(pull, 1, 2) @ weight @ pull)[:, 0, 0], rtol=1e-9
+    )
 
 
 def test_what_a_disturbance_makes_is_taken_out_and_nothing_else() -> None:
@@ -124,5 +102,5 @@ def test_a_tilt_of_three_degrees_costs_what_its_prior_says() -> None:
     seen = batch_residual(batch, swayed(state, batch, np.tile(tilt, (n, 1))))
     seen = seen / np.maximum(batch.weights, 1e-9)[..., None]
     batch = replace(batch, pixels=batch.pixels + seen, jitter=np.tile(variances, (n, 1)))
-    *_, (cost, _) = corner_equations(assembled.problem, batch, state, np.inf)
+    cost = linearise(replace(assembled.problem, batches=(batch,)), state).cost
     assert cost == pytest.approx(n * np.sum(tilt**2 / variances), rel=0.05)

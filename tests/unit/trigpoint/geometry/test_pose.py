@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from trigpoint.geometry import Pose
-from trigpoint.geometry.pose import angle_between
+from trigpoint.geometry.pose import angle_between, rows_of
 from trigpoint.geometry.rotation import Array
 from trigpoint.geometry.uncertainty import (
     carried_covariance,
@@ -135,3 +135,12 @@ def test_soundness_of_a_covariance_is_told() -> None:
 
 def test_symmetric_part_of_a_matrix() -> None:
     np.testing.assert_array_equal(symmetric(np.array([[1.0, 2], [4, 3]])), [[1, 3], [3, 3]])
+
+
+def test_rows_are_poses_as_the_core_takes_them() -> None:
+    poses = Pose.from_vector(np.random.default_rng(4).normal(size=(5, 6)))
+    rows = rows_of([poses[0], poses[1:]])
+    assert rows.shape == (5, 12)
+    np.testing.assert_array_equal(Pose.from_rows(rows).rotation, poses.rotation)
+    np.testing.assert_array_equal(Pose.from_rows(rows[2]).translation, poses[2].translation)
+    assert rows_of([]).shape == (0, 12)

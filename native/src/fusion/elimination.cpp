@@ -1,0 +1,166 @@
+#include "fusion/elimination.hpp"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <utility>
+
+namespace trigpoint {
+
+void Coupled::add(Index node, const Range& range) {
+    Ranges& mine = of[static_cast<std::size_t>(node)];
+    const auto at = std::lower_bound(mine.begin(), mine.end(), range);
+    if (at == mine.end() || range < *at) mine.insert(at, range);
+}
+
+void Coupled::lay_out(Index more) {
+    begins.assign(1, 0);
+    for (Ranges& ranges : of) {
+        Index width = 0;
+        for (Range& range : ranges) {
+            range.at = width;
+            width += range.count;
+        }
+        begins.push_back(begins.back() + width + more);
+    }
+}
+
+Index place(const Ranges& ranges, const Range& range) {
+    return std::lower_bound(ranges.begin(), ranges.end(), range)->at;
+}
+
+ChainEquations::ChainEquations(Index unknowns, Coupled with)
+    : d(unknowns), coupled(std::move(with)) {
+    const Index n = static_cast<Index>(coupled.of.size());
+    coupled.lay_out(0);
+    diagonal.resize(d, n * d);
+    lower.resize(d, n * d);
+    gradient.resize(d, n);
+    coupling.resize(d, coupled.begin(n));
+}
+
+void Equations::clear() {
+    for (ChainEquations& chain : chains)
+        for (auto* part : {&chain.diagonal, &chain.lower, &chain.gradient, &chain.coupling})
+            part->setZero();
+    dense.setZero();
+    gradient.setZero();
+    cost = log_determinant = 0;
+}
+
+void Equations::add(ChainEquations& chain, Index node, Index inner, const Ranges& parts,
+                    const Eigen::Ref<const Eigen::MatrixXd>& square,
+                    const Eigen::Ref<const Eigen::VectorXd>& pull) {
+    const Index d = chain.d;
+    for (Index k = 0; k < inner; ++k) {
+        const Index at = node + k;
+        chain.diagonal.middleCols(d * at, d) += square.block(d * k, d * k, d, d);
+        chain.gradient.col(at) += pull.segment(d * k, d);
+        for (const Range& part : parts)
+            chain.coupling.middleCols(chain.coupled.begin(at) + place(chain.coupled[at], part),
+                                      part.count) += square.block(d * k, part.at, d, part.count);
+    }
+    if (inner == 2) chain.lower.middleCols(d * node, d) += square.block(d, 0, d, d);
+    add_dense(parts, square, pull);
+}
+
+void Equations::add_dense(const Ranges& parts, const Eigen::Ref<const Eigen::MatrixXd>& square,
+                          const Eigen::Ref<const Eigen::VectorXd>& pull) {
+    for (const Range& row : parts) {
+        gradient.segment(row.first, row.count) += pull.segment(row.at, row.count);
+        for (const Range& column : parts)
+            dense.block(row.first, column.first, row.count, column.count) +=
+                square.block(row.at, column.at, row.count, column.count);
+    }
+}
+
+bool factorised(Eigen::Ref<Eigen::MatrixXd> matrix) {
+    const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> root(matrix);
+    return root.info() == Eigen::Success && (matrix.diagonal().array() > 0).all();
+}
+
+Elimination::Elimination(const ChainEquations& chain) : d_(chain.d), filled_(chain.coupled) {
+    const Index n = chain.nodes();
+    for (Index reach = 1; reach <= n; reach *= 2)
+        for (Index node = reach - 1; node < n; node += 2 * reach) {
+            const Order next{node, node - reach, node + reach < n ? node + reach : -1};
+            order_.push_back(next);
+            for (const Index neighbour : {next.left, next.right})
+                if (neighbour >= 0)
+                    for (const Range& range : filled_[node]) filled_.add(neighbour, range);
+        }
+    filled_.lay_out(2 * d_ + 1);
+    factor_.resize(d_, d_ * n);
+    rows_.resize(d_, filled_.begin(n));
+}
+
+bool Elimination::eliminate(const ChainEquations& chain, double damping,
+                            Eigen::MatrixXd& information, Eigen::VectorXd& gradient) {
+    const Index d = d_, n = chain.nodes();
+    factor_ = chain.diagonal;
+    rows_.setZero();
+    for (Index i = 0; i < n; ++i) {
+        factor_.middleCols(d * i, d).diagonal() *= 1 + damping;
+        auto mine = rows(i);
+        if (i > 0) mine.leftCols(d) = chain.lower.middleCols(d * (i - 1), d);
+        for (const Range& range : chain.coupled[i])
+            mine.middleCols(2 * d + place(filled_[i], range), range.count) =
+                chain.coupling.middleCols(chain.coupled.begin(i) + range.at, range.count);
+        mine.rightCols<1>() = chain.gradient.col(i);
+    }
+    Eigen::MatrixXd square;
+    for (const Order& next : order_) {
+        auto factor = factor_.middleCols(d * next.node, d);
+        if (!factorised(factor)) return false;
+        auto mine = rows(next.node);
+        if (next.right >= 0) mine.middleCols(d, d) = rows(next.right).leftCols(d).transpose();
+        factor.triangularView<Eigen::Lower>().solveInPlace(mine);
+        const auto own = mine.rightCols(mine.cols() - 2 * d);
+        const Index last = own.cols() - 1;
+        square.noalias() = own.transpose() * own;
+        const Ranges& ranges = filled_[next.node];
+        for (const Range& row : ranges) {
+            gradient.segment(row.first, row.count) -= square.col(last).segment(row.at, row.count);
+            for (const Range& column : ranges)
+                information.block(row.first, column.first, row.count, column.count) -=
+                    square.block(row.at, column.at, row.count, column.count);
+        }
+        const auto by_left = mine.leftCols(d), by_right = mine.middleCols(d, d);
+        if (next.left >= 0) onto(next.left, ranges, by_left, own);
+        if (next.right >= 0) onto(next.right, ranges, by_right, own);
+        if (next.left >= 0 && next.right >= 0)
+            rows(next.right).leftCols(d) = -by_right.transpose() * by_left;
+    }
+    return true;
+}
+
+void Elimination::onto(Index neighbour, const Ranges& ranges,
+                       const Eigen::Ref<const Eigen::MatrixXd>& across,
+                       const Eigen::Ref<const Eigen::MatrixXd>& own) {
+    factor_.middleCols(d_ * neighbour, d_).noalias() -= across.transpose() * across;
+    const Eigen::MatrixXd shared = across.transpose() * own;
+    auto theirs = rows(neighbour);
+    for (const Range& range : ranges)
+        theirs.middleCols(2 * d_ + place(filled_[neighbour], range), range.count) -=
+            shared.middleCols(range.at, range.count);
+    theirs.rightCols<1>() -= shared.rightCols<1>();
+}
+
+void Elimination::substitute(const Eigen::VectorXd& dense, Eigen::MatrixXd& nodes) const {
+    nodes.resize(d_, static_cast<Index>(order_.size()));
+    for (auto next = order_.rbegin(); next != order_.rend(); ++next) {
+        const Index begin = filled_.begin(next->node);
+        Eigen::VectorXd right = rows_.col(filled_.begin(next->node + 1) - 1);
+        if (next->left >= 0) right += rows_.middleCols(begin, d_) * nodes.col(next->left);
+        if (next->right >= 0) right += rows_.middleCols(begin + d_, d_) * nodes.col(next->right);
+        for (const Range& range : filled_[next->node])
+            right += rows_.middleCols(begin + 2 * d_ + range.at, range.count) *
+                     dense.segment(range.first, range.count);
+        factor_.middleCols(d_ * next->node, d_)
+            .triangularView<Eigen::Lower>()
+            .transpose()
+            .solveInPlace(right);
+        nodes.col(next->node) = -right;
+    }
+}
+
+}  // namespace trigpoint

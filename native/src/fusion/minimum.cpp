@@ -1,0 +1,194 @@
+// The minimum of a least-squares problem, by Levenberg and Marquardt's damping, and what its
+// equations there tell of the unknowns.
+#include <Eigen/Cholesky>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "border.hpp"
+#include "fusion/problem.hpp"
+
+using namespace trigpoint;
+
+namespace {
+
+// Damping, relative to the diagonal, after a failed step. The bending of a long chain is so weakly
+// determined beside its nodes that even the least damping suppresses it: after successful steps
+// there is soon none.
+constexpr double DAMPING_LEAST = 1e-6, DAMPING_NONE = 1e-9, DAMPING_END = 1e8;
+constexpr std::int64_t MOST_EVER = 10'000;
+
+// The equations of least squares where a minimum was looked for last.
+struct Linearised {
+    Equations equations;
+    double log_held = 0;  // ln |information| of what is held exactly
+};
+
+// The dense part after the chains are eliminated.
+class Reduced {
+public:
+    Eigen::MatrixXd information;
+    Eigen::VectorXd gradient;
+
+    explicit Reduced(const Equations& equations)
+        : chains_(equations.chains.begin(), equations.chains.end()) {}
+
+    // False where a chain is not determined.
+    bool set(const Equations& equations, double damping) {
+        information = equations.dense;
+        gradient = equations.gradient;
+        for (std::size_t c = 0; c < chains_.size(); ++c)
+            if (!chains_[c].eliminate(equations.chains[c], damping, information, gradient))
+                return false;
+        information = (0.5 * (information + information.transpose())).eval();
+        return true;
+    }
+
+    // The damped step, and the decrease of χ² that it promises; false where it is not determined.
+    bool solve(const Equations& equations, double damping, Step& step, double& promised) {
+        if (!set(equations, damping)) return false;
+        information.diagonal() += damping * information.diagonal().cwiseAbs();
+        if (!(information.diagonal().array() > 0).all()) return false;
+        const Eigen::VectorXd scale = information.diagonal().array().rsqrt();
+        information = (scale.asDiagonal() * information * scale.asDiagonal()).eval();
+        if (!factorised(information)) return false;
+        step.dense = -scale.cwiseProduct(gradient);
+        information.triangularView<Eigen::Lower>().solveInPlace(step.dense);
+        information.triangularView<Eigen::Lower>().transpose().solveInPlace(step.dense);
+        step.dense = step.dense.cwiseProduct(scale).eval();
+        promised = -equations.gradient.dot(step.dense);
+        step.nodes.resize(chains_.size());
+        for (std::size_t c = 0; c < chains_.size(); ++c) {
+            chains_[c].substitute(step.dense, step.nodes[c]);
+            promised -= equations.chains[c].gradient.cwiseProduct(step.nodes[c]).sum();
+        }
+        return true;
+    }
+
+private:
+    std::vector<Elimination> chains_;
+};
+
+// The whole matrix of equations, with nothing eliminated, and the gradient: the inner nodes chain
+// by chain, then the dense part.
+void write_out(const Equations& equations, Eigen::MatrixXd& matrix, Eigen::VectorXd& gradient) {
+    const Index size = equations.gradient.size();
+    Index total = size;
+    for (const ChainEquations& chain : equations.chains) total += chain.gradient.size();
+    const Index dense = total - size;
+    matrix = Eigen::MatrixXd::Zero(total, total);
+    gradient.resize(total);
+    matrix.bottomRightCorner(size, size) = equations.dense;
+    gradient.tail(size) = equations.gradient;
+    Index row = 0;
+    for (const ChainEquations& chain : equations.chains) {
+        const Index d = chain.d;
+        for (Index n = 0; n < chain.nodes(); ++n, row += d) {
+            gradient.segment(row, d) = chain.gradient.col(n);
+            matrix.block(row, row, d, d) = chain.diagonal.middleCols(d * n, d);
+            if (n + 1 < chain.nodes())
+                matrix.block(row + d, row, d, d) = chain.lower.middleCols(d * n, d);
+            for (const Range& range : chain.coupled[n])
+                matrix.block(dense + range.first, row, range.count, d) +=
+                    chain.coupling.middleCols(chain.coupled.begin(n) + range.at, range.count)
+                        .transpose();
+        }
+    }
+    matrix.triangularView<Eigen::StrictlyUpper>() = matrix.transpose();
+}
+
+}  // namespace
+
+TRIGPOINT_OBJECT(tp_equations, Linearised)
+
+// (the equations there, a problem and its state, as `Given` says): 1, or 0 where a motion is not
+// determined; the state is that of the minimum, and the score and the equations are its.
+TRIGPOINT_KERNEL(tp_minimised) {
+    const std::int64_t most = arguments[MOST_ITERATIONS].whole;
+    if (most < 0 || most > MOST_EVER) throw std::invalid_argument("so many iterations are none");
+    const double huber = arguments[HUBER].number;
+    auto& found = *static_cast<Linearised*>(arguments[EQUATIONS].object);
+    double* score = arguments[SCORE].array.as<double>();
+    try {
+        const Problem problem(arguments);
+        State state = problem.state();
+        Equations equations = problem.equations(), candidate = equations;
+        problem.linearise(state, huber, equations);
+        Reduced reduced(equations);
+        Step step;
+        double damping = 0, promised = 0;
+        std::int64_t iterations = 0;
+        bool has_converged = false;
+        while (iterations < most && damping < DAMPING_END) {
+            ++iterations;
+            if (!reduced.solve(equations, damping, step, promised)) {
+                damping = std::max(damping * 100, DAMPING_LEAST);
+                continue;
+            }
+            has_converged = promised < arguments[TOLERANCE].number;
+            if (has_converged) break;
+            State moved = problem.moved(state, step);
+            problem.linearise(moved, huber, candidate);
+            if (std::isfinite(candidate.cost) && candidate.cost <= equations.cost) {
+                std::swap(state, moved);
+                std::swap(equations, candidate);
+                damping = damping > DAMPING_NONE ? damping / 30 : 0;
+            } else {
+                damping = std::max(damping * 30, DAMPING_LEAST);
+            }
+        }
+        problem.put(state);
+        score[0] = equations.cost;
+        score[1] = static_cast<double>(iterations);
+        score[2] = has_converged;
+        // Of the robust cost they would not give the covariance.
+        if (std::isfinite(huber))
+            problem.linearise(state, std::numeric_limits<double>::infinity(), equations);
+        score[3] = equations.cost;
+        found.log_held = static_cast<double>(problem.held()) * std::log(arguments[EXACT].number);
+        found.equations = std::move(equations);
+    } catch (const Undetermined&) {
+        return 0;
+    }
+    return 1;
+}
+
+// (equations, information (q, q) and gradient (q,) of the dense part): 1, or 0 where a chain is not
+// determined or the cost is not finite.
+TRIGPOINT_KERNEL(tp_reduced) {
+    const auto& equations = static_cast<Linearised*>(arguments[0].object)->equations;
+    const Index size = equations.gradient.size();
+    if (arguments[2].array.shape[0] != size)
+        throw std::invalid_argument("other columns are wanted");
+    Reduced reduced(equations);
+    if (!std::isfinite(equations.cost) || !reduced.set(equations, 0)) return 0;
+    Eigen::Map<RowMajor>(arguments[1].array.as<double>(), size, size) = reduced.information;
+    Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = reduced.gradient;
+    return 1;
+}
+
+// (equations, covariance (u, u) of all unknowns, the step (u,) to the minimum, ln |information|
+// (1,)): 1, or 0 where an unknown is not determined or the cost is not finite; see
+// `equations.System`.
+TRIGPOINT_KERNEL(tp_full_system) {
+    const auto& found = *static_cast<Linearised*>(arguments[0].object);
+    Eigen::MatrixXd matrix;
+    Eigen::VectorXd gradient;
+    write_out(found.equations, matrix, gradient);
+    const Index size = gradient.size();
+    if (arguments[2].array.shape[0] != size)
+        throw std::invalid_argument("other columns are wanted");
+    const Eigen::VectorXd scale = matrix.diagonal().cwiseMax(1e-300).array().rsqrt();
+    matrix = (scale.asDiagonal() * matrix * scale.asDiagonal()).eval();
+    if (!std::isfinite(found.equations.cost) || !factorised(matrix)) return 0;
+    Eigen::Map<RowMajor> covariance(arguments[1].array.as<double>(), size, size);
+    Eigen::MatrixXd root = Eigen::MatrixXd::Identity(size, size);
+    matrix.triangularView<Eigen::Lower>().solveInPlace(root);
+    root = (root * scale.asDiagonal()).eval();
+    covariance.noalias() = root.transpose() * root;
+    Eigen::Map<Eigen::VectorXd>(arguments[2].array.as<double>(), size) = -covariance * gradient;
+    arguments[3].array.as<double>()[0] =
+        2 * (matrix.diagonal().array().log().sum() - scale.array().log().sum()) +
+        found.equations.log_determinant - found.log_held;
+    return 1;
+}
