@@ -11,7 +11,7 @@ from .events import Events
 from .linear import Linear
 from .local import LocalProblem
 from .modes import Memory, ModeFinder, VisitModes, wrong_by
-from .noise import PESSIMISTIC, STATED, Noise
+from .noise import PESSIMISTIC, STATED, Noise, on_a_floor
 from .session_noise import with_noise
 from .variances import corner_scale, learn
 from .visits import Visit, telling, telling_of_lenses, visits_of
@@ -60,8 +60,11 @@ def learnt_noise(
         learnt = _learnt(data, wide, seen, found, finder, memory)
         if not memory.budget.is_spent:
             memory.learnt = key, learnt
-    told = {robot: learnt.get(robot, (None,)) for robot in data.site.robots}
-    return scales, _worlds(told, _unknown(common, events))
+    unknown = {
+        robot: _unknown(common, events, planar=data.tracks[robot].planar)
+        for robot in data.site.robots
+    }
+    return scales, _worlds({robot: learnt.get(robot, (None,)) for robot in unknown}, unknown)
 
 
 def _corner_scales(
@@ -74,24 +77,25 @@ def _corner_scales(
     return {o.camera: own.get(o.camera, common) for o in observations}, common
 
 
-def _unknown(common: float, events: Events) -> list[tuple[Noise, float]]:
+def _unknown(common: float, events: Events, *, planar: bool) -> list[tuple[Noise, float]]:
     """Return what the noise of a robot may be where nothing determines it, the least first, each
     with the score of its prior; `common`: the factor on the corners' stated sigma."""
+    least = on_a_floor(STATED, events.priors.floor_tilt) if planar else STATED
     if common == 1.0:
-        return [(STATED, 0.0), (PESSIMISTIC, events.noise_score)]
+        return [(least, 0.0), (PESSIMISTIC, events.noise_score)]
     pessimistic = replace(PESSIMISTIC, odometry=max(PESSIMISTIC.odometry, common))
-    noisier = [Noise(odometry=common)] if common > 1.0 else []
-    return [(noise, 0.0) for noise in (STATED, *noisier, pessimistic)]
+    noisier = [replace(least, odometry=common)] if common > 1.0 else []
+    return [(noise, 0.0) for noise in (least, *noisier, pessimistic)]
 
 
 def _worlds(
-    told: dict[str, tuple[Noise | None, ...]], unknown: list[tuple[Noise, float]]
+    told: dict[str, tuple[Noise | None, ...]], unknown: dict[str, list[tuple[Noise, float]]]
 ) -> list[SessionNoise]:
     """Return the hypotheses of the noise of all robots, the least first. `told`: by robot, the
-    noise learnt and its alternatives, in which None stands for all of the `unknown` ones; these
+    noise learnt and its alternatives, in which None stands for all of its `unknown` ones; these
     have the scores of their priors."""
     may_be = {
-        robot: [one for noise in noises for one in ([(noise, 0.0)] if noise else unknown)]
+        robot: [one for noise in noises for one in ([(noise, 0.0)] if noise else unknown[robot])]
         for robot, noises in told.items()
     }
     found = []

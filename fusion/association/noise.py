@@ -1,7 +1,7 @@
 """The noise of odometry and of the robot's pose in pictures that the site file does not state."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from trigpoint.fusion.model.jitter import Jitter
 
@@ -9,6 +9,8 @@ from trigpoint.fusion.model.jitter import Jitter
 # millimetre.
 TILT = math.radians(0.3)
 SWAY = 1e-3
+LENGTH = 1.0
+"""Over so many metres, within a factor of e, the slope of a floor changes."""
 LEAST = 1e-3
 """The share of these medians that is as good as none."""
 # Learnt noise is rounded to such steps of its logarithm: finer differences change nothing, and what
@@ -44,6 +46,11 @@ class Noise:
 STATED = Noise()
 # A decision must hold under this noise too where the session does not determine its own.
 PESSIMISTIC = Noise(tilt=TILT, sway=SWAY, odometry=2.0, slip=2.0)
+
+
+def on_a_floor(noise: Noise, slope: float) -> Noise:
+    """Return a noise in which nothing tilts, on a floor of such a root mean square slope (rad)."""
+    return replace(noise, tilt=slope, length=LENGTH) if slope > LEAST * TILT else noise
 
 
 def in_steps(value: float) -> float:

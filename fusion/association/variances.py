@@ -9,7 +9,9 @@ know where anything is:
   target sways in each picture, and how much noisier odometry is than stated (`learn`): variance
   components by restricted maximum likelihood (Patterson and Thompson, 1971).
 
-What does not differ significantly from what is stated stays as stated.
+What does not differ significantly from what is stated stays as stated. But nobody states how a
+floor slopes, and pictures that were taken near each other hardly tell: of that the mean over its
+posterior is taken (`expected_slope`), not the likeliest, which is none.
 """
 
 import math
@@ -25,13 +27,11 @@ from .budget import Budget
 from .events import Events
 from .linear import Linear
 from .misfit import interrupted, misfit
-from .noise import LEAST, STATED, SWAY, TILT, Noise, in_steps
+from .noise import LEAST, LENGTH, STATED, SWAY, TILT, Noise, in_steps, on_a_floor
 
 # The probability with which a session whose noise is as stated is found to differ.
 _SIGNIFICANCE = 1e-3
-# Priors: the slope of floors changes over a metre, within a factor of e; the noise of odometry is
-# as stated within a factor of e, slip within e².
-_LENGTH = 1.0
+# Priors: the noise of odometry is as stated within a factor of e, slip within e².
 _LOG_LENGTH = 1.0
 _LOG_ODOMETRY = 1.0
 _LOG_SLIP = 2.0
@@ -51,7 +51,7 @@ class _Part:
 _PARTS = {
     "tilt": _Part(TILT, -1.0, (math.log(LEAST), 3.0)),
     "sway": _Part(SWAY, -1.0, (math.log(LEAST), 3.0)),
-    "length": _Part(_LENGTH, 0.0, (-3.0, 3.0)),
+    "length": _Part(LENGTH, 0.0, (-3.0, 3.0)),
     "odometry": _Part(1.0, 0.3, (-2.0, 2.0)),
     "slip": _Part(1.0, 0.0, (-3.0, 3.0)),
 }
@@ -61,6 +61,8 @@ _FLOOR = (*_JITTER, "length")
 # The search ends where the likelihood changes by less than this share.
 _FLAT = 1e-7
 _MOST_STEPS = 50
+# Slopes by which an expected one is summed, in units of the prior's.
+_SLOPES = np.exp(np.arange(-4.0, 2.1, 0.5))
 
 
 def learn(
@@ -94,7 +96,24 @@ def learn(
         if gain < events.happened(count):
             break
         visits, found = parted, other
-    return (first,) if found == first else (found, first)
+    slope = expected_slope(visits, events.priors.floor_tilt, budget) if planar and first else 0.0
+    likeliest = (first,) if found == first else (found, first)
+    return tuple(on_a_floor(n, slope) if n and n.tilt == 0 else n for n in likeliest)
+
+
+def expected_slope(visits: list[Linear], prior: float, budget: Budget) -> float:
+    """The root mean square (rad) of the floor's slope by its posterior: `prior` where these visits
+    tell nothing, next to none where they show that there is none. As likely as not a floor is flat;
+    else its slope is exponentially distributed."""
+    if prior <= 0:
+        return 0.0
+    flat = Noise(odometry=_FREE, slip=_FREE)
+    slopes = prior * _SLOPES
+    floors = [on_a_floor(flat, slope) for slope in [0.0, *slopes]]
+    costs = np.array([_misfit(visits, floor, budget)[0] for floor in floors])
+    density = _SLOPES * np.exp(-_SLOPES)
+    weights = np.array([1.0, *density / density.sum()]) * np.exp((costs.min() - costs) / 2)
+    return in_steps(math.sqrt(weights[1:] @ slopes**2 / weights.sum()))
 
 
 def _broken_off(visit: Linear, events: Events) -> float:
@@ -158,13 +177,9 @@ def _likeliest(
 
     def cost(x: Array) -> tuple[float, Array]:
         noise = noise_of(x)
-        value, by_noise = _prior(noise)
-        for visit in visits:
-            floor = 2 * len(visit.parts) if noise.length > 0 else 0
-            budget.spend_learning(steps=len(visit.steps), shared=len(visit.prior) + floor)
-            more = misfit(visit, noise)
-            value, by_noise = value + more.value, by_noise + more.by_noise
-        return value, by_noise[chosen]
+        value, by_noise = _misfit(visits, noise, budget)
+        prior, by_prior = _prior(noise)
+        return value + prior, (by_noise + by_prior)[chosen]
 
     start = np.array([part.start for part in parts])
     if not free:
@@ -175,11 +190,23 @@ def _likeliest(
     return noise_of(found.x), float(found.fun)
 
 
+def _misfit(visits: list[Linear], noise: Noise, budget: Budget) -> tuple[float, Array]:
+    """The misfit of all visits, and its derivatives (5,) by the logarithms of the model's
+    numbers."""
+    value, by_noise = 0.0, np.zeros(5)
+    for visit in visits:
+        floor = 2 * len(visit.parts) if noise.length > 0 else 0
+        budget.spend_learning(steps=len(visit.steps), shared=len(visit.prior) + floor)
+        more = misfit(visit, noise)
+        value, by_noise = value + more.value, by_noise + more.by_noise
+    return value, by_noise
+
+
 def _prior(noise: Noise) -> tuple[float, Array]:
     """-2 ln of the prior probability of a noise model, and its derivatives (5,) by the logarithms
     of the model's numbers."""
     jitter = 2 * math.log(2) * np.array([noise.tilt / TILT, noise.sway / SWAY])
-    length = math.log(noise.length / _LENGTH) / _LOG_LENGTH if noise.length > 0 else 0.0
+    length = math.log(noise.length / LENGTH) / _LOG_LENGTH if noise.length > 0 else 0.0
     odometry, slip = math.log(noise.odometry) / _LOG_ODOMETRY, math.log(noise.slip) / _LOG_SLIP
     value = jitter.sum() + length**2 + odometry**2 + slip**2
     by_logs = 2 * length / _LOG_LENGTH, 2 * odometry / _LOG_ODOMETRY, 2 * slip / _LOG_SLIP

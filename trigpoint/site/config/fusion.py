@@ -17,8 +17,9 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     (who interferes once is likely to do so again); `push_translation`, `push_rotation`: every other
     camera that was moved was only pushed, by about so much along and about each axis (standard
     deviations, m and rad), and is not elsewhere in the room; `noise`: the noise is far from what
-    the site file states, in a session too short to tell; `room`: the box, metres, in which cameras
-    hang and robots drive.
+    the site file states, in a session too short to tell; `floor_tilt`: how much floors slope of
+    which nothing tells (root mean square, rad; 0: they are flat); `room`: the box, metres, in which
+    cameras hang and robots drive.
     """
 
     wrong_sighting: Probability = 0.02
@@ -28,6 +29,7 @@ class PriorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     push_translation: Positive = 0.1
     push_rotation: Positive = 0.1
     noise: Probability = 5e-4
+    floor_tilt: NotNegative = 0.0035
     room: tuple[Positive, Positive, Positive] = (30.0, 30.0, 5.0)
 
 

@@ -8,11 +8,12 @@ from support.oracle.sessions import Shape, data_of
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.learning import learnt_noise
 from trigpoint.fusion.association.modes import Memory
-from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, Noise
+from trigpoint.fusion.association.noise import PESSIMISTIC, STATED, on_a_floor
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.observations import Observation
 
 EVENTS = Events()
+UNTOLD = on_a_floor(STATED, EVENTS.priors.floor_tilt)
 SHAPE = Shape(0, (0, 1, 0), is_alike=False)
 
 
@@ -26,7 +27,7 @@ def test_short_session_of_noise_as_stated_has_that_and_what_a_decision_must_surv
     data, observations = stated_smaller(1.0)
     scales, noises = learnt_noise(data, observations, EVENTS, Memory())
     assert set(scales.values()) == {1.0}
-    assert [each.by_robot["r1"] for each in noises] == [STATED, PESSIMISTIC]
+    assert [each.by_robot["r1"] for each in noises] == [UNTOLD, PESSIMISTIC]
     assert [each.score for each in noises] == [0.0, EVENTS.noise_score]
 
 
@@ -35,8 +36,8 @@ def test_where_corners_scatter_more_odometry_may_do_so_alone() -> None:
     scales, noises = learnt_noise(data, observations, EVENTS, Memory())
     assert min(scales.values()) > 1.5
     stated, noisier, pessimistic = (each.by_robot["r1"] for each in noises)
-    assert stated == STATED
-    assert noisier == Noise(odometry=noisier.odometry)
+    assert stated == UNTOLD
+    assert noisier == replace(UNTOLD, odometry=noisier.odometry)
     assert noisier.odometry == pytest.approx(3.0, rel=0.3)
     assert pessimistic == replace(PESSIMISTIC, odometry=noisier.odometry)
     assert {each.score for each in noises} == {0.0}

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from support.fusion.linear_visits import simple_visit
 
+from trigpoint.fusion.association.budget import Budget
 from trigpoint.fusion.association.events import Events
 from trigpoint.fusion.association.linear import Linear
-from trigpoint.fusion.association.noise import Noise
-from trigpoint.fusion.association.variances import corner_scale, learn
+from trigpoint.fusion.association.noise import STATED, Noise
+from trigpoint.fusion.association.variances import corner_scale, expected_slope, learn
+
+SLOPE = Events().priors.floor_tilt
 
 
 def visit(seed: int, noise: Noise, pictures: int = 12, at_a_stop: int = 1) -> Linear:
@@ -43,7 +46,8 @@ def test_noise_as_stated_stays_as_stated() -> None:
     for seed in range(6):
         (found,) = learn([visit(10 * seed + n, Noise()) for n in range(6)], Events())
         assert found is not None
-        changed += found.jitter is not None
+        changed += replace(found, tilt=0.0, length=0.0) != STATED
+        assert found.tilt < SLOPE / 10
     assert changed <= 1  # one session in a hundred thinks otherwise
 
 
@@ -86,6 +90,22 @@ def test_odometry_that_jumps_in_every_visit_is_noisy() -> None:
     (found,) = learn(visits, Events())
     assert found is not None
     assert max(found.odometry, found.slip) > 3.0
+
+
+def test_floor_is_as_by_its_prior_where_every_camera_saw_one_place() -> None:
+    visits = [visit(seed, Noise(), at_a_stop=12) for seed in range(6)]
+    assert expected_slope(visits, SLOPE, Budget()) == pytest.approx(SLOPE, rel=0.06)
+    assert expected_slope(visits, 0.0, Budget()) == 0.0
+    (found,) = learn(visits, Events())
+    assert found is not None
+    assert found.tilt == pytest.approx(SLOPE, rel=0.06)
+
+
+@pytest.mark.parametrize("degrees", [0.1, 0.3])
+def test_slope_that_pictures_tell_is_expected(degrees: float) -> None:
+    true = Noise(tilt=math.radians(degrees), length=1.0)
+    visits = [visit(seed, true) for seed in range(6)]
+    assert expected_slope(visits, SLOPE, Budget()) == pytest.approx(true.tilt, rel=0.4)
 
 
 def test_few_pictures_tell_nothing() -> None:
