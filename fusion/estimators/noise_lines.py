@@ -5,11 +5,14 @@ import math
 from collections.abc import Iterator
 
 from trigpoint.fusion.model.dataset import DataSet
+from trigpoint.fusion.model.jitter import Jitter
 
 # What is smaller, or differs by less, is not worth a line.
-_LEAST_TILT = math.radians(0.01)
+_LEAST_TILT = math.radians(0.05)
 _LEAST_SWAY_M = 5e-5
 _LEAST_CHANGE = 0.05
+# A slope within rounding of its prior's was not told by pictures.
+_UNTOLD = 1.1
 
 
 def noise_lines(data: DataSet) -> tuple[str, ...]:
@@ -23,10 +26,7 @@ def noise_lines(data: DataSet) -> tuple[str, ...]:
 def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
     jitter = data.jitter.get(robot)
     if jitter is not None and jitter.tilt > _LEAST_TILT:
-        how = "in each picture anew"
-        if jitter.length > 0:
-            how = f"by a floor whose slope changes over {jitter.length:.1f} m"
-        yield f"a tilt of {math.degrees(jitter.tilt):.2f}° {how}"
+        yield _tilt(data, jitter)
     if jitter is not None and jitter.sway > _LEAST_SWAY_M:
         yield f"a target that sways by {1e3 * jitter.sway:.1f} mm"
     odometry, slip = data.odometry_scale.get(robot, (1.0, 1.0))
@@ -34,6 +34,15 @@ def _of_robot(data: DataSet, robot: str) -> Iterator[str]:
         yield f"{_factor(odometry)} the stated noise of odometry"
     if slip > 1 and _differs(slip):
         yield f"{_factor(slip)} the assumed slip in turns"
+
+
+def _tilt(data: DataSet, jitter: Jitter) -> str:
+    degrees = f"{math.degrees(jitter.tilt):.2f}°"
+    if jitter.length == 0:
+        return f"a tilt of {degrees} in each picture anew"
+    if jitter.tilt < _UNTOLD * data.site.fusion.priors.floor_tilt:
+        return f"a floor that may slope by {degrees}, as far as pictures tell"
+    return f"a tilt of {degrees} by a floor whose slope changes over {jitter.length:.1f} m"
 
 
 def _of_camera(data: DataSet, camera: str) -> str:

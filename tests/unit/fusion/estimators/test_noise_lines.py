@@ -32,6 +32,12 @@ def test_each_kind_of_noise_is_named() -> None:
     )
 
 
+def test_slope_that_nothing_tells_is_said_to_be_none_that_was_seen() -> None:
+    data = small_data()
+    data.jitter = {"r1": Jitter(sway=1e-6, tilt=data.site.fusion.priors.floor_tilt, length=1.0)}
+    assert noise_lines(data) == ("r1: a floor that may slope by 0.20°, as far as pictures tell",)
+
+
 def test_what_holds_for_several_is_one_line() -> None:
     data = small_data()
     data.odometry_scale = {"r1": (2.0, 1.0), "r2": (2.0, 1.0)}
