@@ -61,8 +61,10 @@ _FLOOR = (*_JITTER, "length")
 # The search ends where the likelihood changes by less than this share.
 _FLAT = 1e-7
 _MOST_STEPS = 50
-# Slopes by which an expected one is summed, in units of the prior's.
+# Slopes by which an expected one is summed, in units of the prior's; one that is below this share
+# of the prior's is told to be none: what is left of it costs more than it gives (decisions/0676).
 _SLOPES = np.exp(np.arange(-4.0, 2.1, 0.5))
+_LEAST_SLOPE = 0.25
 
 
 def learn(
@@ -103,8 +105,8 @@ def learn(
 
 def expected_slope(visits: list[Linear], prior: float, budget: Budget) -> float:
     """The root mean square (rad) of the floor's slope by its posterior: `prior` where these visits
-    tell nothing, next to none where they show that there is none. As likely as not a floor is flat;
-    else its slope is exponentially distributed."""
+    tell nothing, 0 where they show that there is hardly any. As likely as not a floor is flat; else
+    its slope is exponentially distributed."""
     if prior <= 0:
         return 0.0
     flat = Noise(odometry=_FREE, slip=_FREE)
@@ -113,7 +115,8 @@ def expected_slope(visits: list[Linear], prior: float, budget: Budget) -> float:
     costs = np.array([_misfit(visits, floor, budget)[0] for floor in floors])
     density = _SLOPES * np.exp(-_SLOPES)
     weights = np.array([1.0, *density / density.sum()]) * np.exp((costs.min() - costs) / 2)
-    return in_steps(math.sqrt(weights[1:] @ slopes**2 / weights.sum()))
+    slope = math.sqrt(weights[1:] @ slopes**2 / weights.sum())
+    return in_steps(slope) if slope > _LEAST_SLOPE * prior else 0.0
 
 
 def _broken_off(visit: Linear, events: Events) -> float:
