@@ -25,6 +25,7 @@ through each camera's lens, and get normal noise of 0.15 px. Each one is worked 
 does it. All sessions of a situation have the same true drive; noise, and whatever has a prior, is
 drawn anew for each seed. A drive takes 70 s at 0.4 m/s with six cameras at 5 Hz: the shortest way
 past every camera and past the first two once more. The longest, with the long drift, takes 230 s.
+The floor is flat, and the site file says so (`floor_tilt = 0`, decisions/0676).
 
 - **error / bound**: √ of the mean of eᵀP⁻¹e/6n, where e stacks all 6n errors of the n located
   cameras and P is the joint Cramér-Rao bound for an oracle, who knows which sightings are good,

@@ -17,6 +17,7 @@ from trigpoint.site.config import (
     BusConfig,
     CameraConfig,
     FusionConfig,
+    PriorConfig,
     RecorderConfig,
     RobotConfig,
     Site,
@@ -114,7 +115,8 @@ def _site(world: World, situation: Situation, estimator: str) -> Site:
         keys: dict[str, Any] = dict(situation.camera)
         size = (camera.model.width, camera.model.height)
         cameras[name] = CameraConfig(f"sim://{name}", *size, **keys)
-    fusion: dict[str, Any] = {"estimator": estimator, **situation.fusion}
+    flat = PriorConfig(floor_tilt=0.0)  # what is true of the simulated floor is said
+    fusion: dict[str, Any] = {"estimator": estimator, "priors": flat, **situation.fusion}
     robots = {n: RobotConfig("loop://", odometry=r.noise) for n, r in world.robots.items()}
     return Site(
         name="study",
