@@ -37,6 +37,7 @@ def test_simulated_robot_is_seen_and_one_stop_ends_every_part(tmp_path: Path) ->
         assert up.poll() is None, log.read_text()
         parts = children(up.pid)
         assert len(parts) >= 5
+        time.sleep(3.0)  # it drives, and that is recorded
         began_s = time.monotonic()
         up.send_signal(signal.SIGINT)
         assert up.wait(STOP_LIMIT_S) == 0, log.read_text()

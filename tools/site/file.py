@@ -109,6 +109,10 @@ COMMENTS: dict[tuple[type[Struct], str], str] = {
         "push_translation",
     ): "m; sigma of how far a camera is pushed, if not hung elsewhere",
     (PriorConfig, "push_rotation"): "rad; the same",
+    (
+        PriorConfig,
+        "floor_tilt",
+    ): "rad; how much floors slope where pictures do not tell; 0: flat",
     (PriorConfig, "noise"): "that noise is far from what is stated, unless the session tells",
     (PriorConfig, "room"): "m; the box in which cameras hang and robots drive",
     (RecorderConfig, "directory"): "where recordings go",
