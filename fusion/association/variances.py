@@ -98,9 +98,11 @@ def learn(
         if gain < events.happened(count):
             break
         visits, found = parted, other
-    slope = expected_slope(visits, events.priors.floor_tilt, budget) if planar and first else 0.0
     likeliest = (first,) if found == first else (found, first)
-    return tuple(on_a_floor(n, slope) if n and n.tilt == 0 else n for n in likeliest)
+    if planar and any(noise and noise.tilt == 0 for noise in likeliest):
+        slope = expected_slope(visits, events.priors.floor_tilt, budget)
+        return tuple(on_a_floor(n, slope) if n and n.tilt == 0 else n for n in likeliest)
+    return likeliest
 
 
 def expected_slope(visits: list[Linear], prior: float, budget: Budget) -> float:

@@ -9,8 +9,6 @@
 
 namespace trigpoint {
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 // A picture of a robot, at a state.
 struct Picture {
     Lens lens;

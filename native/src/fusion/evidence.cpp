@@ -21,8 +21,6 @@ using Wide = Eigen::Matrix<double, 6, Eigen::Dynamic>;
 // A sighting's share of 1 that is left of its pose's variance, at least.
 constexpr double LEAST_LEFT = 1e-6;
 
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 // How far a sighting is from where everything else predicts it: νᵀS⁻¹ν and ln|S|.
 struct Innovation {
     bool is_determined;
@@ -32,7 +30,7 @@ struct Innovation {
 // A sighting's derivatives by its pose and by the unknowns (2 k, q), and its residuals; `weight`: 0
 // of wild corners; `covariance`: of the unknowns, with the sighting if it `is_used`; `rest`: the χ²
 // by which the state may still be off its minimum.
-Innovation innovation(const Sighting& seen, const Rows& by_state, const Eigen::VectorXd& weight,
+Innovation innovation(const Sighting& seen, const RowMajor& by_state, const Eigen::VectorXd& weight,
                       const Eigen::MatrixXd& covariance, const Vector6d& room, bool is_used,
                       double rest) {
     const Innovation none{false, 0, 0};
@@ -80,7 +78,7 @@ struct Stood {
     Matrix6d own;
     Wide by_state;
 
-    Stood(const ByPoses& by_base, const Eigen::VectorXd& residual, const Rows& jacobian,
+    Stood(const ByPoses& by_base, const Eigen::VectorXd& residual, const RowMajor& jacobian,
           const Vector6d& variances) {
         Matrix6d information = by_base.transpose() * by_base;
         information.diagonal() += variances.cwiseInverse();
@@ -151,8 +149,8 @@ TRIGPOINT_KERNEL(tp_judged) {
     bool* is_wild = arguments[WILD].array.as<bool>();
     std::fill_n(is_wild, pictures * corners, false);
     for (Eigen::Index n = 0; n < pictures; ++n) {
-        const Eigen::Map<const Rows> jacobian(numbers(JACOBIAN) + 2 * corners * q * n, 2 * corners,
-                                              q);
+        const Eigen::Map<const RowMajor> jacobian(numbers(JACOBIAN) + 2 * corners * q * n,
+                                                  2 * corners, q);
         const Eigen::Map<const ByPoses> by_base(numbers(BY_BASE) + 12 * corners * n, 2 * corners,
                                                 6);
         Eigen::VectorXd step(q), left = Eigen::Map<const Eigen::VectorXd>(
@@ -180,7 +178,7 @@ TRIGPOINT_KERNEL(tp_judged) {
                     good.segment<2>(2 * (first + k)).setOnes();
             }
         }
-        Rows by_state = jacobian;
+        RowMajor by_state = jacobian;
         if (is_shaken) {
             const Stood stood(good.asDiagonal() * by_base, good.cwiseProduct(left),
                               good.asDiagonal() * jacobian, In<6, 1>(numbers(JITTER) + 6 * n));

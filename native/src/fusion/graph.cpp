@@ -18,7 +18,6 @@ constexpr int MOST_STEPS = 8;
 constexpr double SMALL_STEP = 1e-5, SMALL_GAIN = 1e-3;
 
 using Index = Eigen::Index;
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Sparse = Eigen::SparseMatrix<double>;
 
 // The information matrix of a graph, factorised: unknowns are scaled first, so that those that are
@@ -39,9 +38,9 @@ struct Factor {
 // (-1: held).
 struct Term {
     std::vector<Index> rows;
-    Rows jacobian;
+    RowMajor jacobian;
     Eigen::VectorXd residual;
-    Rows information;
+    RowMajor information;
 };
 
 // Normal equations of terms that always come in one order: where each entry goes is found once.
@@ -60,8 +59,8 @@ public:
         next_ = 0;
     }
     void add(const Term& term) {
-        const Rows weighted = term.jacobian.transpose() * term.information;
-        const Rows square = weighted * term.jacobian;
+        const RowMajor weighted = term.jacobian.transpose() * term.information;
+        const RowMajor square = weighted * term.jacobian;
         const Eigen::VectorXd pull = weighted * term.residual;
         cost += term.residual.dot(term.information * term.residual);
         for (std::size_t i = 0; i < term.rows.size(); ++i) {
@@ -213,16 +212,16 @@ private:
         free(term.rows, which);
         term.jacobian = Matrix6d::Identity();
         term.residual = pose(which).difference(pose_at(numbers(PRIOR_AT) + 12 * i));
-        term.information = Eigen::Map<const Rows>(numbers(PRIOR_INFORMATION) + 36 * i, 6, 6);
+        term.information = Eigen::Map<const RowMajor>(numbers(PRIOR_INFORMATION) + 36 * i, 6, 6);
         return term;
     }
 
     Term value_prior(Index i) const {
         Term term;
         term.rows = {integers(VALUE_ROWS)[i]};
-        term.jacobian = Rows::Identity(1, 1);
+        term.jacobian = RowMajor::Identity(1, 1);
         term.residual = Eigen::VectorXd::Constant(1, numbers(VALUES)[i] - numbers(VALUE_MEAN)[i]);
-        term.information = Rows::Constant(1, 1, numbers(VALUE_INFORMATION)[i]);
+        term.information = RowMajor::Constant(1, 1, numbers(VALUE_INFORMATION)[i]);
         return term;
     }
 
@@ -234,7 +233,7 @@ private:
         const Pose a = pose(first), b = pose(second);
         Matrix6d by_a, by_b;
         relative_jacobians(a, b, by_a, by_b);
-        term.jacobian = Rows::Zero(6 + more, 12 + more);
+        term.jacobian = RowMajor::Zero(6 + more, 12 + more);
         term.jacobian.topLeftCorner<6, 6>() = by_a;
         term.jacobian.block<6, 6>(0, 6) = by_b;
         term.residual = Eigen::VectorXd::Zero(6 + more);
@@ -256,7 +255,7 @@ private:
             expected = expected.disturbed(by_scale * (now - about));
         }
         Term term = between(ends[0], ends[1], expected, 0);
-        term.information = Eigen::Map<const Rows>(numbers(STEP_INFORMATION) + 36 * i, 6, 6);
+        term.information = Eigen::Map<const RowMajor>(numbers(STEP_INFORMATION) + 36 * i, 6, 6);
         const bool is_anywhere = ends[3] > 0;
         if (is_anywhere) term.residual.setZero();
         if (scale >= 0) {
@@ -274,7 +273,7 @@ private:
         const Index count = ends[3], whole = array(TIE_INFORMATION).shape[1];
         Term term = between(ends[0], ends[1], pose_at(numbers(TIE_MOTION) + 12 * i), count);
         term.information =
-            Eigen::Map<const Rows>(numbers(TIE_INFORMATION) + whole * whole * i, whole, whole)
+            Eigen::Map<const RowMajor>(numbers(TIE_INFORMATION) + whole * whole * i, whole, whole)
                 .topLeftCorner(6 + count, 6 + count);
         for (Index k = 0; k < count; ++k) {
             term.rows.push_back(integers(VALUE_ROWS)[ends[2] + k]);
@@ -345,7 +344,7 @@ TRIGPOINT_KERNEL(tp_factor_covariance) {
     }
     if (size == 0 || !factor.is_positive()) throw std::invalid_argument("nothing is factorised");
     const Eigen::MatrixXd solved = factor.scale.asDiagonal() * factor.parts.solve(unit);
-    Eigen::Map<Rows> covariance(arguments[2].array.as<double>(), count, count);
+    Eigen::Map<RowMajor> covariance(arguments[2].array.as<double>(), count, count);
     for (Index i = 0; i < count; ++i)
         for (Index j = 0; j < count; ++j)
             covariance(i, j) = 0.5 * (solved(rows[i], j) + solved(rows[j], i));

@@ -10,7 +10,6 @@ namespace trigpoint {
 namespace {
 
 using Index = Eigen::Index;
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr std::int64_t SPATIAL[] = {0, 1, 2, 3, 4, 5}, PLANAR[] = {0, 1, 5};
 
@@ -112,9 +111,9 @@ TRIGPOINT_KERNEL(tp_odometry_terms) {
                                     Eigen::Map<const BySteps>(numbers(4) + 12 * n), tangent,
                                     whitening(numbers(3) + 36 * n, tangent));
             Eigen::Map<Eigen::VectorXd>(numbers(6) + d * n, d) = term.residual;
-            Eigen::Map<Rows>(numbers(7) + d * d * n, d, d) = term.by.leftCols(d);
-            Eigen::Map<Rows>(numbers(8) + d * d * n, d, d) = term.by.middleCols(d, d);
-            Eigen::Map<Rows>(numbers(9) + 2 * d * n, d, 2) = term.by.rightCols(2);
+            Eigen::Map<RowMajor>(numbers(7) + d * d * n, d, d) = term.by.leftCols(d);
+            Eigen::Map<RowMajor>(numbers(8) + d * d * n, d, d) = term.by.middleCols(d, d);
+            Eigen::Map<RowMajor>(numbers(9) + 2 * d * n, d, 2) = term.by.rightCols(2);
         }
     } catch (const Undetermined&) {
         return 0;

@@ -9,6 +9,8 @@ namespace trigpoint {
 
 using Vector6d = Eigen::Matrix<double, 6, 1>;
 using Matrix6d = Eigen::Matrix<double, 6, 6>;
+// As numpy lays arrays out.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 // The matrix of the cross product.
 inline Eigen::Matrix3d hat(const Eigen::Vector3d& v) {
