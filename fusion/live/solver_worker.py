@@ -33,6 +33,7 @@ class SolverWorker:
         self._data, self._smoother = data, Smoother(data)
         self._count = 0
         self._orders = 0
+        self._told = data.past
 
     def carry_out(self, order: Order) -> Iterator[News]:
         """Carry out an order; yields the news from it."""
@@ -79,13 +80,16 @@ class SolverWorker:
             known = known.settled()
         except LinAlgError:
             return  # not determined yet: nothing to go on from
+        past = self._data.past
         yield Solved(
             self._count,
             known,
             dict(self._smoother.current.shares),
             self._data.conclusions(),
             tuple(self._smoother.located),
+            None if past is self._told else past,
         )
+        self._told = past
 
     def report(self, *, is_final: bool = False) -> Reported:
         """The results as they are known now."""

@@ -31,13 +31,14 @@ from trigpoint.geometry.rotation import Array
 
 from .batch import BatchSolution
 from .current_filter import CurrentFilter
+from .settled_past import Limits, settled_past
 
 
 class Smoother:
     """See `Estimator`."""
 
-    def __init__(self, data: DataSet) -> None:
-        self.data = data
+    def __init__(self, data: DataSet, limits: Limits | None = None) -> None:
+        self.data, self._limits = data, limits or Limits()
         self._explainer = Explainer(data)
         self._batch = BatchSolution(data)
         self._current = CurrentFilter(data)
@@ -98,8 +99,13 @@ class Smoother:
 
     def finish(self) -> None:
         """Explain and solve everything that came, unless that is done already."""
-        if not self._explainer.has_new:
+        if not self._explainer.has_new or not self._solve():
             return
+        if self._limits.is_reached(self.data, is_open=self._is_open) and self._summarise():
+            self._solve()
+
+    def _solve(self) -> bool:
+        """Explain and solve everything; whether that succeeded."""
         before = list(self.data.changes)
         # Where little is known of the scales, a draft solution estimates them for the second one.
         is_rough = self._batch.solution is None and bool(rough_robots(self.data))
@@ -111,12 +117,32 @@ class Smoother:
             self.data.note(
                 "unsolved", f"the newest observations could not be solved for yet ({reason})"
             )
-            return
+            return False
         self._explainer.note(self.data.entries)
         self._current.go_on_from(known, self.data.entries, told=self.data.told)
         self.solutions += 1
-        if self.data.changes != before:
+        if any(change not in before for change in self.data.changes):
             report_changes(self.data, self._batch.state)
+        return True
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether later sightings may still change what became of the earlier ones."""
+        explanation = self._explainer.explanation
+        assert explanation is not None  # asked once it is solved
+        is_undecided = any(not each.is_located for each in explanation.findings.values())
+        return is_undecided or any(not self.count(name).is_confirmed for name in self.cameras())
+
+    def _summarise(self) -> bool:
+        """Summarise the older part of what came; whether there is anything to go on from."""
+        try:
+            past = settled_past(self.data, self._batch.state, self._limits.since_ns(self.data))
+        except LinAlgError:
+            return False
+        if past is not None:
+            self.data.forget(past)
+            self._explainer.forget(past)
+        return past is not None
 
     # -- output -----------------------------------------------------------------------------------
 
@@ -156,10 +182,10 @@ class Smoother:
         return self._explainer.alternatives(camera)
 
     def count(self, camera: str) -> CameraCount:
-        places = self.data.places_of(camera)
+        places, past = self.data.places_of(camera), self.data.past_of(camera)
         entries = [entry for place in places for entry in self.data.of_camera(place)]
-        sightings = sum(len(entry.observation.views) for entry in entries)
-        used = sum(entry.observation.used_views for entry in entries)
+        sightings = past.sightings + sum(len(entry.observation.views) for entry in entries)
+        used = past.used + sum(entry.observation.used_views for entry in entries)
         rejected = sightings - used if camera in self._batch.state.cameras else 0
         rms = None
         if self._batch.problem is not None:
