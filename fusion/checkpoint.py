@@ -4,7 +4,8 @@ A file of records: length and CRC-32 (little-endian uint32 each), then a msgpack
 payload, which is compressed by itself (zlib), so that damage costs one record. Reading it again
 through the pipeline gives the same map under the same UUID. Damaged or truncated records are
 skipped up to the next sound one. The file is only ever appended to: another kind of file is kept
-under another name, and so is a map that is given up.
+under another name, and so is a map that is given up. `map_storage` goes on in another file once
+this one is long, and removes those of a past that is summarised.
 """
 
 import logging
@@ -93,10 +94,14 @@ class Checkpoint:
 
     def restart(self) -> None:
         """Begin a new file; the old one is kept under another name."""
-        self._try(self._synchronise)
-        with suppress(OSError):  # told already
-            self._file.close()
+        self.close()
         self._try(self._begin_anew)
+
+    def continue_in_another(self, full: Path) -> None:
+        """Go on in a new file; the one so far gets the name `full`."""
+        self.close()
+        self._try(lambda: self._path.rename(full))
+        self._try(self._open)
 
     def _begin_anew(self) -> None:
         if self._path.exists():
@@ -135,11 +140,6 @@ class Checkpoint:
                 f"{self._path}: the checkpoint cannot be written now ({why}); fusion goes on, "
                 "but after a restart it will know only what came before; make room"
             )
-
-
-def has_messages(path: Path) -> bool:
-    """Whether a file is a checkpoint with anything in it."""
-    return next(read_checkpoint(path), None) is not None
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:

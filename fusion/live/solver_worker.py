@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.estimators.results import map_id_of, results_of
+from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Event
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
@@ -27,10 +28,10 @@ from .solver_messages import (
 
 
 class SolverWorker:
-    """A smoother that takes orders. Not thread-safe."""
+    """A smoother that takes orders. Not thread-safe. `limits`: on what it keeps."""
 
-    def __init__(self, data: DataSet) -> None:
-        self._data, self._smoother = data, Smoother(data)
+    def __init__(self, data: DataSet, limits: Limits | None = None) -> None:
+        self._data, self._smoother = data, Smoother(data, limits)
         self._count = 0
         self._orders = 0
         self._told = data.past

@@ -15,11 +15,9 @@ from .jitter import Jitter
 from .known_cameras import KnownCameras
 from .observations import Observation, Verdict, base_from_faces, moving
 from .odometry import SLIP, OdometryTrack
-from .past import Past, PastCamera
+from .past import ODOMETRY_BEFORE_NS, Past, PastCamera
 from .problem import CameraState, RobotState, State
 
-# By its camera's clock a sighting may be older than by its robot's.
-_MARGIN_NS = 2 * NANOSECONDS
 _MOST_TOLD = 64
 """So many told moves of a camera are kept."""
 
@@ -243,7 +241,7 @@ class DataSet:
             ]
         )
         for robot, since_ns in past.since_ns.items():
-            self.tracks[robot].forget_before(since_ns - _MARGIN_NS)
+            self.tracks[robot].forget_before(since_ns - ODOMETRY_BEFORE_NS)
         self.moves.clear()
         self.changes.clear()
         self.told = [told for told in self.told if told.since_ns >= self.begin_ns]

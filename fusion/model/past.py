@@ -8,10 +8,15 @@ is linearised is near. What nobody can look at again is left as it was concluded
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.geometry import CameraModel
 from trigpoint.map.network import EarlierPose
 
 from .known_cameras import KnownCameras
+
+ODOMETRY_BEFORE_NS = 2 * NANOSECONDS
+"""By its camera's clock a sighting may be older than by its robot's: so much odometry from before
+those that are kept is kept too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +43,20 @@ class Past:
     lenses: Mapping[str, CameraModel]
     cameras: Mapping[str, PastCamera] = field(default_factory=dict)
 
+    @property
+    def begin_ns(self) -> int:
+        """Before then no sighting is kept."""
+        return min(self.since_ns.values(), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """From then on every sighting is kept."""
+        return max(self.since_ns.values(), default=0)
+
     def is_over(self, robot: str, stamp_ns: int) -> bool:
         """Whether a sighting of a robot is part of the past, known or lost."""
         return stamp_ns < self.since_ns.get(robot, 0)
+
+    def needs_odometry(self, robot: str, stamp_ns: int) -> bool:
+        """Whether a robot's odometry message bears on sightings that are kept."""
+        return stamp_ns >= self.since_ns.get(robot, 0) - ODOMETRY_BEFORE_NS

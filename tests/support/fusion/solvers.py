@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 
+from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.live.solver_messages import News, Order, Reported
 from trigpoint.fusion.live.solver_worker import SolverWorker
 from trigpoint.fusion.pipeline import Inputs
@@ -11,9 +12,9 @@ from trigpoint.fusion.pipeline import Inputs
 class SlowSolver:
     """Solves in place, but is only done with an order after so many more calls."""
 
-    def __init__(self, inputs: Inputs, *, calls: int = 0) -> None:
+    def __init__(self, inputs: Inputs, *, calls: int = 0, limits: Limits | None = None) -> None:
         self.data = inputs.data_set()
-        self._worker = SolverWorker(self.data)
+        self._worker = SolverWorker(self.data, limits)
         self._orders: deque[Order] = deque()
         self._found: deque[tuple[int, News]] = deque()
         self._calls, self._count = calls, 0
