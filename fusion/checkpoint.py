@@ -11,6 +11,7 @@ this one is long, and removes those of a past that is summarised.
 import logging
 import mmap
 import os
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -25,6 +26,9 @@ from trigpoint.base.errors import OperationError
 
 CHECKPOINT = "checkpoint.bin"
 """Its name in the folder of a map."""
+PAST = "past.bin"
+"""The name of the summary of what came before it (`past_file`)."""
+_FULL = re.compile(r"checkpoint-([0-9]{6})\.bin")
 _MAGIC = b"trigpoint-checkpoint/1\n"
 _HEAD = struct.Struct("<II")
 _FLUSH_NS = to_ns(0.5)
@@ -140,6 +144,24 @@ class Checkpoint:
                 f"{self._path}: the checkpoint cannot be written now ({why}); fusion goes on, "
                 "but after a restart it will know only what came before; make room"
             )
+
+
+def has_map(folder: Path) -> bool:
+    """Whether a folder has a map to go on from."""
+    files = [*full_files(folder), folder / CHECKPOINT]
+    is_any = any(next(read_checkpoint(path), None) is not None for path in files)
+    return is_any or (folder / PAST).exists()
+
+
+def full_files(folder: Path) -> list[Path]:
+    """The files of a folder's checkpoint before the one that is written, in order."""
+    return sorted(path for path in folder.glob("*.bin") if _FULL.fullmatch(path.name))
+
+
+def next_full_file(folder: Path) -> Path:
+    """The name of the next of these."""
+    numbers = [int(path.stem.rpartition("-")[2]) for path in full_files(folder)]
+    return folder / f"checkpoint-{max(numbers, default=0) + 1:06}.bin"
 
 
 def read_checkpoint(path: Path, until: int | None = None) -> Iterator[tuple[str, bytes]]:

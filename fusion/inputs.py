@@ -9,10 +9,9 @@ from trigpoint.site.camera_info import read_camera_info
 from trigpoint.site.config import Site
 from trigpoint.site.target import Target, load_target
 
-from .checkpoint import CHECKPOINT
+from .checkpoint import CHECKPOINT, has_map
 from .estimators.registry import check_estimator
 from .fixed.network import FixedNetwork
-from .map_storage import has_map
 from .model.inputs import Inputs
 from .model.known_cameras import Creep, KnownCameras, known_cameras
 

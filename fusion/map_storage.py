@@ -6,7 +6,6 @@ a past that the map summarises (`past.bin`), the file is removed.
 """
 
 import logging
-import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -17,28 +16,21 @@ from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import CameraInfo, Diagnostics, Message, Odometry, Sightings
 from trigpoint.site.config import Site
 
-from .checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, set_aside
+from .checkpoint import (
+    CHECKPOINT,
+    PAST,
+    Checkpoint,
+    full_files,
+    next_full_file,
+    read_checkpoint,
+    set_aside,
+)
 from .intake.admission import AHEAD_NS
 from .model.past import ODOMETRY_BEFORE_NS, Past
-from .past_file import PAST, save_past
+from .past_file import save_past
 from .standing_odometry import StandingOdometry
 
 _log = logging.getLogger(__name__)
-
-
-_FULL = re.compile(rf"{CHECKPOINT.partition('.')[0]}-([0-9]{{6}})\.bin")
-
-
-def has_map(folder: Path) -> bool:
-    """Whether a folder has a map to go on from."""
-    files = [*full_files(folder), folder / CHECKPOINT]
-    is_any = any(next(read_checkpoint(path), None) is not None for path in files)
-    return is_any or (folder / PAST).exists()
-
-
-def full_files(folder: Path) -> list[Path]:
-    """The files of a folder's checkpoint before the one that is written, in order."""
-    return sorted(path for path in folder.glob("*.bin") if _FULL.fullmatch(path.name))
 
 
 class MapStorage:
@@ -143,8 +135,7 @@ class MapStorage:
         return lost
 
     def _go_on_in_another_file(self) -> None:
-        numbers = [found.group(1) for path in self._full if (found := _FULL.match(path.name))]
-        full = self._folder / f"checkpoint-{int(max(numbers, default='0')) + 1:06}.bin"
+        full = next_full_file(self._folder)
         self._checkpoint.continue_in_another(full)
         self._full.append(full)
         self._newest_ns[full] = self._newest_ns.pop(self._path, 0)

@@ -20,7 +20,7 @@ from trigpoint.node.watchdog import Pulse
 from trigpoint.security.authenticator import correction_signer
 
 from .answers import ANSWER_S, map_answer, solved
-from .checkpoint import CHECKPOINT
+from .checkpoint import CHECKPOINT, PAST
 from .coverage.announced import AnnouncedMap
 from .diagnostics import Diagnostics
 from .estimators.results import Results
@@ -36,7 +36,7 @@ from .live.solver_messages import Solver
 from .map_storage import MapStorage
 from .model.inputs import Inputs
 from .output import Output
-from .past_file import PAST, load_past
+from .past_file import load_past
 from .pipeline import Pipeline
 from .publishing import Publishing
 from .solver.snapshot import GuidanceWorld

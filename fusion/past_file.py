@@ -22,8 +22,6 @@ from .checkpoint import set_aside
 from .model.known_cameras import Creep, KnownCameras
 from .model.past import Past, PastCamera
 
-PAST = "past.bin"
-"""Its name in the folder of a map."""
 _MAGIC = b"trigpoint-past/1\n"
 _CHECK = 4  # bytes of the checksum
 
