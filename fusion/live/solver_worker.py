@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from scipy.linalg import LinAlgError
 
 from trigpoint.fusion.estimators.results import map_id_of, results_of
-from trigpoint.fusion.estimators.smoother.settled_past import Limits
+from trigpoint.fusion.estimators.smoother.settled_past import LIVE, Limits
 from trigpoint.fusion.estimators.smoother.smoother import Smoother
 from trigpoint.fusion.model.dataset import DataSet, Event
 from trigpoint.fusion.solver.snapshot import GuidanceWorld
@@ -30,7 +30,7 @@ from .solver_messages import (
 class SolverWorker:
     """A smoother that takes orders. Not thread-safe. `limits`: on what it keeps."""
 
-    def __init__(self, data: DataSet, limits: Limits | None = None) -> None:
+    def __init__(self, data: DataSet, limits: Limits = LIVE) -> None:
         self._data, self._smoother = data, Smoother(data, limits)
         self._count = 0
         self._orders = 0

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trigpoint.base.clock import NANOSECONDS
 from trigpoint.fusion.estimators.crept import crept
+from trigpoint.fusion.estimators.interface import Trajectory
 from trigpoint.fusion.estimators.results import earlier_poses
 from trigpoint.fusion.model.assembly import assemble
 from trigpoint.fusion.model.dataset import DataSet
 from trigpoint.fusion.model.known_cameras import Creep, KnownCameras
-from trigpoint.fusion.model.past import Past, PastCamera
+from trigpoint.fusion.model.past import ODOMETRY_BEFORE_NS, Past, PastCamera
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.filter import Filter
@@ -27,15 +29,18 @@ _TOLERANCE = 1e-4
 _LEAST_OF_A_ROBOT = 20
 _MOST_UNSEEN_ODOMETRY = 20_000
 _MOST_EARLIER = 64
+_PATH_STEP_NS = NANOSECONDS // 10
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """How much is kept at least, of which twice as much may come before the rest is summarised,
-    and three times as much while something is open: sightings, and messages of odometry."""
+    and three times as much while something is open: sightings, and messages of odometry. `paths`:
+    whether the robots' paths are kept all the same."""
 
-    sightings: int = 3_000
+    sightings: int
     odometry: int = 200_000
+    paths: bool = False
 
     def is_reached(self, data: DataSet, *, is_open: bool) -> bool:
         """Whether a part of the data is to be summarised."""
@@ -65,6 +70,19 @@ class Limits:
         own_ns = _newest(stamps, _LEAST_OF_A_ROBOT)
         unseen = int(np.sum(data.tracks[robot].stamps_ns > max(stamps)))
         return own_ns if unseen <= _MOST_UNSEEN_ODOMETRY else cut_ns
+
+
+LIVE = Limits(3_000)
+OF_A_SESSION = Limits(10_000, 600_000, paths=True)
+"""Of a recording, which is explained as a whole as long as a machine can bear."""
+
+
+def past_path(path: Trajectory, past: Past, robot: str) -> Trajectory:
+    """The part of a robot's path that is past, at most ten poses a second of it."""
+    begin_ns = past.since_ns[robot] - ODOMETRY_BEFORE_NS
+    count = max(int(np.searchsorted(path.stamps_ns, begin_ns, "right")) - 1, 0)
+    rows = np.flatnonzero(np.diff(path.stamps_ns[:count] // _PATH_STEP_NS, prepend=0))
+    return Trajectory(path.stamps_ns[rows], path.map_from_base[rows])
 
 
 def _newest(stamps: "np.ndarray | list[int]", count: int) -> int:

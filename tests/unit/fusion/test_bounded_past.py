@@ -18,6 +18,7 @@ from support.fusion.drives import (
     lab_plan,
     make_session,
     offline,
+    pushed,
     with_moved,
 )
 from support.fusion.networks import apart_sigmas
@@ -27,6 +28,7 @@ from trigpoint.base.clock import SystemClock, to_ns
 from trigpoint.contract import cdr, topics
 from trigpoint.contract.messages import PoseEstimate
 from trigpoint.fusion.checkpoint import PAST, full_files, has_map
+from trigpoint.fusion.estimators.registry import ESTIMATORS
 from trigpoint.fusion.estimators.results import Results
 from trigpoint.fusion.estimators.smoother.settled_past import Limits
 from trigpoint.fusion.inbox import INPUT_TOPICS, Input
@@ -158,6 +160,25 @@ def test_what_is_kept_is_bounded(bounded: Live) -> None:
 def test_corrections_stay_honest(bounded: Live) -> None:
     assert len(bounded.chi2) > 80
     assert 0.5 < np.mean(bounded.chi2) / 3 < 1.6
+
+
+def test_a_long_recording_is_worked_out_part_by_part(
+    drive: Session, everything: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the robot's whole path is there."""
+    monkeypatch.setitem(ESTIMATORS, "smoother", "support.fusion.solvers:FrugalSmoother")
+    pipeline = pushed(drive.inputs, drive.messages)
+    assert pipeline.past is not None
+    results = pipeline.results()
+    assert_as_much_is_known(results.network, everything.network)
+    stamps_ns, poses = results.trajectories["r1"]
+    whole_ns, whole = everything.trajectories["r1"]
+    assert (stamps_ns[0], stamps_ns[-1]) == (whole_ns[0], whole_ns[-1])
+    assert np.diff(stamps_ns).min() > 0
+    assert np.diff(stamps_ns).max() <= to_ns(0.15)
+    apart = poses.difference(whole[np.searchsorted(whole_ns, stamps_ns)])
+    assert np.abs(apart[:, :2]).max() < 0.03
+    assert np.abs(apart[:, 5]).max() < 0.01
 
 
 def test_moved_cameras_are_noticed_before_and_after_a_past() -> None:

@@ -78,7 +78,7 @@ def running(
     inputs: Inputs,
     out: Path,
     *,
-    solver: Callable[[], SlowSolver] | None = None,
+    solver: Callable[[Inputs], SlowSolver] | None = None,
     fixed: FixedNetwork | None = None,
 ) -> Iterator[Running]:
     broker, clock = MemoryBroker(), ManualClock(EPOCH_NS)
