@@ -217,10 +217,7 @@ def data_of(shape: Shape) -> tuple[DataSet, list[Observation]]:
     """What fusion knows of such a session once all of it came in, before it is explained."""
     session = small_session(shape)
     pipeline = Pipeline(Inputs(session.site, {"r1": session.target}), is_live=False)
-    for node, message in session.messages:
-        pipeline.push(node, message)
-        pipeline.advance()
-    pipeline.finish()
+    pipeline.replay(session.messages).finish()
     data = pipeline._data  # pyright: ignore[reportPrivateUsage]
     return data, [entry.observation for entry in data.entries]
 
