@@ -78,10 +78,6 @@ class Gallery:
         """Views of the rooms in which no face shows its front."""
         return self._views([m for m in self._moments() if not self._seen(*m)], count)
 
-    def of_the_drive(self, count: int) -> list[View]:
-        """Views as they come: with faces, with some in part, and mostly without."""
-        return self._views(self._moments(), count)
-
     def render(self, camera: str, index: int) -> np.ndarray:
         """One picture."""
         return self._renderers[camera].picture(index)

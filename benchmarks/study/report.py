@@ -7,7 +7,6 @@ import numpy as np
 
 from benchmarks.machine import machine
 
-from .dance import Point
 from .measure import DECIDED_M, GROSS, Measure
 from .situations import SITUATIONS
 from .store import ESTIMATORS
@@ -51,8 +50,8 @@ and 0.9 to 1.1) by more than two standard errors.
 """
 
 
-def write_report(measures: Mapping[str, list[Measure]], points: list[Point], docs: Path) -> Path:
-    """Write the page; return its path. `points`: dance and loop in equal time."""
+def write_report(measures: Mapping[str, list[Measure]], docs: Path) -> Path:
+    """Write the page; return its path."""
     docs.mkdir(parents=True, exist_ok=True)
     of_smoother = {
         n: [m for m in found if m.estimator == "smoother"] for n, found in measures.items()
@@ -63,7 +62,7 @@ def write_report(measures: Mapping[str, list[Measure]], points: list[Point], doc
     parts = [head, _situations(summaries)]
     if "drive" in summaries:
         parts += [_drive(summaries["drive"])]
-    parts += [_dance(points, summaries), _estimators(measures)]
+    parts += [_estimators(measures)]
     path = docs / "accuracy.md"
     path.write_text("\n".join([*parts, f"Measured on {machine().summary}.\n"]), encoding="utf-8")
     return path
@@ -115,28 +114,6 @@ def _drive(s: Summary) -> str:
         f"{100 * s.distance:.2f} cm in the mean; the bound expects {100 * s.distance_bound:.2f} "
         f"cm, which is a ratio of {s.distance / s.distance_bound:.3f}. The paper reached 2.11 cm.\n"
     )
-
-
-def _dance(points: list[Point], summaries: Mapping[str, Summary]) -> str:
-    lines = [
-        "## Dance or loop\n",
-        "The paper left open whether turning before each camera or going around more often is the "
-        "better use of the same time. The bound of the distance error for both:\n",
-    ]
-    rows = [
-        (f"{p.seconds:.0f}", str(circles), f"{100 * p.dance:.2f}", f"{100 * p.loop:.2f}")
-        for circles, p in enumerate(points)
-    ]
-    head = "seconds | circles a camera | the dance (cm) | going around (cm)"
-    lines += page_table(head, rows)
-    if "dance" in summaries and "loop" in summaries:
-        dance, loop = summaries["dance"], summaries["loop"]
-        lines.append(
-            f"\nMeasured with two circles a camera: the dance {100 * dance.distance:.2f} cm over "
-            f"{dance.sessions} sessions, going around {100 * loop.distance:.2f} cm over "
-            f"{loop.sessions}."
-        )
-    return "\n".join([*lines, ""])
 
 
 def _estimators(measures: Mapping[str, list[Measure]]) -> str:
