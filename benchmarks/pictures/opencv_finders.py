@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from trigpoint.site.target import Face
+from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .scoring import Found
 
@@ -90,7 +91,7 @@ def _classic(faces: Sequence[Face], flags: int) -> Finder:
             if not is_found:
                 break
             pixels = corners.reshape(-1, 2)
-            found.append(Found(-1, np.arange(len(pixels)), _refined(picture, pixels, size)))
+            found.append(Found(-1, np.arange(len(pixels)), _refined(picture, pixels, faces[0])))
             hull = cv2.convexHull(pixels.round().astype(np.int32))
             cv2.fillConvexPoly(left, hull, float(picture.mean()))
         return found
@@ -104,10 +105,8 @@ def _charuco_found(face: int, corners: np.ndarray | None, ids: np.ndarray | None
     return Found(face, np.asarray(ids).reshape(-1), np.asarray(corners).reshape(-1, 2))
 
 
-def _refined(picture: np.ndarray, pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    grid = pixels.reshape(size[1], size[0], 2)
-    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-    half = max(2, int(_WINDOW_SHARE * min(sides)))
+def _refined(picture: np.ndarray, pixels: np.ndarray, face: Face) -> np.ndarray:
+    half = max(2, int(_WINDOW_SHARE * smallest_square(face, pixels)))
     start = np.ascontiguousarray(pixels, np.float32).copy()
     return cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP).reshape(-1, 2)
 

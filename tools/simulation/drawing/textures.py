@@ -12,7 +12,7 @@ from trigpoint.tools.shapes.upright import MARGIN_M
 
 LEVELS = (96, 48, 32, 24, 16, 12, 8)  # texels a square; all divide the first, so edges stay exact
 BLACK, WHITE = 28, 222
-_NOTHING = 2  # texels of no coverage around a sheet
+NOTHING = 2  # texels of no coverage around a sheet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +41,8 @@ def texture(face: Face, texels: int) -> Texture:
     grey = cv2.resize(_printed(face), size, interpolation=cv2.INTER_AREA)
     margin = max(1, round(MARGIN_M / face.square * texels))
     grey = _framed(grey, margin, WHITE)
-    sheet = np.dstack([_framed(grey, _NOTHING, 0), _framed(np.full_like(grey, 255), _NOTHING, 0)])
-    return Texture(sheet, texels / face.square, margin + _NOTHING - 0.5, face.square)
+    sheet = np.dstack([_framed(grey, NOTHING, 0), _framed(np.full_like(grey, 255), NOTHING, 0)])
+    return Texture(sheet, texels / face.square, margin + NOTHING - 0.5, face.square)
 
 
 def level_for(square_px: float) -> int:

@@ -104,7 +104,7 @@ def seen_faces_each(
         pixels = model.project(np.where(seen[..., None], points, [0.0, 0.0, 1.0]))
         for row, moment in enumerate(moments.tolist()):
             is_any = np.any(seen[row])
-            square = _smallest_square(face, model.project(points[row])) if is_any else 0.0
+            square = smallest_square(face, model.project(points[row])) if is_any else 0.0
             ids = np.flatnonzero(seen[row]).astype(np.uint16)
             found[moment].append(SeenFace(face, ids, pixels[row, seen[row]], square))
     return found
@@ -161,7 +161,7 @@ def _well_inside(model: CameraModel, points: Array) -> np.ndarray:
     return inside & (v > margin) & (v < model.height - 1 - margin)
 
 
-def _smallest_square(face: Face, pixels: Array) -> float:
+def smallest_square(face: Face, pixels: Array) -> float:
     """The shortest side of a square, or of a tag, in the picture, pixels."""
     if face.pattern is Pattern.APRILGRID:
         tags = pixels.reshape(-1, 4, 2)
