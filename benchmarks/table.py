@@ -46,8 +46,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "bus": Benchmark("how late are messages beside bare Zenoh?", "network.bus"),
     "recorder": Benchmark("how fast are recordings written and read beside mcap?", "recorder"),
     "calibration": Benchmark(
-        "what does `calibrate` take, how does that grow, how near to the bound is it?",
-        "fusion.calibration",
+        "what does `calibrate` take, and how does that grow?", "fusion.calibration"
     ),
     "gtsam": Benchmark(
         "what does a solution take beside GTSAM?", "fusion.gtsam_comparison", "gtsam"
