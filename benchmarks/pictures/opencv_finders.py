@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from trigpoint.site.target import Face
+from trigpoint.tools.simulation.drawing.textures import charuco_board
 from trigpoint.tools.simulation.sight.seen_corners import smallest_square
 
 from .scoring import Found
@@ -20,7 +21,7 @@ _WINDOW_SHARE = 0.4
 
 def charuco_each(faces: Sequence[Face]) -> Finder:
     """A CharucoDetector for every face's board; each searches the picture for markers."""
-    boards = [(face.id, cv2.aruco.CharucoDetector(_board(face))) for face in faces]
+    boards = [(face.id, cv2.aruco.CharucoDetector(charuco_board(face))) for face in faces]
 
     def find(picture: np.ndarray) -> list[Found]:
         answers = [(number, board.detectBoard(picture)) for number, board in boards]
@@ -31,8 +32,8 @@ def charuco_each(faces: Sequence[Face]) -> Finder:
 
 def charuco_shared(faces: Sequence[Face]) -> Finder:
     """One search for markers, whose result is handed to every face's CharucoDetector."""
-    markers = cv2.aruco.ArucoDetector(_dictionary(faces[0]))
-    boards = [(face, cv2.aruco.CharucoDetector(_board(face))) for face in faces]
+    markers = cv2.aruco.ArucoDetector(charuco_board(faces[0]).getDictionary())
+    boards = [(face, cv2.aruco.CharucoDetector(charuco_board(face))) for face in faces]
 
     def find(picture: np.ndarray) -> list[Found]:
         corners, ids, _ = markers.detectMarkers(picture)
@@ -109,13 +110,3 @@ def _refined(picture: np.ndarray, pixels: np.ndarray, face: Face) -> np.ndarray:
     half = max(2, int(_WINDOW_SHARE * smallest_square(face, pixels)))
     start = np.ascontiguousarray(pixels, np.float32).copy()
     return cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _STOP).reshape(-1, 2)
-
-
-def _board(face: Face) -> cv2.aruco.CharucoBoard:
-    ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
-    size = (face.columns, face.rows)
-    return cv2.aruco.CharucoBoard(size, face.square, face.marker or 0.0, _dictionary(face), ids)
-
-
-def _dictionary(face: Face) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, face.dictionary or ""))

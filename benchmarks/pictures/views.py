@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 
-from trigpoint.geometry import CameraModel
 from trigpoint.geometry.rotation import Array
 from trigpoint.site.target import Face, Target
 from trigpoint.tools.simulation.drawing.rendering import CameraRenderer
@@ -149,14 +148,7 @@ def _other(
         return replace(camera, exposure_s=exposure_s)
     old, (width, height) = camera.model, size
     by = width / old.width
-    centre = by * (np.array([old.cx - old.width / 2, old.cy - old.height / 2]))
-    model = CameraModel(
-        width,
-        height,
-        by * old.fx,
-        by * old.fy,
-        width / 2 + float(centre[0]),
-        height / 2 + float(centre[1]),
-        old.distortion,
-    )
+    cx, cy = width / 2 + by * (old.cx - old.width / 2), height / 2 + by * (old.cy - old.height / 2)
+    wide = {"width": width, "height": height, "fx": by * old.fx, "fy": by * old.fy}
+    model = replace(old, **wide, cx=cx, cy=cy)
     return replace(camera, model=model, exposure_s=exposure_s)

@@ -64,15 +64,16 @@ def _printed(face: Face) -> np.ndarray:
         squares = ((row + column + face.inverted) % 2 * 255).astype(np.uint8)
         pattern = np.kron(squares, np.ones((LEVELS[0], LEVELS[0]), np.uint8))
     elif face.pattern is Pattern.CHARUCO:
-        pattern = _charuco(face)
+        size = (face.columns * LEVELS[0], face.rows * LEVELS[0])
+        pattern = charuco_board(face).generateImage(size)
     else:
         raise InputError(f"the simulation prints no {face.pattern.value} faces; use charuco")
     return np.where(pattern > 127, WHITE, BLACK).astype(np.uint8)
 
 
-def _charuco(face: Face) -> np.ndarray:
+def charuco_board(face: Face) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board of a face."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(face.dictionary)))
     ids = np.arange(face.first_marker, face.first_marker + face.marker_count, dtype=np.int32)
     size, marker = (face.columns, face.rows), float(face.marker or 0.0)
-    board = cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)
-    return board.generateImage((face.columns * LEVELS[0], face.rows * LEVELS[0]))
+    return cv2.aruco.CharucoBoard(size, face.square, marker, dictionary, ids)
