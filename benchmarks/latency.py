@@ -45,7 +45,8 @@ def main(
     folder: Annotated[Path, typer.Argument(help="Of a demo, or of a session.")] = Path("out/demo"),
 ) -> None:
     """How late a correction was, and where the time went."""
-    for stage, late_ms in stages_ms(folder).items():
+    stages = {stage: late_ms for stage, late_ms in stages_ms(folder).items() if late_ms}
+    for stage, late_ms in stages.items():
         half, most = np.percentile(late_ms, [50, 95])
         typer.echo(f"exposure to {stage}: p50 {half:.1f}, p95 {most:.1f} ms ({len(late_ms)})")
-    typer.echo(machine().summary)
+    typer.echo(machine().summary if stages else f"{folder}: nobody sighted anything")
