@@ -225,7 +225,8 @@ class _Drive:
 
     def _rows(self, what: str, passed_s: float) -> Iterator[Row]:
         span, memory = self._span, [*self._span.memory, self._memory_mb()]
-        updates_ms, seen_1s = span.updates_ms or [np.nan], span.sightings / passed_s
+        updates_ms = span.updates_ms or [np.nan]
+        seen_1s, full_1s = span.sightings / passed_s, span.sightings / span.spent_s
         solver = (worked_s(self._solver.pid) - self._solver_s) / passed_s
         stored_mb, minutes = self._stored_mb() - self._stored, passed_s / 60
         located, cameras = self._pipeline.located_count, self._load.corridor.cameras
@@ -237,13 +238,7 @@ class _Drive:
             ("messages", "1/s", span.messages / passed_s, seen_1s, "seen"),
             ("the thread", "cores", span.spent_s / passed_s, 1.0, "one core"),
             ("the solver", "cores", solver, 1.0, "one core"),
-            (
-                "sightings that fill the thread",
-                "1/s",
-                span.sightings / span.spent_s,
-                seen_1s,
-                "seen",
-            ),
+            ("sightings that fill the thread", "1/s", full_1s, seen_1s, "seen"),
             ("resident, estimator", "MB", memory[-1][0], memory[0][0], "at the begin"),
             ("resident, solver", "MB", memory[-1][1], memory[0][1], "at the begin"),
             ("checkpoint, added", "MB", stored_mb, minutes, "minutes"),
