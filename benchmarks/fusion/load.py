@@ -67,6 +67,7 @@ LOADS: dict[str, Load] = {
     "30-cameras": _ring(30, 3, 10.0),
     "crowd": Load(Corridor(30, 330.0, 10, 5.0, 50.0, is_empty_told=True), by_the_clock=True),
     "drives": Load(Corridor(10, 1200.0, odometry_hz=50.0)),
+    "day": Load(Corridor(30, 8 * 3600.0, pictures_hz=1.0)),
     "stands": Load(Corridor(10, 262.5, odometry_hz=50.0, stands_s=1800.0)),
 }
 
@@ -173,7 +174,7 @@ class _Drive:
             answer = f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""
             typer.echo(
                 f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self._pipeline.located_count} "
-                f"located; {mine:.0f} + {solvers:.0f} MB{answer}",
+                f"located; {mine:.0f} + {solvers:.0f} MB, {self._stored_mb():.1f} MB stored{answer}",
                 err=True,
             )
         self._lately = Span()
@@ -201,6 +202,7 @@ class _Drive:
         for node, message, payload in kept:
             key = INPUT_TOPICS[type(message)].key(self._site, node)
             self._storage.store(key, payload, message)
+        self._storage.settle(self._pipeline.past)
         seen = _seen(turn)
         for span in (self._span, self._lately):
             span.messages, span.spent_s = span.messages + len(turn), span.spent_s + took_s
