@@ -174,7 +174,7 @@ class _Drive:
             answer = f"; last answer {self._answer_s:.0f} s" if self._asked_s else ""
             typer.echo(
                 f"{now_s:6.0f} s: {self._lately.told(passed_s)}; {self._pipeline.located_count} "
-                f"located; {mine:.0f} + {solvers:.0f} MB, {self._stored_mb():.1f} MB stored{answer}",
+                f"located; {mine:.0f} + {solvers:.0f} MB, {self._stored_mb():.1f} stored{answer}",
                 err=True,
             )
         self._lately = Span()
