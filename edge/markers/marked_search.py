@@ -55,7 +55,7 @@ class MarkedSearch(FaceFinder):
                 shown = cv2.bitwise_not(grey) if inverted else grey
                 found += self._search(shown, boards, is_over, within)
         if self._denied or not (found or within or is_over()):
-            self._wrong.look(grey, self._denied)
+            self._wrong.look(grey, self._denied, has_time=is_over is never)
             self.misdescribed = tuple(self._wrong.lines.values())
         return [board for board in found if board.look not in self._wrong.refused]
 

@@ -83,10 +83,13 @@ class MarkerReader:
         contrast = cells.std(axis=-1, keepdims=True)
         return np.where(contrast > LEAST_CONTRAST, _normalised(cells), 0.0)
 
+    def rows(self, face: Face) -> list[int]:
+        """Which of this reader's markers are a face's, in the face's order."""
+        return [self._row[face.first_marker + number] for number in range(face.marker_count)]
+
     def best(self, face: Face, scores: Array, quads: Array, least: float) -> Markers:
         """The face's likeliest marker for each quad, where it scores at least `least`."""
-        rows = [self._row[face.first_marker + i] for i in range(face.marker_count)]
-        own = scores[:, rows].reshape(len(quads), -1)
+        own = scores[:, self.rows(face)].reshape(len(quads), -1)
         best = np.argmax(own, axis=1)
         score = own[np.arange(len(quads)), best]
         kept = np.flatnonzero(score >= least)

@@ -6,6 +6,7 @@ view, and more than the file itself explains. Nothing is guessed: such a board s
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from math import comb, log
 
@@ -31,9 +32,10 @@ _LEAST_NATS = log(1_000 * 10 * 300 * 12)
 # Of a board's markers in view, how many must be read: more are on the board that it is, where some
 # are hidden, than on one that shares a row with it.
 _LEAST_SHARE = 0.6
-# In the first pictures every other board is looked for, in the next ones two in each, which is all
-# of them, and then two in every fifth, since most cameras see no board most of the time.
-_AT_ONCE, _NEXT, _A_PICTURE, _EVERY = 3, 10, 2, 5
+# With time, every other board is looked for in each of the first pictures; live, a part of them in
+# each of the first ten, which is all of them. Then two in every fifth, since most cameras see no
+# board most of the time.
+_AT_ONCE, _FIRST, _A_PICTURE, _EVERY = 3, 10, 2, 5
 # So often a board is contradicted that is none of the others, before that is said.
 _OFTEN = 3
 
@@ -43,27 +45,24 @@ class MisdescribedBoards:
     `refused`: those that the pictures disprove, which no later picture can mend."""
 
     def __init__(self, looks: Sequence[Appearance], finder: QuadFinder) -> None:
-        self._looks, self._finder = looks, finder
-        self._waiting: list[Other] | None = None
+        self._finder, self._waiting = finder, list(others(looks))
+        faces = [look.face for look in looks]
+        self._readers = readers_for(faces + [other.face for other in self._waiting])
         self._pictures = 0
         self._named = set[Appearance]()
         self._denials: dict[Appearance, int] = {}
         self.lines: dict[Appearance, str] = {}
         self.refused: set[Appearance] = set()
 
-    def look(self, grey: np.ndarray, denied: set[Appearance]) -> None:
+    def look(self, grey: np.ndarray, denied: set[Appearance], *, has_time: bool) -> None:
         """Look for other boards in a picture in which none was found, or which contradicts those
-        that are `denied`."""
-        if self._waiting is None:
-            self._waiting = list(others(self._looks))
+        that are `denied`; `has_time`: nobody waits for the picture's end."""
         self._pictures += 1
-        if not denied and self._pictures > _NEXT and self._pictures % _EVERY:
-            return
         count = len(self._waiting)
-        if not denied and self._pictures > _AT_ONCE:
-            count = min(count, _A_PICTURE)
+        if not denied and (self._pictures > _AT_ONCE or not has_time):
+            count = self._share(count)
         tried, self._waiting = self._waiting[:count], self._waiting[count:]
-        scene = _Scene(grey, self._finder)
+        scene = _Scene(grey, self._finder, self._readers)
         for other in tried:
             if other.look not in self._named and self._is_seen(other, scene):
                 self.lines[other.look] = other.remedy
@@ -71,6 +70,12 @@ class MisdescribedBoards:
         self._waiting += [other for other in tried if other.look not in self._named]
         for look in denied:
             self._deny(look)
+
+    def _share(self, count: int) -> int:
+        """How many of so many boards are looked for in this picture."""
+        if self._pictures <= _FIRST:
+            return min(count, max(_A_PICTURE, -(-count // _FIRST)))
+        return 0 if self._pictures % _EVERY else min(count, _A_PICTURE)
 
     def _deny(self, look: Appearance) -> None:
         self._denials[look] = self._denials.get(look, 0) + 1
@@ -84,49 +89,61 @@ class MisdescribedBoards:
 
     def _is_seen(self, other: Other, scene: "_Scene") -> bool:
         """Whether markers prove the other board, and more of them than the one described."""
-        read = _read(other.face, *scene.shown(other.face, is_mirrored=other.is_mirrored))
-        if read < _fewest(other.face):
-            return False
-        described = other.look.face
-        return read > _read(described, *scene.shown(described))
+        read = scene.read(other.face, is_mirrored=other.is_mirrored)
+        return read >= _fewest(other.face) and read > scene.read(other.look.face)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A picture, its negative, or the mirror image of one, with its dark quadrilaterals (n, 4, 2);
+    `scores`: theirs, by reader."""
+
+    grey: np.ndarray
+    quads: Array
+    scores: dict[tuple[str, int], Array]
 
 
 class _Scene:
-    """A picture, its negative, and their mirror images, with their dark quadrilaterals."""
+    """One picture in every way in which boards are looked for in it."""
 
-    def __init__(self, grey: np.ndarray, finder: QuadFinder) -> None:
-        self._grey, self._finder = grey, finder
-        self._known: dict[tuple[bool, bool], tuple[np.ndarray, Array]] = {}
+    def __init__(
+        self, grey: np.ndarray, finder: QuadFinder, readers: dict[tuple[str, int], MarkerReader]
+    ) -> None:
+        self._grey, self._finder, self._readers = grey, finder, readers
+        self._known: dict[tuple[bool, bool], _Shown] = {}
 
-    def shown(self, face: Face, *, is_mirrored: bool = False) -> tuple[np.ndarray, Array]:
-        """The picture as a face is looked for in it, and its quadrilaterals (n, 4, 2)."""
-        key = (face.inverted, is_mirrored)
+    def read(self, face: Face, *, is_mirrored: bool = False) -> int:
+        """How many of a face's markers are surely read and agree on one place of it, where they are
+        most of those in view; else 0."""
+        shown, key = self._shown(face.inverted, is_mirrored), reader_key(face)
+        if len(shown.quads) == 0:
+            return 0
+        reader = self._readers[key]
+        if key not in shown.scores:
+            shown.scores[key] = reader.scores(shown.grey, shown.quads)
+        markers = reader.best(face, shown.scores[key], shown.quads, LEAST_MEMBER)
+        return max(
+            (
+                _sure(reader, face, shown.grey, group, layout)
+                for layout in _layouts(face)
+                for group in group_markers(markers, layout)
+            ),
+            default=0,
+        )
+
+    def _shown(self, inverted: bool, is_mirrored: bool) -> _Shown:
+        key = (inverted, is_mirrored)
         if key not in self._known:
-            grey = cv2.bitwise_not(self._grey) if face.inverted else self._grey
+            grey = cv2.bitwise_not(self._grey) if inverted else self._grey
             grey = cv2.flip(grey, 1) if is_mirrored else grey
-            self._known[key] = grey, self._finder.find(grey)
+            self._known[key] = _Shown(grey, self._finder.find(grey), {})
         return self._known[key]
 
 
-def _read(face: Face, grey: np.ndarray, quads: Array) -> int:
-    """How many of a face's markers are surely read and agree on one place of it, where they are
-    most of those in view; else 0."""
-    if len(quads) == 0:
-        return 0
-    reader = _reader(face)
-    markers = reader.best(face, reader.scores(grey, quads), quads, LEAST_MEMBER)
-    return max(
-        (
-            _sure(face, grey, group, layout)
-            for layout in _layouts(face)
-            for group in group_markers(markers, layout)
-        ),
-        default=0,
-    )
-
-
-def _sure(face: Face, grey: np.ndarray, group: MarkerGroup, layout: Array) -> int:
-    codes = _reader(face).codes(grey, group.corners)
+def _sure(
+    reader: MarkerReader, face: Face, grey: np.ndarray, group: MarkerGroup, layout: Array
+) -> int:
+    codes = reader.codes(grey, group.corners)[:, reader.rows(face)]
     count = int(np.sum(codes[np.arange(len(codes)), group.numbers] > _READ))
     fit, _ = cv2.findHomography(
         layout[group.numbers].reshape(-1, 2), group.corners.reshape(-1, 2), 0
@@ -147,10 +164,6 @@ def _layouts(face: Face) -> list[Array]:
 
 
 @cache
-def _reader(face: Face) -> MarkerReader:
-    return readers_for([face])[reader_key(face)]
-
-
 def _fewest(face: Face) -> int:
     """How many surely read markers prove a board, by the chance that random bits give them."""
     dictionary = predefined_dictionary(face.dictionary or "")

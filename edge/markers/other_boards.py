@@ -1,7 +1,8 @@
 """Boards that people may mean when they describe another one, and what they should write."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import cv2
 from msgspec.structs import replace
@@ -41,14 +42,18 @@ class Other:
 
 
 def others(looks: Sequence[Appearance]) -> Iterator[Other]:
-    """The likeliest first; only boards that can be, and that no target has."""
+    """The likeliest of every look first; only boards that can be, and that no target has."""
     known = {look.face.appearance for look in looks}
-    for look in looks:
-        for change in (*_changes(look.face), *_other_dictionaries(look.face)):
-            face = _changed(look.face, change)
-            if face and face.appearance not in known:
-                yield Other(look, face, tuple(change.items()))
-        yield Other(look, look.face, ())
+    for alike in zip_longest(*(_of(look, known) for look in looks)):
+        yield from filter(None, alike)
+
+
+def _of(look: Appearance, known: Container[object]) -> Iterator[Other]:
+    for change in (*_changes(look.face), *_other_dictionaries(look.face)):
+        face = _changed(look.face, change)
+        if face and face.appearance not in known:
+            yield Other(look, face, tuple(change.items()))
+    yield Other(look, look.face, ())
 
 
 def _changes(face: Face) -> Iterator[dict[str, object]]:
