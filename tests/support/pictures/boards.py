@@ -9,6 +9,7 @@ import numpy as np
 from trigpoint.geometry import CameraModel, Pose
 from trigpoint.geometry.rotation import Array, exp
 from trigpoint.site.target import Face, Pattern, Target
+from trigpoint.tools.simulation.drawing.lens_grid import directions_on_grid
 
 CAMERA = CameraModel(640, 480, 540.0, 542.0, 322.0, 237.0, (-0.25, 0.06, 5e-4, -3e-4, 0.0))
 NOWHERE = {"translation": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}
@@ -193,18 +194,12 @@ def worst_error(pixels: np.ndarray, ids: np.ndarray, view: Placed) -> float:
 
 @cache
 def _directions(camera: CameraModel) -> np.ndarray:
-    """Where every pixel of the supersampled picture looks, (height, width, 2); by OpenCV, which is
-    ten times faster than the camera's own Newton iteration, to 1e-5 pixels."""
-    count = _SUPERSAMPLING
-    u, v = np.meshgrid(np.arange(camera.width * count), np.arange(camera.height * count))
-    pixels = (np.stack([u, v], axis=-1) + 0.5) / count - 0.5
-    flat = cv2.undistortPoints(
-        pixels.reshape(-1, 1, 2),
-        camera.matrix,
-        np.array(camera.distortion),
-        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-9),
+    """Where every pixel of the supersampled picture looks, (height, width, 2)."""
+    u, v = (
+        (np.arange(size * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5
+        for size in (camera.width, camera.height)
     )
-    return flat.reshape(pixels.shape).astype(np.float32)
+    return directions_on_grid(camera, u, v).astype(np.float32)
 
 
 def _with_face(
