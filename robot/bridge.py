@@ -271,7 +271,7 @@ class Bridge:
 
     def _is_possible(self, stamp_ns: int, reading: Reading) -> bool:
         """Whether the robot can have moved so; if its count restarted, odometry continues here."""
-        motion = self._limits.look(stamp_ns, reading.pose)
+        motion = self._limits.look(stamp_ns, reading.pose, reading.doubt_ns)
         if motion is Motion.POSSIBLE:
             return True
         if motion is Motion.IMPOSSIBLE:

@@ -5,6 +5,7 @@ import os
 import secrets
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,11 @@ from trigpoint.base.ending import ENDING
 
 # As the program does it, and before numpy is loaded: BLAS threads only get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Images of containers forbid Python to keep what it compiled: each of the hundred programs that the
+# tests start would compile all modules again, and so would each of the processes that run tests.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A deadline would assert a speed, and so does the look at how slow examples are made. Every run
 # draws the same ones, so that a change is not stopped by what another one broke;

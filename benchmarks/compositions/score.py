@@ -152,7 +152,13 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
         )
         limits = (int(np.ceil(limit_s)), int(np.ceil(limit_s)) + 1)
         resource.prlimit(process.pid, resource.RLIMIT_CPU, limits)
-        end = threading.Timer(_PATIENCE * limit_s, process.kill)
+        waited_out = threading.Event()
+
+        def give_up() -> None:
+            waited_out.set()
+            process.kill()
+
+        end = threading.Timer(_PATIENCE * limit_s, give_up)
         end.start()
         try:
             _, status, used = os.wait4(process.pid, 0)
@@ -161,9 +167,9 @@ def _calibrated(directory: Path, out: Path, limit_s: float) -> tuple[int | None,
         process.returncode = code = os.waitstatus_to_exitcode(status)
         said.seek(0)
         seconds = used.ru_utime + used.ru_stime
-        # A signal ended it: the one of the limit, or the timer's.
-        is_over = code == -signal.SIGXCPU or (code < 0 and seconds >= 0.9 * limit_s)
-        return (None if is_over else code), seconds, said.read()
+        # The limit's signal ended it, or the kernel's harder one, or who waited.
+        by_limit = code == -signal.SIGXCPU or (code < 0 and seconds >= 0.9 * limit_s)
+        return (None if by_limit or waited_out.is_set() else code), seconds, said.read()
 
 
 def _camera(name: str, said: CameraRecord | None, place: Pose, pictures: int) -> CameraScore:

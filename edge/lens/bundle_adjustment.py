@@ -7,11 +7,12 @@ where the pictures allow 0.2, and it takes no weights.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from trigpoint.geometry import CameraModel, Pose
-from trigpoint.geometry.rotation import Array, exp, hat
+from trigpoint.geometry.rotation import Array, exp
 
 from .calibration_views import View
 
@@ -163,7 +164,7 @@ def _evaluated(
 
 def _in_camera(scene: Scene, turns: Array, places: Array) -> tuple[Array, Array]:
     """The corners turned only, and in the optical frame, (n, 3) each."""
-    turned = np.einsum("nij,nj->ni", turns[scene.view], scene.points)
+    turned = (turns[scene.view] @ scene.points[..., None])[..., 0]
     return turned, turned + places[scene.view]
 
 
@@ -185,28 +186,32 @@ class _Equations:
     @classmethod
     def of(cls, scene: Scene, at: Solution, free: np.ndarray, scale: float) -> "_Equations":
         turned, points = _in_camera(scene, at.rotation, at.translation)
-        _, by_point, by_lens = at.camera.project_jacobians(points)
-        by_pose = np.concatenate([by_point, -by_point @ hat(turned)], axis=-1)
-        by_lens = by_lens[..., free]
-        root = np.sqrt(scene.weight * _robust_weight(at.errors, scale))
-        by_pose, by_lens = by_pose * root[:, None, None], by_lens * root[:, None, None]
-        errors = (at.errors * root[:, None])[..., None]
-        turned_pose = np.swapaxes(by_pose, 1, 2)
-
-        def summed(values: Array) -> Array:
-            return np.add.reduceat(values, scene.begins, axis=0)
-
-        flat = by_lens.reshape(errors.size, len(free))
+        count = len(free)
+        rows = np.empty((*at.errors.shape, 6 + count + 1))
+        if count:
+            _, by_point, by_lens = at.camera.project_jacobians(points)
+            rows[..., 6:-1] = by_lens[..., free]
+        else:
+            _, by_point = at.camera.project_by_point(points)
+        rows[..., :3] = by_point
+        rows[..., 3], rows[..., 4], rows[..., 5] = _across(turned, by_point)
+        rows[..., -1] = at.errors
+        rows *= np.sqrt(scene.weight * _robust_weight(at.errors, scale))[:, None, None]
+        # One product a view, of all its rows: far quicker than one a corner.
+        views = pairwise([*scene.begins.tolist(), len(rows)])
+        flat = [rows[begin:end].reshape(-1, rows.shape[-1]) for begin, end in views]
+        products = np.array([view.T @ view for view in flat])
+        whole = products.sum(axis=0)
         return cls(
             scene,
             at,
             free,
             scale,
-            summed(turned_pose @ by_pose),
-            summed(turned_pose @ errors)[..., 0],
-            summed(turned_pose @ by_lens),
-            flat.T @ flat,
-            flat.T @ errors.reshape(-1),
+            products[:, :6, :6],
+            products[:, :6, -1],
+            products[:, :6, 6:-1],
+            whole[6:-1, 6:-1],
+            whole[6:-1, -1],
         )
 
     def step(self, damping: float) -> Solution | None:
@@ -217,8 +222,9 @@ class _Equations:
                 poses, np.concatenate([self.between, self.pose_pull[..., None]], axis=-1)
             )
             by_lens, alone = eliminated[..., :-1], eliminated[..., -1]
-            reduced = lens - np.einsum("vij,vik->jk", self.between, by_lens)
-            pull = self.lens_pull - np.einsum("vij,vi->j", self.between, alone)
+            between = self.between.reshape(alone.size, len(self.free))
+            reduced = lens - between.T @ by_lens.reshape(between.shape)
+            pull = self.lens_pull - between.T @ alone.reshape(-1)
             change = np.linalg.solve(reduced, pull) if len(pull) else pull
         except np.linalg.LinAlgError:
             return None
@@ -233,6 +239,13 @@ class _Equations:
         places = self.at.translation + moves[:, :3]
         found = _evaluated(self.scene, camera, turns, places, self.scale)
         return found if found is not None and found.cost <= self.at.cost else None
+
+
+def _across(points: Array, rows: Array) -> tuple[Array, Array, Array]:
+    """The three components (n, 2) of points (n, 3) × rows (n, 2, 3): `np.cross`, in a fifth of its
+    time."""
+    (x, y, z), (a, b, c) = points.T[..., None], np.moveaxis(rows, -1, 0)
+    return y * c - z * b, z * a - x * c, x * b - y * a
 
 
 def _damped(matrices: Array, damping: float) -> Array:

@@ -16,7 +16,8 @@ from trigpoint.site.config import RobotConfig
 
 # A site is a building; anything beyond is a corrupt number.
 FURTHEST_M = 100e3
-# Possible error of the time between two stamps: a reading that waited for the previous one.
+# Possible error of the time between two stamps, beside what is known of each: a reading that waited
+# for the previous one.
 JITTER_S = 0.02
 # This many readings in a row must agree; at 50 Hz a tenth of a second is lost.
 AGREEING = 5
@@ -30,22 +31,27 @@ class Motion(Enum):
     NEW_EPOCH = "new epoch"
 
 
+_Reading = tuple[int, Pose, int]
+"""A stamp, the pose then, and how far off the stamp may be, nanoseconds."""
+
+
 class MotionLimits:
     """Checks one robot's readings in order. Not thread-safe."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._speed, self._turn = config.max_speed, config.max_turn
-        self._last: tuple[int, Pose] | None = None
-        self._doubted: tuple[int, Pose] | None = None
+        self._last: _Reading | None = None
+        self._doubted: _Reading | None = None
         self._agreeing = 0
 
     def restart(self) -> None:
         """The next reading may be anywhere."""
         self._last = self._doubted = None
 
-    def look(self, stamp_ns: int, pose: Pose) -> Motion:
-        """Whether the robot can have moved so since the last good reading."""
-        reading = (stamp_ns, pose)
+    def look(self, stamp_ns: int, pose: Pose, doubt_ns: int = 0) -> Motion:
+        """Whether the robot can have moved so since the last good reading; `doubt_ns`: how far off
+        the stamp may be."""
+        reading = (stamp_ns, pose, doubt_ns)
         if not np.max(np.abs(pose.translation)) < FURTHEST_M:
             return Motion.IMPOSSIBLE
         if self._last is None or self._is_possible(self._last, reading):
@@ -59,8 +65,9 @@ class MotionLimits:
         self._last, self._doubted = reading, None
         return Motion.NEW_EPOCH
 
-    def _is_possible(self, before: tuple[int, Pose], after: tuple[int, Pose]) -> bool:
-        allowed_s = max(0.0, to_seconds(after[0] - before[0])) + JITTER_S
+    def _is_possible(self, before: _Reading, after: _Reading) -> bool:
+        doubt_s = JITTER_S + to_seconds(before[2] + after[2])
+        allowed_s = max(0.0, to_seconds(after[0] - before[0])) + doubt_s
         if math.dist(after[1].translation, before[1].translation) > self._speed * allowed_s:
             return False
         return _angle_between(before[1], after[1]) <= self._turn * allowed_s

@@ -91,13 +91,15 @@ class Mismatched:
 class Reading:
     """One reading of the odometry: base in the firmware's own odometry frame. `firmware_ns`: by the
     clock that the protocol's traits name; `received_ns`: this machine's monotonic clock on
-    arrival."""
+    arrival; `doubt_ns`: how much earlier or later than `firmware_ns` it may have been taken, where
+    the protocol knows that."""
 
     firmware_ns: int
     received_ns: int
     pose: Pose
     linear: Array
     angular: Array
+    doubt_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)

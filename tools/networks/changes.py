@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from trigpoint.base.errors import InputError
 from trigpoint.base.terminal import table
@@ -24,6 +24,7 @@ _CHANCE = 1e-3
 """Probability of reporting any unmoved camera as moved in a whole comparison."""
 _FEWEST = 3
 _ROUNDS = 10
+_SETTLED = 1e-12  # metres and radians
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ def changes(old: Network, new: Network) -> list[Change]:
             "say which one moved"
         )
     pairs = [_pair(old.cameras[name], new.cameras[name]) for name in names]
-    limit = float(chi2.isf(_CHANCE / len(names), _DIMENSIONS))
+    limit = float(chdtri(_DIMENSIONS, _CHANCE / len(names)))
     stayed = _stayed(pairs, limit)
     found = []
     for number, (name, pair) in enumerate(zip(names, pairs, strict=True)):
@@ -71,7 +72,7 @@ def changes(old: Network, new: Network) -> list[Change]:
                 float(np.linalg.norm(left[:3])),
                 float(np.linalg.norm(left[3:])),
                 distance,
-                float(chi2.sf(distance, _DIMENSIONS)),
+                float(chdtrc(_DIMENSIONS, distance)),
                 distance > limit,
             )
         )
@@ -165,6 +166,8 @@ def _laid(pairs: Sequence[_Pair], seed: _Pair) -> tuple[Pose, Array]:
         step = np.linalg.solve(information, gradient)
         turn = exp(step[3:])
         new_from_old = Pose(turn, step[:3]) @ new_from_old
+        if np.abs(step).max() < _SETTLED:
+            break
     return new_from_old, np.linalg.inv(information)
 
 
@@ -173,7 +176,8 @@ def _left(pair: _Pair, new_from_old: Pose, covariance: Array) -> tuple[Array, Ar
     expected = new_from_old @ pair.old
     turn = log(pair.new.rotation @ expected.rotation.T)
     left = np.concatenate([pair.new.translation - expected.translation, turn])
-    turned = np.kron(np.eye(2), new_from_old.rotation)
+    turned = np.zeros((_DIMENSIONS, _DIMENSIONS))
+    turned[:3, :3] = turned[3:, 3:] = new_from_old.rotation
     derivative = _derivative(expected)
     spread = pair.new_covariance + turned @ pair.old_covariance @ turned.T
     return left, spread + derivative @ covariance @ derivative.T

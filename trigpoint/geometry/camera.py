@@ -226,7 +226,10 @@ class CameraModel:
             s = angle * angle
             value = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
             slope = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
-            angle = angle - (value - radius) / slope
+            step = (value - radius) / slope
+            angle = angle - step
+            if np.abs(step).max(initial=0.0) < 1e-15:
+                break
         scale = np.where(radius > 1e-12, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0)
         return np.where((angle < np.pi / 2)[..., None], target * scale[..., None], np.nan)
 

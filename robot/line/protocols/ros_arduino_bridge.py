@@ -8,9 +8,14 @@ decisions/0305-boards-that-answer-with-counts.md.
 
 It answers when asked, and has no clock and no corrections: a reading was taken between question and
 answer, and the bridge holds map → odom. Motor commands (`m`) are not ours to send.
+
+Answers do not say which question they belong to, and on a busy machine those of a second may come
+at once. They come in the questions' order, so an answer belongs to the oldest question that may
+still be open or to a later one: it is read where even the oldest was asked a moment ago.
 """
 
 import re
+from collections import deque
 
 from trigpoint.base.clock import to_ns
 from trigpoint.robot.line.encoders import UNUSED, USUAL_BITS, Encoders
@@ -37,6 +42,9 @@ from trigpoint.robot.line.wheels import WheelOdometry, wheel_geometry
 # The sketch's own control loop runs as often; the contract asks for 20 readings a second or more.
 ASK_EVERY_NS = to_ns(1 / 30)
 ANSWER_NS = to_ns(0.1)
+# Where an answer came, but fewer than questions were asked: so long after the last question those
+# that are left were lost, by the board or on the line.
+LOST_NS = to_ns(0.25)
 SILENCE_NS = to_ns(3.0)
 ENCODERS, RESET, END = b"e\r", b"r\r", b"\r"
 _END_OF_LINE = re.compile(rb"[\r\n]")
@@ -48,6 +56,8 @@ _KNOWN = ("", "OK", "e", "r")
 # One wrong line may be noise, or the rest of another command's answer.
 _TOLERATED = 3
 _SAY_EVERY_NS = to_ns(5.0)
+# Six seconds of them: a reader that is held up for longer is started anew.
+_MOST_OPEN = 64
 
 
 class RosArduinoBridge:
@@ -77,7 +87,10 @@ class RosArduinoBridge:
         self._buffer = bytearray()
         self._is_overlong = False
         self._is_connected = False
-        self._asked_ns: int | None = None
+        # When the questions were asked whose answers may still come.
+        self._open: deque[int] = deque(maxlen=_MOST_OPEN)
+        # Whether the newest may be answered in time; whether an answer came since it was asked.
+        self._is_awaited = self._is_heard = False
         self._unanswered = self._wrong_lines = 0
         self._heard_ns: int | None = None
         # An end of line first: it ends whatever half a command the board may hold.
@@ -115,11 +128,20 @@ class RosArduinoBridge:
         if counts is None:
             return self._damage()
         self._wrong_lines = 0
-        asked_ns, self._asked_ns = self._asked_ns, None
-        if asked_ns is None:
-            return []  # a late answer to a question that was given up: when it was read is unknown
-        self._heard_ns = now_ns
-        return self._read(self._encoders, counts, (asked_ns + now_ns) // 2, now_ns)
+        asked_ns = self._answered(now_ns)
+        if asked_ns is None or now_ns - asked_ns > ANSWER_NS:
+            return []  # when it was read is not known well enough
+        return self._read(self._encoders, counts, asked_ns, now_ns)
+
+    def _answered(self, now_ns: int) -> int | None:
+        """When the oldest question was asked that an answer of now may belong to."""
+        self._give_up(now_ns)
+        if not self._open:
+            return None
+        self._heard_ns, self._is_heard = now_ns, True
+        asked_ns = self._open.popleft()
+        self._is_awaited = self._is_awaited and bool(self._open)
+        return asked_ns
 
     def _unknown_wheels(self) -> Mismatched:
         return Mismatched(
@@ -128,9 +150,10 @@ class RosArduinoBridge:
         )
 
     def _read(
-        self, encoders: Encoders, counts: list[float], taken_ns: int, now_ns: int
+        self, encoders: Encoders, counts: list[float], asked_ns: int, now_ns: int
     ) -> list[Event]:
         assert self._geometry is not None  # there are no encoders without it
+        taken_ns = (asked_ns + now_ns) // 2
         turned = encoders.add(counts, taken_ns)
         events: list[Event] = []
         if turned.restarted:
@@ -144,7 +167,7 @@ class RosArduinoBridge:
         found = self._wheels.add_way(
             turned.left_m, turned.right_m, self._geometry.track_m, turned.elapsed_s
         )
-        return [*events, Reading(taken_ns, now_ns, *found)]
+        return [*events, Reading(taken_ns, now_ns, *found, doubt_ns=now_ns - taken_ns)]
 
     def _advice(self, text: str) -> Advice:
         return Advice(f"robot {self._robot}: {text} under [robots.{self._robot}.wheels]")
@@ -193,15 +216,20 @@ class RosArduinoBridge:
             self._is_reset = True
             data += RESET  # once, so that the counters are far from their ends
         self._give_up(now_ns)
-        if now_ns < self._ask_due_ns or self._asked_ns is not None:
+        if now_ns < self._ask_due_ns or self._is_awaited:
             return data
-        self._asked_ns, self._ask_due_ns = now_ns, now_ns + ASK_EVERY_NS
+        self._open.append(now_ns)
+        self._is_awaited, self._is_heard = True, False
+        self._ask_due_ns = now_ns + ASK_EVERY_NS
         return data + ENCODERS
 
     def due_ns(self, now_ns: int) -> int:
         if self._waiting:
             return now_ns
-        return self._ask_due_ns if self._asked_ns is None else self._asked_ns + ANSWER_NS
+        return self._give_up_ns() if self._is_awaited else self._ask_due_ns
+
+    def _give_up_ns(self) -> int:
+        return self._open[-1] + (LOST_NS if self._is_heard else ANSWER_NS)
 
     def elapse(self, now_ns: int) -> list[Event]:
         events: list[Event] = []
@@ -215,10 +243,14 @@ class RosArduinoBridge:
         return events
 
     def _give_up(self, now_ns: int) -> None:
-        """Ask again where an answer is too late; it could be anyone's by now."""
-        if self._asked_ns is not None and now_ns - self._asked_ns >= ANSWER_NS:
-            self._asked_ns = None
-            self._unanswered += self._is_connected
+        """Ask again where an answer is too late. The question stays open where nothing was heard
+        since: its answer may be here already, with nobody who read it."""
+        if not self._is_awaited or now_ns < self._give_up_ns():
+            return
+        self._is_awaited = False
+        self._unanswered += self._is_connected
+        if self._is_heard:
+            self._open.clear()
 
 
 def _example_order(columns: int) -> str:

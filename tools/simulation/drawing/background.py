@@ -16,6 +16,7 @@ from trigpoint.tools.simulation.sight.seen_corners import Wall
 from .lens_grid import SUBPIXELS, directions_on_grid
 
 _FAR = 1e6
+_COARSE = 8  # subpixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,11 +40,12 @@ def draw_background(
     grey = np.zeros(nearest.shape, np.float32)
     is_wall = np.zeros(nearest.shape, dtype=bool)
     for number, wall in enumerate(walls):
-        if np.any(_hits(eye, rays[::8, ::8], nearest[::8, ::8], wall)[0]):
-            seen, share, along, height = _hits(eye, rays, nearest, wall)
-            grey[seen] = _wall_grey(wall, number, along[seen], height[seen])
-            nearest[seen] = share[seen]
-            is_wall |= seen
+        part = _part(_hits(eye, rays[::_COARSE, ::_COARSE], nearest[::_COARSE, ::_COARSE], wall)[0])
+        if part is not None:
+            seen, share, along, height = _hits(eye, rays[part], nearest[part], wall)
+            grey[part][seen] = _wall_grey(wall, number, along[seen], height[seen])
+            nearest[part][seen] = share[seen]
+            is_wall[part] |= seen
     ground = ~is_wall
     grey[ground] = _floor_grey(eye, rays[ground], nearest[ground], walls)
     distance = np.where(is_wall, nearest * np.hypot(rays[..., 0], rays[..., 1]), np.inf)
@@ -58,6 +60,19 @@ def vignette(camera: SimulatedCamera) -> np.ndarray:
     u, v = np.arange(model.width, dtype=float), np.arange(model.height, dtype=float)
     directions = directions_on_grid(model, u, v)
     return (1.0 - 0.35 * np.minimum(np.sum(directions**2, axis=-1), 1.0)).astype(np.float32)
+
+
+def _part(coarse: np.ndarray) -> tuple[slice, slice] | None:
+    """The part of the picture around what a coarse look found, or None. With a margin, as a lens
+    bends the edges of a wall outwards between two looks."""
+    if not coarse.any():
+        return None
+    rows, columns = (np.flatnonzero(coarse.any(axis=axis)) for axis in (1, 0))
+    return _around(rows), _around(columns)
+
+
+def _around(found: np.ndarray) -> slice:
+    return slice(max(0, (found[0] - 2) * _COARSE), (found[-1] + 3) * _COARSE)
 
 
 def _hits(
@@ -95,7 +110,9 @@ def _floor_grey(eye: Array, rays: Array, floor_at: Array, walls: tuple[Wall, ...
         126 + 10 * (tile - 0.5) + 9 * (speckle - 0.5) + 7 * np.sin(1.3 * x + 0.7) * np.cos(1.1 * y)
     )
     grey -= 26 * np.clip(1 - joint / 0.004, 0, 1)
-    to_wall = np.min([_to_segment(x, y, wall) for wall in walls], axis=0, initial=9.0)
+    to_wall = np.full_like(x, 9.0)
+    for wall in walls:
+        np.minimum(to_wall, _to_segment(x, y, wall), out=to_wall)
     return grey * (1 - 0.35 * np.exp(-to_wall / 0.12))
 
 
@@ -108,7 +125,10 @@ def _wall_grey(wall: Wall, number: int, along: Array, height: Array) -> Array:
         return _cupboards(grey, along, height)
     length = float(np.linalg.norm(wall.end - wall.start))
     for x, bottom, width, tall, shade in _posters(number, length):
-        grey = _poster(grey, along - x, height - bottom, width, tall, shade)
+        on = np.flatnonzero(
+            (along > x) & (along < x + width) & (height > bottom) & (height < bottom + tall)
+        )
+        grey[on] = _poster(along[on] - x, height[on] - bottom, width, tall, shade)
     return np.where(height < 0.09, 62 + 8 * (height > 0.08), grey)
 
 
@@ -136,13 +156,11 @@ def _posters(number: int, length: float) -> list[tuple[float, float, float, floa
     return things
 
 
-def _poster(
-    grey: Array, along: Array, height: Array, width: float, tall: float, shade: float
-) -> Array:
-    on = (along > 0) & (along < width) & (height > 0) & (height < tall)
+def _poster(along: Array, height: Array, width: float, tall: float, shade: float) -> Array:
+    """A poster's grey values at places on it, from its lower left corner."""
     rim = np.minimum(np.minimum(along, width - along), np.minimum(height, tall - height))
     inner = shade + 22 * np.sin(9 * along / width + 2) * np.cos(7 * height / tall + shade)
-    return np.where(on, np.where(rim < 0.012, 0.6 * shade, inner), grey)
+    return np.where(rim < 0.012, 0.6 * shade, inner)
 
 
 def _to_line(x: Array, pitch: float) -> Array:

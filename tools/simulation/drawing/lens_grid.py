@@ -23,7 +23,8 @@ def _coefficients(camera: CameraModel) -> Array:
     v = (nodes + 1) / 2 * camera.height - 0.5
     values = camera.directions(np.stack(np.meshgrid(u, v), axis=-1))
     to_coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _NODES - 1))
-    return np.einsum("av,bu,vuk->abk", to_coefficients, to_coefficients, values)
+    planes = [to_coefficients @ values[..., axis] @ to_coefficients.T for axis in (0, 1)]
+    return np.stack(planes, axis=-1)
 
 
 def directions_on_grid(camera: CameraModel, u: Array, v: Array) -> Array:

@@ -89,6 +89,8 @@ def seen_faces_each(
     """`seen_faces` for each of many poses (n) of the robot, and of the others."""
     found: list[list[SeenFace]] = [[] for _ in range(len(map_from_base))]
     near = np.flatnonzero(may_be_seen(target, map_from_base, map_from_camera, model))
+    if not len(near):
+        return found
     eye, camera_from_map = map_from_camera.translation, map_from_camera.inverse()
     for face in target.faces:
         map_from_face = map_from_base[near] @ _base_from_face(face)
@@ -97,10 +99,11 @@ def seen_faces_each(
         corners = map_from_face[in_front] @ face.corners
         points = camera_from_map @ corners
         seen = _well_inside(model, points)
-        seen &= ~hidden_by_walls(eye, corners.reshape(-1, 3), walls).reshape(seen.shape)
-        seen &= ~_hidden_by_faces(eye, corners, target, map_from_base[moments], own=face)
-        for other, map_from_other in others:
-            seen &= ~_hidden_by_faces(eye, corners, other, map_from_other[moments])
+        if np.any(seen):
+            seen &= ~hidden_by_walls(eye, corners.reshape(-1, 3), walls).reshape(seen.shape)
+            seen &= ~_hidden_by_faces(eye, corners, target, map_from_base[moments], own=face)
+            for other, map_from_other in others:
+                seen &= ~_hidden_by_faces(eye, corners, other, map_from_other[moments])
         pixels = model.project(np.where(seen[..., None], points, [0.0, 0.0, 1.0]))
         for row, moment in enumerate(moments.tolist()):
             is_any = np.any(seen[row])
@@ -176,26 +179,27 @@ def _hidden_by_faces(
 ) -> np.ndarray:
     """Which points (n, k, 3) the sheets of a target at poses (n) hide; `own`: the face that the
     points lie on; (n, k) bool."""
-    hidden = np.zeros(points.shape[:-1], dtype=bool)
-    for face in target.faces:
-        if face is not own:
-            face_from_map = (map_from_base @ _base_from_face(face)).inverse()
-            start = face_from_map.rotation @ eye + face_from_map.translation
-            hidden |= _crosses_panel(start, face_from_map @ points, panel(face))
-    return hidden
-
-
-def _crosses_panel(eye: Array, points: Array, outline: Array) -> np.ndarray:
-    """Whether the lines from each eye (n, 3) to its points (n, k, 3), in a face's frame, go through
-    its sheet; (n, k) bool."""
-    fall = eye[:, None, 2] - points[..., 2]
+    base_from_sheet, low, high = _sheets(target, own)
+    base = Pose(map_from_base.rotation[:, None], map_from_base.translation[:, None])
+    sheet_from_map = (base @ base_from_sheet).inverse()  # (n, sheets)
+    start = (sheet_from_map.rotation @ eye + sheet_from_map.translation)[:, :, None]
+    there = sheet_from_map @ points[:, None]
+    fall = start[..., 2] - there[..., 2]
     share = np.full(fall.shape, -1.0)
-    np.divide(eye[:, None, 2], fall, out=share, where=np.abs(fall) > 1e-12)
-    start = eye[:, None, :2]
-    crossing = start + share[..., None] * (points[..., :2] - start)
-    low, high = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
+    np.divide(start[..., 2], fall, out=share, where=np.abs(fall) > 1e-12)
+    crossing = start[..., :2] + share[..., None] * (there[..., :2] - start[..., :2])
     inside = np.all((crossing > low) & (crossing < high), axis=-1)
-    return inside & (share > 1e-6) & (share < 1 - 1e-6)
+    return np.any(inside & (share > 1e-6) & (share < 1 - 1e-6), axis=1)
+
+
+@cache
+def _sheets(target: Target, own: Face | None) -> tuple[Pose, Array, Array]:
+    """base_from_face of a target's sheets (m) but `own`, and where each begins and ends in its
+    plane, (m, 1, 2)."""
+    faces = [face for face in target.faces if face is not own]
+    outlines = np.array([panel(face)[:, :2] for face in faces]).reshape(-1, 4, 2)
+    poses = Pose.stack([face.base_from_face for face in faces])
+    return poses, outlines.min(axis=1)[:, None], outlines.max(axis=1)[:, None]
 
 
 def hidden_by_walls(eye: Array, points: Array, walls: tuple[Wall, ...]) -> np.ndarray:

@@ -111,7 +111,7 @@ def test_budget_grows_with_the_session(came: Came) -> None:
 def test_what_more_explanations_hold_than_are_kept_is_left_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    came = data_of(Shape(2, (0, 1, 0, 1), is_alike=True, lift=2))
+    came = data_of(Shape(2, (0, 1, 0, 1), is_alike=False, lift=2))
     assert not any("not decided" in f.reason for f in explain(*came).findings.values())
     monkeypatch.setattr(search, "_MOST_HYPOTHESES", 1)
     narrow = explain(*came)

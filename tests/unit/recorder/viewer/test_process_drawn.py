@@ -35,6 +35,7 @@ pytestmark = [
         CHROMIUM is None, reason="there is no Chromium here; install Debian's package «chromium»"
     ),
     pytest.mark.timeout(2 * PATIENCE_S),
+    pytest.mark.long,
 ]
 
 

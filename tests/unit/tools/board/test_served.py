@@ -95,7 +95,7 @@ def test_events_are_packed_where_the_browser_takes_it(desk: Desk) -> None:
 
 
 def test_the_past_is_what_was(desk: Desk, site: BoardSite) -> None:
-    state_when(desk, site, lambda state: "at" in state["robot/r1"])
+    state_when(desk, site, lambda state: "at" in state.get("robot/r1", {}))
     assert eventually(lambda: "at" in json.loads(desk.ask("/past?at=9e9").body)["all"]["robot/r1"])
     whole = json.loads(desk.ask("/past?at=9e9").body)
     assert np.allclose(whole["all"]["robot/r1"]["at"], TRUTH.robot(0, 0.0), atol=6e-4)

@@ -144,7 +144,8 @@ def test_what_the_views_leave_open_is_said_and_nothing_is_written(
 def test_an_endless_source_is_looked_at_for_so_long(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["sim://c1?world=lab&seed=1", "--target", "charuco", "--seconds", "3"]
+    """The world has ended and its robot stands: there is one view, however long it takes."""
+    words = ["sim://c2?world=lab&seed=1&epoch_ns=0", "--target", "charuco", "--seconds", "3"]
     assert look(*words, rate=10) == 1
     captured = capsys.readouterr()
     assert "lens known, by the source; it fits this picture to 0.0" in captured.out

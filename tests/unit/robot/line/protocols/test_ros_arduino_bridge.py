@@ -1,14 +1,16 @@
 """ros_arduino_bridge's commands; the bytes are those of its sketch (ROSArduinoBridge.ino)."""
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Container, Iterable
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from trigpoint.base.clock import to_ns
+from trigpoint.robot.line.limits import Motion, MotionLimits
 from trigpoint.robot.line.protocol import (
     Advice,
     Connected,
@@ -19,13 +21,20 @@ from trigpoint.robot.line.protocol import (
     Reading,
     Setup,
 )
-from trigpoint.robot.line.protocols.ros_arduino_bridge import RosArduinoBridge
+from trigpoint.robot.line.protocols.ros_arduino_bridge import ENCODERS, RosArduinoBridge
 from trigpoint.site.config import RobotConfig, WheelConfig
 
 # The README's robot: 0.146 m wheels, 0.2969 m apart, 8384 counts a turn.
 README = WheelConfig(0.146, 0.2969, 8384)
 NOW_NS = to_ns(10.0)
 ANSWER_NS = to_ns(0.004)
+COUNTS_A_SECOND = 0.5 * 8384 / (np.pi * 0.146)  # of a robot at 0.5 m/s
+Span = tuple[float, float]
+"""From when on, seconds, and for how long."""
+# One a second, and two at a time shorter than what a lost answer is waited for.
+SPANS = st.lists(st.tuples(st.floats(0.1, 0.6), st.floats(0.0, 0.12)), max_size=5).map(
+    lambda drawn: [(1.0 + second + start, length) for second, (start, length) in enumerate(drawn)]
+)
 
 
 class Board:
@@ -104,7 +113,8 @@ def test_question_without_an_answer_is_counted_and_asked_again() -> None:
     assert protocol.data_to_send(lost_ns + to_ns(0.05)) == b""
     events = asked(protocol, board, lost_ns + to_ns(0.11))
     assert Missing(1) in events
-    assert len(readings(events)) == 1
+    assert readings(events) == []  # it may be a late answer to the first question
+    assert len(readings(asked(protocol, board, lost_ns + to_ns(0.37)))) == 1
 
 
 def test_late_answer_is_no_reading() -> None:
@@ -112,6 +122,76 @@ def test_late_answer_is_no_reading() -> None:
     protocol.data_to_send(NOW_NS)
     protocol.receive(b"0 0\r\n", NOW_NS)
     assert readings(protocol.receive(b"5 5\r\n", NOW_NS + to_ns(0.01))) == []
+
+
+class Held:
+    """A board at 0.5 m/s and the bridge's two threads, each held up where it is said, and answers
+    lost. Everything comes as late as that, and in order."""
+
+    def __init__(self, board: list[Span], reader: list[Span], lost: Container[int] = ()) -> None:
+        self._board, self._reader, self._lost = board, reader, lost
+        self.protocol, self.events = opened(), []
+        self._line: deque[bytes] = deque()
+        self._here: list[bytes] = []
+
+    def run(self, seconds: float, tick_s: float = 0.002) -> list[Event]:
+        asked = 0
+        for now_s in np.arange(0.0, seconds, tick_s).tolist():
+            now_ns = NOW_NS + to_ns(now_s)
+            self.events += self.protocol.elapse(now_ns)
+            if ENCODERS in (sent := self.protocol.data_to_send(now_ns)):
+                asked += 1
+                if asked not in self._lost:
+                    self._line.append(sent)
+            while self._line and not _within(now_s, self._board):
+                self._line.popleft()
+                count = int(COUNTS_A_SECOND * now_s)
+                self._here.append(b"%d %d\r\n" % (count, count))
+            if self._here and not _within(now_s, self._reader):
+                self.events += self.protocol.receive(b"".join(self._here), now_ns)
+                self._here.clear()
+        return self.events
+
+
+def _within(now_s: float, spans: list[Span]) -> bool:
+    return any(start <= now_s < start + length for start, length in spans)
+
+
+def check_times(events: list[Event], limits: MotionLimits) -> list[Reading]:
+    """Every reading was taken when it is said to have been, and no step is impossible."""
+    found = readings(events)
+    for reading in found:
+        truth_s = float(reading.pose.translation[0] / 0.5) + 1 / COUNTS_A_SECOND
+        off_s = (reading.firmware_ns - NOW_NS) / 1e9 - truth_s
+        assert abs(off_s) <= reading.doubt_ns / 1e9 + 0.004
+        assert reading.doubt_ns <= to_ns(0.05)
+        motion = limits.look(reading.firmware_ns, reading.pose, reading.doubt_ns)
+        assert motion is Motion.POSSIBLE
+    return found
+
+
+@settings(max_examples=25)
+@example(board=[], reader=[(0.35, 1.2)])  # as where what handles a reading is first imported
+@example(board=[(0.35, 1.2)], reader=[])
+@example(board=[(0.35, 1.2)], reader=[(0.5, 1.5)])
+@given(SPANS, SPANS)
+def test_answers_that_come_bunched_and_late_are_stamped_when_they_were_read(
+    board: list[Span], reader: list[Span]
+) -> None:
+    limits = MotionLimits(RobotConfig(port="x", max_speed=0.55))
+    found = check_times(Held(board, reader).run(6.0), limits)
+    held_s = sum(length + 0.3 for _, length in board + reader)
+    assert len(found) >= 25 * (6.0 - held_s)
+    assert found[-1].firmware_ns > NOW_NS + to_ns(5.9)
+
+
+@settings(max_examples=25)
+@given(st.lists(st.integers(3, 60), max_size=6, unique=True))
+def test_lost_answers_cost_half_a_second_each_and_shift_none(lost: list[int]) -> None:
+    limits = MotionLimits(RobotConfig(port="x", max_speed=0.55))
+    found = check_times(Held([], [], lost).run(6.0), limits)
+    assert len(found) >= 28 * (6.0 - 0.5 * len(lost))
+    assert found[-1].firmware_ns > NOW_NS + to_ns(5.4)
 
 
 @pytest.mark.parametrize("line", [b"12", b"1 2 3", b"1.5 2", b"x 4", b"99999999999 1", b"-- 1"])
@@ -139,8 +219,7 @@ def test_endless_line_takes_no_memory() -> None:
     assert [type(event) for event in protocol.receive(b"\n", NOW_NS)] == [Damaged]
 
 
-# A robot at 0.5 m/s, asked nearly 30 times a second.
-ASKED_S, COUNTS_A_SECOND = 0.034, 0.5 * 8384 / (np.pi * 0.146)
+ASKED_S = 0.034  # nearly 30 times a second
 Answer = Callable[[int], str]
 
 
