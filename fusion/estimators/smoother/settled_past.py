@@ -22,9 +22,8 @@ from trigpoint.fusion.model.past import ODOMETRY_BEFORE_NS, Past, PastCamera
 from trigpoint.fusion.model.problem import State
 from trigpoint.fusion.solver.equations import covariance_of
 from trigpoint.fusion.solver.filter import Filter
-from trigpoint.fusion.solver.levenberg_marquardt import solve
+from trigpoint.fusion.solver.levenberg_marquardt import linearise
 
-_TOLERANCE = 1e-4
 # Of each robot so many sightings stay, unless it drove on for long without one: it is not lost.
 _LEAST_OF_A_ROBOT = 20
 _MOST_UNSEEN_ODOMETRY = 20_000
@@ -93,22 +92,23 @@ def _newest(stamps: "np.ndarray | list[int]", count: int) -> int:
 
 def settled_past(data: DataSet, state: State, since_ns: Mapping[str, int]) -> Past | None:
     """The past of a solved data set: all that is older than `since_ns`, by robot. None where it
-    locates nothing, or its solution does not converge. Raises LinAlgError where it is not
-    determined."""
+    locates nothing; raises LinAlgError where it is not determined.
+
+    It is linearised where the solution over everything is, and not at its own minimum: there, what
+    it says and what the rest does cancel out as before, however little it knows by itself.
+    """
     gone = [e for e in data.entries if e.observation.stamp_ns < since_ns[e.observation.robot]]
     past = replace(data, entries=gone)
     used = past.usable(state.cameras)
     if not used:
         return None
     assembled = assemble(past, state, used)
-    solution = solve(assembled.problem, assembled.start, tolerance=_TOLERANCE)
-    if not solution.has_converged:
-        return None
-    known = Filter.after(solution.state, assembled.problem, solution.reduced)
+    problem, start = assembled.problem, assembled.start
+    known = Filter.after(start, problem, linearise(problem, start).reduced())
     known = known.spread(crept(past, known))
     places = _last_places(past, known, max(since_ns.values()))
     return Past(
-        known=_known(past, known, solution.state, places),
+        known=_known(past, known, places),
         since_ns=dict(since_ns),
         map_since_ns=data.map_since_ns,
         epoch_ns=data.epoch_ns,
@@ -135,31 +135,36 @@ def _last_places(past: DataSet, known: Filter, end_ns: int) -> dict[str, str]:
     return places
 
 
-def _known(past: DataSet, known: Filter, state: State, places: Mapping[str, str]) -> KnownCameras:
-    """What a solution over the past knows of everything but the robots' poses."""
-    layout = known.layout
+def _known(past: DataSet, known: Filter, places: Mapping[str, str]) -> KnownCameras:
+    """What a filter over the past knows of everything but the robots' poses: expected is where its
+    cost is least."""
+    layout, state, step = known.layout, known.state, known.known.mean
     columns = [layout.pose[place] for place in places.values()]
-    faces = {robot: state.robots[robot].base_from_face for robot in layout.faces}
-    columns += [layout.faces[robot] for robot in faces]
+    poses = {
+        camera: state.cameras[place].map_from_camera.disturbed(step[layout.pose[place]])
+        for camera, place in places.items()
+    }
+    faces = {}
+    for robot, own in layout.faces.items():
+        faces[robot] = state.robots[robot].base_from_face.disturbed(step[own].reshape(-1, 6))
+        columns.append(own)
     values = {}
     for camera, place in places.items():
         if place in layout.lens:
-            values["lens", camera] = state.cameras[place].lens.parameters
-            columns.append(layout.lens[place])
+            values["lens", camera] = state.cameras[place].lens.parameters, layout.lens[place]
         if place in layout.time_offset:
-            values["clock", camera] = np.array(state.cameras[place].clock)
-            columns.append(layout.time_offset[place])
-    for robot in layout.scales:
-        values["scales", robot] = state.robots[robot].scales
-        columns.append(layout.scales[robot])
+            values["clock", camera] = state.cameras[place].clock, layout.time_offset[place]
+    for robot, own in layout.scales.items():
+        values["scales", robot] = state.robots[robot].scales, own
+    columns += [own for _, own in values.values()]
     rows = np.concatenate(columns)
     return KnownCameras(
-        poses={camera: state.cameras[place].map_from_camera for camera, place in places.items()},
+        poses=poses,
         information=covariance_of(known.known.covariance[np.ix_(rows, rows)]),
         until_ns=max(entry.observation.stamp_ns for entry in past.entries),
         creep=Creep.of_all(past.site.cameras),
         faces=faces,
-        values=values,
+        values={key: value + step[own] for key, (value, own) in values.items()},
     )
 
 
